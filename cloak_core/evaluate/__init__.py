@@ -1,0 +1,1 @@
+"""How well a cloak works: success rates, experiments, reports."""

@@ -1,0 +1,1 @@
+"""How the sample bodies and the built-in detector were made."""

@@ -1,0 +1,1 @@
+"""From geometry to images: visibility, shading, cached views, compositing."""

@@ -1,0 +1,18 @@
+"""Shared fixtures; also switches on run-time checking of every type and tensor shape in cloak_core (under pytest only)."""
+
+import os
+from pathlib import Path
+
+import pytest
+from jaxtyping import install_import_hook
+
+install_import_hook("cloak_core", "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of real detectors, bodies and photographs; tests that need it skip where it is absent, and say so."""
+    folder = Path(os.environ.get("CLOAK_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+    if not (folder / "data" / "README.md").exists():
+        pytest.skip(f"the measuring data is not there: {folder} (set CLOAK_SHARED)")
+    return folder
