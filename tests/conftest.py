@@ -1,4 +1,4 @@
-"""Shared fixtures; also switches on run-time checking of every type and tensor shape in cloak_core (under pytest only)."""
+"""Shared fixtures; also switches on run-time checks of every type and tensor shape in cloak_core (pytest only)."""
 
 import os
 from pathlib import Path
