@@ -1,0 +1,25 @@
+# Two commands do all set-up: `make demo` and `make test`.
+BIN := .venv/bin
+
+.PHONY: demo test lint extension
+
+demo: .venv/.installed
+	$(BIN)/cloak demo --out runs/demo
+
+test: .venv/.installed-test
+	$(BIN)/python -m pytest
+
+lint: .venv/.installed-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+extension: .venv/.installed-test
+	$(BIN)/python tools/build_extension.py
+
+.venv/.installed: pyproject.toml tools/setup.sh
+	tools/setup.sh
+	touch $@
+
+.venv/.installed-test: pyproject.toml tools/setup.sh
+	tools/setup.sh test
+	touch $@ .venv/.installed

@@ -1,0 +1,30 @@
+#!/bin/sh
+# Make .venv with the project in it: `tools/setup.sh`, or `tools/setup.sh test` for what the tests need as well.
+# System libraries that a package needs are installed when this runs as root, and named when it does not.
+set -eu
+cd "$(dirname "$0")/.."
+
+need() { # need WHAT-FOR PACKAGE...: Debian packages that are not there yet
+    why=$1; shift; missing=
+    for package in "$@"; do
+        dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing="$missing $package"
+    done
+    [ -z "$missing" ] && return
+    if [ "$(id -u)" = 0 ]; then
+        echo "installing for $why:$missing" >&2
+        apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $missing >/dev/null
+    else
+        echo "$why needs these packages; as root: apt-get install$missing" >&2
+        exit 2
+    fi
+}
+
+PYTHON=${PYTHON:-$(command -v python3.11 || command -v python3)}
+"$PYTHON" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed, not $("$PYTHON" -V)" >&2; exit 2; }
+if [ ! -x .venv/bin/python ]; then
+    "$PYTHON" -c 'import ensurepip' 2>/dev/null || need "a virtual environment" python3-venv
+    "$PYTHON" -m venv .venv
+fi
+extras=${1:+"[$1]"}
+echo "installing cloak$extras into .venv (torch is large: a few minutes the first time)" >&2
+.venv/bin/python -m pip install -q --disable-pip-version-check -e ".$extras"
