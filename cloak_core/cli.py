@@ -1,0 +1,133 @@
+"""The command line: finds the command, reads its options with tyro, and turns what happens into words and exit codes.
+
+Exit codes: 0 done, 1 a defect (with its traceback), 2 bad input (one line that names it), 3 stopped in order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import json
+import logging
+import re
+import sys
+
+from cloak_core.commands.base import Command, Stopped, err, out, warn
+from cloak_core.errors import InputError
+
+COMMANDS: dict[str, str] = {
+    "train": "train:Train",
+    "evaluate": "evaluate:Evaluate",
+    "report": "evaluate:Report",
+    "demo": "demo:Demo",
+    "scene import": "scene:Import",
+    "scene sample": "scene:Sample",
+    "scene info": "scene:Info",
+    "logo select": "logo:Select",
+    "logo project": "logo:Project",
+    "logo heatmap": "logo:Heatmap",
+    "detectors check": "detectors:Check",
+    "detectors train-builtin": "detectors:TrainBuiltin",
+    "bench views": "bench:Views",
+}
+"""Command words -> module:class in cloak_core.commands; imported only when asked for, so that `--help` is quick."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and exit."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    logging.basicConfig(format="cloak: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    if arguments[:1] == ["--version"]:
+        from cloak_core import __version__
+
+        print(__version__)
+        sys.exit(0)
+    try:
+        words, rest = find(arguments)
+        command = parse(words, rest)
+        sys.exit(run(command))
+    except InputError as error:
+        err.print(f"cloak: {error}", style="red", markup=False)
+        sys.exit(2)
+    except (Stopped, KeyboardInterrupt) as stop:
+        warn(str(stop) or "stopped")
+        sys.exit(3)
+
+
+def run(command: Command) -> int:
+    """Run a command; what it returns goes to standard output as JSON, or as words."""
+    if not command.json:
+        command.show(command.run())
+        return 0
+    # Whatever libraries print must not end up inside the JSON.
+    with contextlib.redirect_stdout(sys.stderr):
+        out.file = sys.stderr
+        result = command.run()
+    stopped = result.pop("stopped", None)
+    print(json.dumps(result, indent=2, allow_nan=False))
+    if stopped:
+        raise Stopped(stopped)
+    return 0
+
+
+def find(arguments: list[str]) -> tuple[str, list[str]]:
+    """Split the arguments into a known command's words and its options; print help where no command is complete."""
+    words = " ".join(arguments[:2])
+    for name, count in ((words, 2), (words.split(" ")[0], 1)):
+        if name in COMMANDS:
+            return name, arguments[count:]
+    given = [a for a in arguments[:2] if not a.startswith("-")]
+    group = {name: place for name, place in COMMANDS.items() if given and name.startswith(given[0] + " ")}
+    if given and not group:
+        raise InputError(f"unknown command '{given[0]}' (known: {', '.join(dict.fromkeys(map(_first, COMMANDS)))})")
+    if len(given) > 1:
+        raise InputError(f"unknown command '{words}' (known: {', '.join(group)})")
+    print_help(group or COMMANDS)
+    sys.exit(0 if {"-h", "--help"} & set(arguments) else 2)
+
+
+def _first(name: str) -> str:
+    return name.split(" ")[0]
+
+
+def load(name: str) -> type[Command]:
+    module, _, cls = COMMANDS[name].partition(":")
+    return getattr(importlib.import_module(f"cloak_core.commands.{module}"), cls)
+
+
+def print_help(commands: dict[str, str]) -> None:
+    print("usage: cloak COMMAND [OPTIONS]   (cloak COMMAND --help says what it takes)\n")
+    for name in commands:
+        print(f"  cloak {name:<24} {(load(name).__doc__ or '').strip().splitlines()[0]}")
+
+
+def parse(name: str, arguments: list[str]) -> Command:
+    """Options to a command, through tyro; its boxed messages become one line."""
+    import tyro
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(
+                load(name),
+                prog=f"cloak {name}",
+                args=arguments,
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InputError(f"{name}: {_one_line(said.getvalue())} (cloak {name} --help)") from None
+
+
+def _one_line(boxed: str) -> str:
+    """The first paragraph of tyro's boxed message, without the box."""
+    lines = [re.sub(r"^[╭╰]─+.*|^│ ?|\s*│$", "", line).strip() for line in boxed.splitlines()]
+    kept: list[str] = []
+    for line in lines:
+        if kept and (line.startswith("For full helptext") or line == "Argument helptext:"):
+            break
+        if line.strip("─"):
+            kept.append(line)
+    return " ".join(kept) or "not understood"

@@ -1,0 +1,44 @@
+"""What every command shares: `--json`, where words go, and how bad input and stops end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+"""Progress, warnings and errors: standard error, always."""
+out = Console(highlight=False, soft_wrap=True)
+"""Results for people: standard output, silent under --json."""
+
+
+class Stopped(Exception):
+    """The command ended early but in order (cancelled, out of budget): exit code 3."""
+
+
+@dataclass(kw_only=True)
+class Command:
+    """One command: fields are its options, `run` does the work and returns what `--json` prints."""
+
+    json: bool = False
+    """Print one machine-readable object on standard output, everything else on standard error."""
+
+    def run(self) -> dict:
+        raise NotImplementedError
+
+    def show(self, result: dict) -> None:
+        """Say the result to a person, on standard output."""
+
+
+def warn(message: str) -> None:
+    """One line on standard error."""
+    err.print(f"cloak: {message}", style="yellow", markup=False)
+
+
+def require_new(path: Path) -> None:
+    """Refuse an output that is there already: nothing is overwritten unasked."""
+    from cloak_core.errors import InputError
+
+    if path.exists():
+        raise InputError(f"{path}: exists already")
