@@ -1,0 +1,24 @@
+"""The detector that comes with Cloak: a small YOLOv2-family person detector this project trained (cloak_core/pretrain)."""
+
+from pathlib import Path
+
+from cloak_core.detectors.darknet.detector import DarknetDetector, load_darknet
+
+CFG = Path(__file__).with_name("builtin.cfg")
+WEIGHTS = Path(__file__).with_name("builtin.weights")
+CLASS_NAMES = ("person",)
+
+
+def load_builtin(
+    *, spec: str = "builtin", input_size: tuple[int, int] | None = None, letterbox: bool = False
+) -> DarknetDetector:
+    """The embedded detector, frozen."""
+    return load_darknet(
+        CFG,
+        WEIGHTS,
+        name="builtin",
+        spec=spec,
+        input_size=input_size,
+        letterbox=letterbox,
+        class_names=CLASS_NAMES,
+    )

@@ -1,0 +1,72 @@
+"""Class lists: which index of a detector's output is the person."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloak_core.errors import InputError
+
+# fmt: off
+COCO = (
+    "person", "bicycle", "car", "motorbike", "aeroplane", "bus", "train", "truck", "boat", "traffic light",
+    "fire hydrant", "stop sign", "parking meter", "bench", "bird", "cat", "dog", "horse", "sheep", "cow", "elephant",
+    "bear", "zebra", "giraffe", "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard",
+    "sports ball", "kite", "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket", "bottle",
+    "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange", "broccoli",
+    "carrot", "hot dog", "pizza", "donut", "cake", "chair", "sofa", "pottedplant", "bed", "diningtable", "toilet",
+    "tvmonitor", "laptop", "mouse", "remote", "keyboard", "cell phone", "microwave", "oven", "toaster", "sink",
+    "refrigerator", "book", "clock", "vase", "scissors", "teddy bear", "hair drier", "toothbrush",
+)
+"""The 80 COCO classes in Darknet's order and spelling."""
+
+VOC = (
+    "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
+    "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",
+)
+"""The 20 Pascal VOC classes in Darknet's order."""
+# fmt: on
+
+
+def person_index(names: Sequence[str] | None, person_class: str, count: int, source: str) -> int:
+    """Index of the person class among `count` classes, by name or, where `person_class` is a number, by index.
+
+    `source` names the detector in the InputError raised when there is no such class.
+    """
+    wanted = person_class.strip().lower()
+    lowered = [name.strip().lower() for name in names or ()]
+    if wanted in lowered:
+        return lowered.index(wanted)
+    if wanted.isdigit() and int(wanted) < count:
+        return int(wanted)
+    if names is None:
+        raise InputError(
+            f"{source}: the names of its {count} classes are unknown; give --person-class INDEX or a names file"
+        )
+    known = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    raise InputError(f"{source}: no class {person_class!r} among its {count} ({known}); name one with --person-class")
+
+
+def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:
+    """The names of `count` classes: NAME.names of NAME.cfg, else any list of that length beside it, else COCO or VOC by count.
+
+    None where nothing fits; InputError where several lists fit and disagree, or NAME.names has another length.
+    """
+    own = cfg.with_suffix(".names")
+    if own.is_file():
+        names = read_names(own)
+        if len(names) != count:
+            raise InputError(f"{own}: {len(names)} class names, but {cfg.name} has {count} classes")
+        return names
+    fitting = {names for path in sorted(cfg.parent.glob("*.names")) if len(names := read_names(path)) == count}
+    if len(fitting) > 1:
+        raise InputError(
+            f"{cfg}: several .names files beside it list {count} classes; rename the right one to {own.name}"
+        )
+    return fitting.pop() if fitting else {len(COCO): COCO, len(VOC): VOC}.get(count)
+
+
+def read_names(path: Path) -> tuple[str, ...]:
+    """One class name per line, blank lines left out."""
+    if path.stat().st_size > 1 << 20:
+        raise InputError(f"{path}: too large for a list of class names")
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    return tuple(line.strip() for line in lines if line.strip())

@@ -1,0 +1,95 @@
+"""Darknet's .cfg text as a list of sections that remember their line numbers."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cloak_core.errors import InputError
+
+MAX_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Section:
+    """One `[kind]` block of a .cfg with its `key=value` options."""
+
+    kind: str
+    line: int
+    source: str
+    options: dict[str, str] = field(default_factory=dict)
+
+    def error(self, message: str) -> InputError:
+        """An InputError that says where in the .cfg the trouble is."""
+        return InputError(f"{self.source}:{self.line}: [{self.kind}] {message}")
+
+    def text(self, key: str, default: str) -> str:
+        return self.options.get(key, default)
+
+    def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
+        """An integer option, at least `low`; without a default the option must be there."""
+        if key not in self.options:
+            if default is None:
+                raise self.error(f"lacks {key}=")
+            return default
+        value = self._number(key, self.options[key], int)
+        if low is not None and value < low:
+            raise self.error(f"{key}={value} must be at least {low}")
+        return value
+
+    def number(self, key: str, default: float) -> float:
+        return self._number(key, self.options[key], float) if key in self.options else default
+
+    def integers(self, key: str) -> list[int]:
+        """A comma-separated list of integers, empty where the option is absent."""
+        return [self._number(key, part, int) for part in self._parts(key)]
+
+    def numbers(self, key: str) -> list[float]:
+        """A comma-separated list of numbers, empty where the option is absent."""
+        return [self._number(key, part, float) for part in self._parts(key)]
+
+    def refuse(self, *keys: str) -> None:
+        """Options that change the result and that we do not compute: refused rather than ignored."""
+        for key in keys:
+            if self.options.get(key, "0") not in ("0", "0.0", "none"):
+                raise self.error(f"{key}={self.options[key]} is not supported")
+
+    def _parts(self, key: str) -> list[str]:
+        return [part for part in self.options.get(key, "").split(",") if part]
+
+    def _number(self, key, text, kind):
+        try:
+            return kind(text)
+        except ValueError:
+            raise self.error(f"{key}={text} is not {'an integer' if kind is int else 'a number'}") from None
+
+
+def parse_cfg(text: str, source: str = "cfg") -> list[Section]:
+    """Split .cfg text into sections, `[net]` first. InputError names `source` and the line of anything unreadable."""
+    sections: list[Section] = []
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = "".join(raw.split("#")[0].split(";")[0].split())  # Darknet drops all blanks, inside a line too
+        if line.startswith("["):
+            sections.append(Section(line.strip("[]").lower(), number, source))
+        elif line:
+            key, equals, value = line.partition("=")
+            if not equals or not sections:
+                raise InputError(f"{source}:{number}: expected [section] or key=value, found {raw.strip()[:40]!r}")
+            sections[-1].options[key] = value
+    if not sections or sections[0].kind not in ("net", "network"):
+        raise InputError(f"{source}: not a Darknet cfg, it does not begin with [net]")
+    return sections
+
+
+def read_cfg(path: Path) -> list[Section]:
+    """Parse a .cfg file."""
+    return parse_cfg(read_cfg_text(path), str(path))
+
+
+def read_cfg_text(path: Path) -> str:
+    """A .cfg file's text; InputError where there is none or it is far too large for one."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError(
+            f"{path}: {path.stat().st_size} bytes, too large for a Darknet cfg (were .cfg and .weights swapped?)"
+        )
+    return path.read_text(encoding="utf-8", errors="replace")

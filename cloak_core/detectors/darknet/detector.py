@@ -1,0 +1,69 @@
+"""A Darknet network as a frozen Cloak detector."""
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.detectors.classes import names_beside, person_index
+from cloak_core.detectors.darknet.cfg import read_cfg
+from cloak_core.detectors.darknet.network import Network
+from cloak_core.detectors.darknet.weights import read_weights
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.resizing import fit
+from cloak_core.errors import InputError
+
+
+class DarknetDetector(Detector):
+    """Resizes images to the network's input, runs it, and gives boxes in the images' pixels.
+
+    Scores are objectness times the person class's probability, as Darknet thresholds them.
+    """
+
+    def __init__(self, network: Network, person: int, name: str, spec: str, letterbox: bool = False) -> None:
+        super().__init__(name, spec)
+        self.network, self.person, self.letterbox = network, person, letterbox
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        size = self.network.input_size
+        inputs, placement = fit(images, size, self.letterbox)
+        maps = self.network(inputs)
+        parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
+        boxes, objectness, classes = (torch.cat(group, dim=1) for group in zip(*parts, strict=True))
+        pixels = boxes * torch.tensor([size[1], size[0]] * 2, device=boxes.device, dtype=boxes.dtype)
+        person = classes[..., self.person]
+        return Detections(
+            boxes=placement.restore(pixels),
+            scores=objectness * person,
+            objectness=objectness,
+            is_person=person >= classes.amax(dim=-1),
+        )
+
+
+def load_darknet(
+    cfg: Path,
+    weights: Path,
+    *,
+    name: str,
+    spec: str,
+    input_size: tuple[int, int] | None = None,
+    letterbox: bool = False,
+    person_class: str = "person",
+    class_names: tuple[str, ...] | None = None,
+) -> DarknetDetector:
+    """Read a .cfg/.weights pair as a frozen detector, batch norm folded.
+
+    Class names come from `class_names`, a .names file beside the cfg, or COCO or VOC by their number. InputError as in
+    `read_cfg`, `Network`, `read_weights` and `person_index`.
+    """
+    network = Network(read_cfg(cfg), input_size)
+    counts = {head.classes for head in network.heads}
+    if len(counts) != 1:
+        raise InputError(f"{cfg}: its heads have different numbers of classes {sorted(counts)}")
+    count = counts.pop()
+    person = person_index(class_names or names_beside(cfg, count), person_class, count, str(cfg))
+    read_weights(network, weights)
+    detector = DarknetDetector(network.eval().fold(), person, name, spec, letterbox)
+    detector.freeze()
+    return detector

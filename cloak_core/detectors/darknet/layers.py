@@ -1,0 +1,156 @@
+"""Darknet's layers as torch modules; each takes the previous output and all earlier ones that are still needed."""
+
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+Earlier = dict[int, Tensor]
+
+ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+    "linear": lambda x: x,
+    "leaky": lambda x: F.leaky_relu(x, 0.1),
+    "relu": F.relu,
+    "relu6": F.relu6,
+    "logistic": torch.sigmoid,
+    "mish": F.mish,
+    "swish": F.silu,
+}
+
+
+class BatchNorm(nn.BatchNorm2d):
+    """Batch norm that, outside training, divides by sqrt(var) + 1e-6 as Darknet does, not by sqrt(var + eps)."""
+
+    EPSILON = 1e-6
+
+    def forward(self, x: Tensor) -> Tensor:
+        if self.training:
+            return super().forward(x)
+        scale = self.factor()
+        return x * scale[:, None, None] + (self.bias - self.running_mean * scale)[:, None, None]
+
+    def factor(self) -> Tensor:
+        """What a channel is multiplied with outside training: [C]."""
+        return self.weight / (self.running_var.sqrt() + self.EPSILON)
+
+
+class Convolution(nn.Module):
+    """[convolutional]: convolution, batch norm (unless folded or absent), activation."""
+
+    def __init__(self, conv: nn.Conv2d, norm: BatchNorm | None, activation: str) -> None:
+        super().__init__()
+        self.conv, self.norm, self.activation = conv, norm, activation
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        x = self.conv(x)
+        if self.norm is not None:
+            x = self.norm(x)
+        return ACTIVATIONS[self.activation](x)
+
+    @torch.no_grad()
+    def fold(self) -> None:
+        """Multiply the batch norm's running statistics into the convolution; afterwards it cannot train as before."""
+        if self.norm is None:
+            return
+        scale = self.norm.weight.double() / (self.norm.running_var.double().sqrt() + BatchNorm.EPSILON)
+        bias = self.norm.bias.double() - self.norm.running_mean.double() * scale
+        self.conv.weight.copy_(self.conv.weight.double() * scale[:, None, None, None])
+        self.conv.bias = nn.Parameter(bias.to(self.conv.weight.dtype))
+        self.norm = None
+
+
+class MaxPool(nn.Module):
+    """[maxpool]: padding - padding // 2 ... on the right and bottom, so that stride 1 keeps the size."""
+
+    def __init__(self, size: int, stride: int, padding: int) -> None:
+        super().__init__()
+        self.size, self.stride, self.padding = size, stride, padding
+
+    def out(self, length: int) -> int:
+        return (length + self.padding - self.size) // self.stride + 1
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        before = self.padding // 2
+        after = [(self.out(n) - 1) * self.stride + self.size - n - before for n in x.shape[-2:]]
+        if before == 0 and max(after) <= 0:
+            return F.max_pool2d(x, self.size, self.stride)
+        if before == after[0] == after[1] and 2 * before <= self.size:
+            return F.max_pool2d(x, self.size, self.stride, before)
+        x = F.pad(x, (before, after[1], before, after[0]), value=float("-inf"))
+        return F.max_pool2d(x, self.size, self.stride)
+
+
+class Route(nn.Module):
+    """[route]: earlier outputs side by side in channels, or one group of their channels."""
+
+    def __init__(self, sources: list[int], groups: int, group: int) -> None:
+        super().__init__()
+        self.sources, self.groups, self.group = sources, groups, group
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        picked = [earlier[index] for index in self.sources]
+        if self.groups > 1:
+            picked = [part.chunk(self.groups, dim=1)[self.group] for part in picked]
+        return picked[0] if len(picked) == 1 else torch.cat(picked, dim=1)
+
+
+class Reorg(nn.Module):
+    """[reorg]: space to depth in Darknet's own order of elements.
+
+    Darknet reads its input [C, H, W] as if it were [C/s², H*s, W*s], gathers s x s blocks into [C, H, W], and reads that as
+    [C*s², H/s, W/s].
+    """
+
+    def __init__(self, stride: int) -> None:
+        super().__init__()
+        self.stride = stride
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        b, c, h, w = x.shape
+        s = self.stride
+        blocks = x.reshape(b, c // s**2, h, s, w, s).permute(0, 3, 5, 1, 2, 4)
+        return blocks.reshape(b, c * s**2, h // s, w // s)
+
+
+class Shortcut(nn.Module):
+    """[shortcut]: activation of alpha * previous + beta * earlier, added on the channels that both have."""
+
+    def __init__(self, sources: list[int], alpha: float, beta: float, activation: str) -> None:
+        super().__init__()
+        self.sources, self.alpha, self.beta, self.activation = sources, alpha, beta, activation
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        total = x if self.alpha == 1.0 else self.alpha * x
+        for index in self.sources:
+            other = earlier[index] if self.beta == 1.0 else self.beta * earlier[index]
+            total = total + _match_channels(other, total.shape[1])
+        return ACTIVATIONS[self.activation](total)
+
+
+class Upsample(nn.Module):
+    """[upsample]: nearest neighbour, times a scale."""
+
+    def __init__(self, stride: int, scale: float) -> None:
+        super().__init__()
+        self.stride, self.scale = stride, scale
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        x = F.interpolate(x, scale_factor=float(self.stride), mode="nearest")
+        return x if self.scale == 1.0 else x * self.scale
+
+
+class Dropout(nn.Module):
+    """[dropout]: acts in training only."""
+
+    def __init__(self, probability: float) -> None:
+        super().__init__()
+        self.probability = probability
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        return F.dropout(x, self.probability, self.training)
+
+
+def _match_channels(x: Tensor, channels: int) -> Tensor:
+    extra = channels - x.shape[1]
+    return F.pad(x, (0, 0, 0, 0, 0, extra)) if extra > 0 else x[:, :channels]

@@ -1,0 +1,252 @@
+"""From .cfg sections to a torch network that runs, trains and folds."""
+
+import torch
+from torch import Tensor, nn
+
+from cloak_core.detectors.darknet.cfg import Section, parse_cfg
+from cloak_core.detectors.darknet.heads import Head, Region, Yolo
+from cloak_core.detectors.darknet.layers import (
+    ACTIVATIONS,
+    BatchNorm,
+    Convolution,
+    Dropout,
+    MaxPool,
+    Reorg,
+    Route,
+    Shortcut,
+    Upsample,
+)
+
+MAX_SIDE = 8192
+MAX_CHANNELS = 1 << 16
+
+Shape = tuple[int, int, int]
+
+
+class Network(nn.Module):
+    """A Darknet network: layer i is section i + 1 of its cfg.
+
+    `build_network` makes it ready for training: train mode, batch norm apart, seeded He initialisation.
+    `read_weights` (darknet.weights) fills it, `fold` readies it for inference.
+    """
+
+    def __init__(self, sections: list[Section], input_size: tuple[int, int] | None = None) -> None:
+        """`input_size` (height, width) replaces the cfg's. InputError names the cfg line of what cannot be built."""
+        super().__init__()
+        net, self.sections = sections[0], sections[1:]
+        size = input_size or (net.integer("height", low=1), net.integer("width", low=1))
+        self.input_size: tuple[int, int] = (int(size[0]), int(size[1]))
+        if max(self.input_size) > MAX_SIDE:
+            raise net.error(f"input size {self.input_size} beyond {MAX_SIDE}")
+        shape: Shape = (net.integer("channels", 3, low=1), *self.input_size)
+        if shape[0] != 3:
+            raise net.error(f"channels={shape[0]}: only networks on RGB images are supported")
+        shapes: list[Shape] = []
+        layers: list[nn.Module] = []
+        for section in self.sections:
+            if section.kind not in BUILDERS:
+                raise section.error(f"unknown section; known are {', '.join(sorted(BUILDERS))}")
+            layer, shape = BUILDERS[section.kind](section, shape, shapes)
+            if min(shape) < 1:
+                raise section.error(
+                    f"the input {self.input_size[0]}x{self.input_size[1]} is too small to reach this layer"
+                )
+            layers.append(layer)
+            shapes.append(shape)
+        self.layers = nn.ModuleList(layers)
+        self._needed = {i for layer in layers for i in getattr(layer, "sources", ())}
+        if not self.heads:
+            raise net.error("the network has no [region] and no [yolo]: not a detector")
+
+    @property
+    def heads(self) -> list[Head]:
+        """Detection heads, in network order."""
+        return [layer for layer in self.layers if isinstance(layer, Head)]
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Images [B, 3, H, W] in [0, 1], already at network size -> one raw map [B, A * (5 + K), h, w] per head.
+
+        H and W may differ from the cfg's, as long as they are multiples of the network's stride.
+        """
+        x, earlier, maps = images, {}, []
+        for index, layer in enumerate(self.layers):
+            x = layer(x, earlier)
+            if index in self._needed:
+                earlier[index] = x
+            if isinstance(layer, Head):
+                maps.append(x)
+        return maps
+
+    def fold(self) -> "Network":
+        """Fold every batch norm into its convolution, in place. Outputs in eval mode stay equal up to rounding."""
+        for layer in self.layers:
+            if isinstance(layer, Convolution):
+                layer.fold()
+        return self
+
+
+def build_network(
+    cfg_text: str, input_size: tuple[int, int] | None = None, seed: int = 0, source: str = "cfg"
+) -> Network:
+    """A trainable network: unfolded batch norm, train mode, He-initialised weights from `seed`."""
+    network = Network(parse_cfg(cfg_text, source), input_size)
+    generator = torch.Generator().manual_seed(seed)
+    for layer in network.layers:
+        if isinstance(layer, Convolution):
+            fan_in = layer.conv.weight[0].numel()
+            with torch.no_grad():
+                layer.conv.weight.normal_(0, (2 / fan_in) ** 0.5, generator=generator)
+                if layer.conv.bias is not None:
+                    layer.conv.bias.zero_()
+    return network.train()
+
+
+def _convolutional(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse(
+        "binary", "xnor", "antialiasing", "share_index", "assisted_excitation", "deform", "sway", "rotate", "stretch"
+    )
+    channels, height, width = shape
+    filters = section.integer("filters", 1, low=1)
+    size, groups = section.integer("size", 1, low=1), section.integer("groups", 1, low=1)
+    dilation = section.integer("dilation", 1, low=1)
+    stride = _strides(section)
+    if filters > MAX_CHANNELS or size > 64:
+        raise section.error(f"filters={filters}, size={size}: beyond any known network")
+    if channels % groups or filters % groups:
+        raise section.error(f"groups={groups} does not divide its {channels} input channels and {filters} filters")
+    padding = dilation * (size // 2 if section.integer("pad", 0) else section.integer("padding", 0, low=0))
+    normalize = bool(section.integer("batch_normalize", 0))
+    conv = nn.Conv2d(channels, filters, size, stride, padding, dilation, groups, bias=not normalize)
+    norm = BatchNorm(filters) if normalize else None
+    layer = Convolution(conv, norm, _activation(section, "logistic"))
+    reach = dilation * (size - 1) + 1
+    out = [(n + 2 * padding - reach) // s + 1 for n, s in zip((height, width), stride, strict=True)]
+    return layer, (filters, out[0], out[1])
+
+
+def _maxpool(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("maxpool_depth", "antialiasing")
+    stride = _strides(section)
+    if stride[0] != stride[1]:
+        raise section.error("stride_x and stride_y differ, which is not supported")
+    size = section.integer("size", stride[0], low=1)
+    pool = MaxPool(size, stride[0], section.integer("padding", size - 1, low=0))
+    return pool, (shape[0], pool.out(shape[1]), pool.out(shape[2]))
+
+
+def _route(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    sources = _sources(section, "layers", shapes)
+    groups, group = section.integer("groups", 1, low=1), section.integer("group_id", 0, low=0)
+    picked = [shapes[index] for index in sources]
+    if any(other[1:] != picked[0][1:] for other in picked):
+        sizes = ", ".join(f"layer {i}: {shapes[i][1]}x{shapes[i][2]}" for i in sources)
+        raise section.error(f"joins layers of different sizes ({sizes}); the input size must be a multiple of 32")
+    if group >= groups or any(other[0] % groups for other in picked):
+        raise section.error(f"groups={groups}, group_id={group} do not fit its channels")
+    return Route(sources, groups, group), (sum(other[0] // groups for other in picked), *picked[0][1:])
+
+
+def _reorg(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("reverse", "flatten", "extra")
+    stride = section.integer("stride", 1, low=1)
+    channels, height, width = shape
+    if channels % stride**2 or height % stride or width % stride:
+        raise section.error(f"stride={stride} does not divide its input {channels}x{height}x{width}")
+    return Reorg(stride), (channels * stride**2, height // stride, width // stride)
+
+
+def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("weights_type", "weights_normalization")
+    sources = _sources(section, "from", shapes)
+    for index in sources:
+        if shapes[index][1:] != shape[1:]:
+            raise section.error(f"adds layer {index} of another size ({shapes[index]} to {shape})")
+    alpha, beta = section.number("alpha", 1.0), section.number("beta", 1.0)
+    return Shortcut(sources, alpha, beta, _activation(section, "linear")), shape
+
+
+def _upsample(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    stride = section.integer("stride", 2, low=1)
+    return Upsample(stride, section.number("scale", 1.0)), (shape[0], shape[1] * stride, shape[2] * stride)
+
+
+def _dropout(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    return Dropout(section.number("probability", 0.5)), shape
+
+
+def _region(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("tree", "map", "background")
+    if section.integer("coords", 4) != 4:
+        raise section.error("coords other than 4 are not supported")
+    count = section.integer("num", 1, low=1)
+    anchors = _anchors(section, count)
+    head = Region(anchors, section.integer("classes", 20, low=1), bool(section.integer("softmax", 0)))
+    return _check_head(head, section, shape), shape
+
+
+def _yolo(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
+    section.refuse("obj_channels", "embedding_layer")
+    count = section.integer("num", 1, low=1)
+    anchors = _anchors(section, count)
+    mask = section.integers("mask") or list(range(count))
+    if not all(0 <= index < count for index in mask):
+        raise section.error(f"mask={section.text('mask', '')} reaches beyond its {count} anchors")
+    scale, new_coords = section.number("scale_x_y", 1.0), bool(section.integer("new_coords", 0))
+    head = Yolo([anchors[index] for index in mask], section.integer("classes", 20, low=1), scale, new_coords)
+    return _check_head(head, section, shape), shape
+
+
+BUILDERS = {
+    "convolutional": _convolutional,
+    "conv": _convolutional,
+    "maxpool": _maxpool,
+    "max": _maxpool,
+    "route": _route,
+    "reorg": _reorg,
+    "shortcut": _shortcut,
+    "upsample": _upsample,
+    "dropout": _dropout,
+    "region": _region,
+    "yolo": _yolo,
+}
+
+
+def _activation(section: Section, default: str) -> str:
+    name = section.text("activation", default)
+    if name not in ACTIVATIONS:
+        raise section.error(f"activation={name} is not supported; known are {', '.join(ACTIVATIONS)}")
+    return name
+
+
+def _strides(section: Section) -> tuple[int, int]:
+    """(vertical, horizontal)."""
+    stride = section.integer("stride", 1, low=1)
+    return section.integer("stride_y", stride, low=1), section.integer("stride_x", stride, low=1)
+
+
+def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
+    """Absolute indices of the layers an option names; negative numbers count back from the layer itself."""
+    given = section.integers(key)
+    if not given:
+        raise section.error(f"lacks {key}=")
+    absolute = [index if index >= 0 else len(shapes) + index for index in given]
+    for index, text in zip(absolute, given, strict=True):
+        if not 0 <= index < len(shapes):
+            raise section.error(f"{key}={text}: there is no such layer before this one (layer {len(shapes)})")
+    return absolute
+
+
+def _anchors(section: Section, count: int) -> list[tuple[float, float]]:
+    values = section.numbers("anchors")
+    if len(values) != 2 * count:
+        raise section.error(f"num={count} needs {2 * count} numbers in anchors=, found {len(values)}")
+    return list(zip(values[::2], values[1::2], strict=True))
+
+
+def _check_head(head: Head, section: Section, shape: Shape) -> Head:
+    if head.channels != shape[0]:
+        raise section.error(
+            f"{len(head.anchors)} anchors and {head.classes} classes need {head.channels} channels, "
+            f"but the layer before has {shape[0]} filters"
+        )
+    return head

@@ -1,0 +1,105 @@
+"""Darknet's .weights: a short header, then float32 numbers in network order."""
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloak_core.detectors.darknet.cfg import parse_cfg
+from cloak_core.detectors.darknet.layers import Convolution
+from cloak_core.detectors.darknet.network import Network
+from cloak_core.errors import InputError
+
+WRITTEN_VERSION = (0, 2, 5)
+
+
+def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
+    """(layer index, name, tensor) of everything a .weights file holds, in file order. Needs an unfolded network."""
+    stored: list[tuple[int, str, Tensor]] = []
+    for index, (section, layer) in enumerate(zip(network.sections, network.layers, strict=True)):
+        if not isinstance(layer, Convolution):
+            continue
+        if bool(section.integer("batch_normalize", 0)) != (layer.norm is not None):
+            raise ValueError("batch norm is folded already: the network no longer matches its cfg")
+        if layer.norm is None:
+            stored.append((index, "biases", layer.conv.bias))
+        else:
+            norm = layer.norm
+            names = ("biases", "scales", "rolling means", "rolling variances")
+            tensors = (norm.bias, norm.weight, norm.running_mean, norm.running_var)
+            stored += [(index, name, tensor) for name, tensor in zip(names, tensors, strict=True)]
+        stored.append((index, "weights", layer.conv.weight))
+    return stored
+
+
+@torch.no_grad()
+def read_weights(network: Network, path: Path) -> Network:
+    """Fill an unfolded network from a .weights file, in place.
+
+    InputError when the file is missing, holds fewer or more floats than the cfg asks for (both numbers are given), or
+    holds numbers no network can have (not finite, negative variance).
+    """
+    stored = stored_tensors(network)
+    expected = sum(tensor.numel() for _, _, tensor in stored)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file (expected {expected:,} floats of weights)")
+    header = _header_bytes(path)
+    found, odd = divmod(max(path.stat().st_size - header, 0), 4)
+    if found != expected or odd:
+        more = f" and {odd} odd bytes" if odd else ""
+        raise InputError(
+            f"{path}: expected {expected:,} floats for {network.sections[0].source}, found {found:,}{more} "
+            f"({'truncated' if found < expected else 'too long'}, or the weights of another cfg)"
+        )
+    values = torch.from_numpy(np.fromfile(path, dtype="<f4", offset=header).astype(np.float32, copy=False))
+    offset = 0
+    for index, name, tensor in stored:
+        part = values[offset : offset + tensor.numel()]
+        offset += tensor.numel()
+        if not bool(part.isfinite().all()) or (name == "rolling variances" and bool((part < 0).any())):
+            raise InputError(
+                f"{path}: {name} of layer {index} ([{network.sections[index].kind}], cfg line "
+                f"{network.sections[index].line}) hold NaN, infinite or negative numbers where none can be"
+            )
+        tensor.copy_(part.reshape(tensor.shape))
+    return network
+
+
+def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int = 0) -> tuple[Path, Path]:
+    """Store an unfolded, trained network as PATH.cfg and PATH.weights; returns both paths.
+
+    `cfg_text` is the text the network was built from; a network of other shapes is refused (ValueError), as are numbers
+    that are not finite. `seen` is the number of training images, kept in the header. `path` may end in .cfg or .weights.
+    """
+    stem = Path(path).with_suffix("") if Path(path).suffix in (".cfg", ".weights") else Path(path)
+    cfg, weights = Path(f"{stem}.cfg"), Path(f"{stem}.weights")
+    stored = stored_tensors(network)
+    twin = stored_tensors(Network(parse_cfg(cfg_text, str(cfg))))
+    if [(i, n, t.shape) for i, n, t in stored] != [(i, n, t.shape) for i, n, t in twin]:
+        raise ValueError("the network was not built from this cfg text")
+    values = torch.cat([tensor.detach().float().cpu().reshape(-1) for _, _, tensor in stored])
+    if not bool(values.isfinite().all()):
+        raise ValueError("the network holds numbers that are not finite")
+    header = struct.pack("<iiiq", *WRITTEN_VERSION, seen)
+    _replace(weights, header + values.numpy().astype("<f4").tobytes())
+    _replace(cfg, cfg_text.encode())
+    return cfg, weights
+
+
+def _header_bytes(path: Path) -> int:
+    """major, minor, revision as int32; then `seen`, an int64 from version 0.2 on and an int32 before."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if len(head) < 12:
+        return len(head)
+    major, minor, _ = struct.unpack("<iii", head)
+    return 12 + (8 if major * 10 + minor >= 2 and major < 1000 and minor < 1000 else 4)
+
+
+def _replace(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_bytes(content)
+    temporary.replace(path)

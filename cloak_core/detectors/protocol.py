@@ -1,0 +1,74 @@
+"""The one call every detector answers, and the hash that shows a run left it untouched."""
+
+import hashlib
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+
+class Detections(NamedTuple):
+    """What a detector says about B images, before thresholding and non-maximum suppression.
+
+    Everything is differentiable in the images. A detector may pad: padded rows have a box of zeros and score 0.
+    """
+
+    boxes: Float[Tensor, "B N 4"]
+    """xyxy, in pixels of the given images (not of the network's input); may reach beyond the image."""
+    scores: Float[Tensor, "B N"]
+    """The detector's own probability of a person, 0..1: class-conditional times objectness where there is one."""
+    objectness: Float[Tensor, "B N"] | None = None
+    """Probability of any object, 0..1; None where the family has none."""
+    is_person: Bool[Tensor, "B N"] | None = None
+    """Person is the likeliest class of this box; None where there is no objectness."""
+
+
+class Detector(nn.Module):
+    """A frozen person detector: eval mode, no parameter gradients, deterministic.
+
+    Families derive from it and implement `forward`; `differentiable` is False for black boxes (ONNX), whose
+    detections carry no gradient.
+    """
+
+    name: str
+    """Short name for tables and file names."""
+    spec: str
+    """What `load_detector` was given; loading it again gives the same detector."""
+    differentiable: bool = True
+
+    def __init__(self, name: str, spec: str) -> None:
+        super().__init__()
+        self.name = name
+        self.spec = spec
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        """RGB images in [0, 1], of any size, on the detector's device."""
+        raise NotImplementedError
+
+    def freeze(self) -> "Detector":
+        """Eval mode, no gradients for parameters. Families call it last in their loader."""
+        return self.eval().requires_grad_(False)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the images must be."""
+        tensor = next(iter(self.parameters()), None)
+        tensor = next(iter(self.buffers()), None) if tensor is None else tensor
+        return torch.device("cpu") if tensor is None else tensor.device
+
+
+def state_hash(detector: nn.Module) -> str:
+    """SHA-256 (hex) of every parameter, buffer and train flag; equal hashes mean a bit-identical detector.
+
+    Independent of device and memory format.
+    """
+    digest = hashlib.sha256()
+    tensors = [*detector.named_parameters(remove_duplicate=False), *detector.named_buffers(remove_duplicate=False)]
+    for name, tensor in sorted(tensors, key=lambda item: item[0]):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)};".encode())
+        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        digest.update(flat.view(torch.uint8).numpy().tobytes())
+    for name, module in sorted(detector.named_modules(remove_duplicate=False), key=lambda item: item[0]):
+        digest.update(f"{name} training={module.training};".encode())
+    return digest.hexdigest()

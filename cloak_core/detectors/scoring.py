@@ -1,0 +1,79 @@
+"""When a person counts as detected: used by attack, evaluation and drawing alike."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detections
+from cloak_core.errors import InputError
+
+THRESHOLD = 0.6
+"""A person is detected when a box's score exceeds this (the paper's value)."""
+IOU = 0.5
+"""A box is on a body when it overlaps the body's true box at least this much."""
+
+
+def max_person_score(detections: Detections) -> Float[Tensor, "B"]:
+    """The best person score of each image, 0 where there are no boxes; differentiable, never cut at a threshold."""
+    return _row_max(detections.scores)
+
+
+def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
+    """The best objectness over the boxes whose likeliest class is person, 0 where there is none (the reference's form).
+
+    Where no box is a person the result is a constant 0 and has no gradient. InputError when the family has no objectness.
+    """
+    if detections.objectness is None or detections.is_person is None:
+        raise InputError("the objectness loss needs a detector with objectness (darknet, builtin); use the score loss")
+    return _row_max(torch.where(detections.is_person, detections.objectness, 0.0))
+
+
+def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, "B"]:
+    """Whether any person box in the image scores above the threshold."""
+    return max_person_score(detections).detach() > threshold
+
+
+def is_detected_on(
+    detections: Detections, boxes: Float[Tensor, "B 4"], threshold: float = THRESHOLD, iou: float = IOU
+) -> Bool[Tensor, "B"]:
+    """Whether a person box above the threshold overlaps the image's one true box (xyxy pixels) with IoU >= `iou`."""
+    overlap = box_iou(detections.boxes.detach(), boxes[:, None])
+    return ((detections.scores.detach() > threshold) & (overlap >= iou)).any(dim=1)
+
+
+def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Float[Tensor, "..."]:
+    """Intersection over union of xyxy boxes, broadcast; 0 where both are empty."""
+    sides = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0)
+    intersection = sides.prod(dim=-1)
+    union = _area(a) + _area(b) - intersection
+    return torch.where(union > 0, intersection / union.clamp(min=torch.finfo(union.dtype).tiny), 0.0)
+
+
+@torch.no_grad()
+def person_boxes(detections: Detections, threshold: float = THRESHOLD, nms: float = 0.45) -> list[Float[Tensor, "n 5"]]:
+    """Per image, the boxes to draw or print: score above the threshold, after non-maximum suppression at IoU `nms`.
+
+    Rows are x1, y1, x2, y2, score, best first.
+    """
+    return [_suppress(boxes, scores, threshold, nms) for boxes, scores in zip(*detections[:2], strict=True)]
+
+
+def _suppress(boxes: Tensor, scores: Tensor, threshold: float, nms: float) -> Tensor:
+    order = scores.argsort(descending=True, stable=True)
+    order = order[scores[order] > threshold]
+    rows = torch.cat([boxes[order], scores[order, None]], dim=1).float().cpu()
+    kept: list[Tensor] = []
+    while len(rows):
+        best, rows = rows[0], rows[1:]
+        kept.append(best)
+        rows = rows[box_iou(rows[:, :4], best[:4]) <= nms]
+    return torch.stack(kept) if kept else rows.new_zeros(0, 5)
+
+
+def _row_max(values: Tensor) -> Tensor:
+    # A detector may return no box at all (N = 0); the empty sum is 0 and keeps the graph.
+    return values.max(dim=1).values if values.shape[1] else values.sum(dim=1)
+
+
+def _area(boxes: Tensor) -> Tensor:
+    return (boxes[..., 2:] - boxes[..., :2]).clamp(min=0).prod(dim=-1)
