@@ -1,0 +1,183 @@
+"""Backgrounds: a folder of images, or procedural scenes as the embedded default.
+
+Images are kept in memory as uint8 at the size they were asked for, up to a bound; beyond it they are made anew.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from cloak_core.errors import InputError
+from cloak_core.scene.procedural import draw_scene
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+MEMORY_BYTES = 1 << 30
+"""Bound on the images that one set of backgrounds keeps in memory."""
+PROCEDURAL_COUNT = 256
+_SPLITS = ("train", "test")
+_log = logging.getLogger("cloak")
+
+Draw = Callable[[int, int, int], UInt8[np.ndarray, "H W 3"]]
+
+
+@dataclass
+class _Cache:
+    """Least recently used images out first once `limit` bytes are exceeded."""
+
+    limit: int
+    used: int = 0
+    images: OrderedDict[tuple[int, int, int], Tensor] = field(default_factory=OrderedDict)
+
+    def get(self, key: tuple[int, int, int]) -> Tensor | None:
+        if key in self.images:
+            self.images.move_to_end(key)
+        return self.images.get(key)
+
+    def put(self, key: tuple[int, int, int], image: Tensor) -> None:
+        self.images[key] = image
+        self.used += image.numel()
+        while self.used > self.limit and len(self.images) > 1:
+            self.used -= self.images.popitem(last=False)[1].numel()
+
+
+class Backgrounds:
+    """Images without people, by index; every image is resized and centre-cropped to the size asked for.
+
+    `draw(index, height, width)` makes image `index` of the source as uint8 [H, W, 3]. Subsets share one cache.
+    """
+
+    def __init__(self, names: Sequence[str], draw: Draw, memory_bytes: int = MEMORY_BYTES) -> None:
+        self.names = tuple(names)
+        self._draw = draw
+        self._indices = tuple(range(len(self.names)))
+        self._cache = _Cache(memory_bytes)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def image(self, index: int, size: tuple[int, int] = (416, 416)) -> UInt8[Tensor, "3 H W"]:
+        """Image `index` (negative counts from the end) at `size` (height, width). Shared memory: do not write to it."""
+        key = (self._indices[index], *size)
+        image = self._cache.get(key)
+        if image is None:
+            image = torch.from_numpy(self._draw(*key).transpose(2, 0, 1).copy())
+            self._cache.put(key, image)
+        return image
+
+    def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
+        """The images at `indices` as float32 in [0, 1]."""
+        images = [self.image(int(i), (height, width)) for i in indices]
+        return torch.stack(images).float().div_(255) if images else torch.empty(0, 3, height, width)
+
+    def subset(self, indices: Sequence[int] | range) -> Backgrounds:
+        """The images at `indices`, in that order."""
+        part = Backgrounds.__new__(Backgrounds)
+        part.names = tuple(self.names[i] for i in indices)
+        part._draw, part._cache = self._draw, self._cache
+        part._indices = tuple(self._indices[i] for i in indices)
+        return part
+
+    def split(self, every: int = 2, offset: int = 0) -> Backgrounds:
+        """Image `offset` and every `every`-th after it: `split(2, 0)` the first, third, ..., `split(2, 1)` the rest."""
+        return self.subset(range(offset, len(self), every))
+
+
+def open_backgrounds(
+    spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
+) -> Backgrounds:
+    """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
+
+    A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
+    at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.
+    Raises `InputError` when nothing usable is there.
+    """
+    if isinstance(spec, str) and (spec == "procedural" or spec.startswith("procedural:")):
+        return _open_procedural(spec, memory_bytes)
+    return _open_folder(Path(spec), size, memory_bytes)
+
+
+# --- procedural ------------------------------------------------------------------------------------------------------
+
+
+def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
+    fields = spec.split(":")[1:]
+    split = fields.pop(0) if fields and fields[0] in _SPLITS else "train"
+    if len(fields) > 2 or not all(f.isdecimal() for f in fields):
+        raise InputError(f"{spec}: expected procedural[:train|test][:COUNT][:SEED]")
+    count, seed = [*map(int, fields), *(PROCEDURAL_COUNT, 0)[len(fields) :]]
+    if not 1 <= count <= 1_000_000:
+        raise InputError(f"{spec}: COUNT must lie in 1..1000000")
+    stream = _SPLITS.index(split)
+
+    def draw(index: int, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+        return draw_scene(np.random.default_rng([stream, seed, index]), height, width)
+
+    return Backgrounds([f"procedural:{split}:{seed}/{i}" for i in range(count)], draw, memory_bytes)
+
+
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
+def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Backgrounds:
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder of backgrounds")
+    if not folder.is_dir():
+        raise InputError(f"{folder}: backgrounds are a folder of images, this is a file")
+    files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    if not files:
+        raise InputError(f"{folder}: no jpg, png or webp image in this folder (sub-folders are not searched)")
+    room = max(1, memory_bytes // (3 * size[0] * size[1]))
+    good: list[Path] = []
+    ready: list[np.ndarray] = []
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        for file, image in zip(files, pool.map(lambda p: _try_read(p, *size), files), strict=True):
+            if image is not None:
+                good.append(file)
+                if len(ready) < room:
+                    ready.append(image)
+    if not good:
+        raise InputError(f"{folder}: none of its {len(files)} images can be read")
+    backgrounds = Backgrounds([p.name for p in good], lambda i, h, w: _read(good[i], h, w), memory_bytes)
+    for i, image in enumerate(ready):
+        backgrounds._cache.put((i, *size), torch.from_numpy(image.transpose(2, 0, 1).copy()))
+    return backgrounds
+
+
+def _try_read(path: Path, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
+    try:
+        return _read(path, height, width)
+    except InputError as error:
+        _log.warning("%s; skipped", error)
+        return None
+
+
+def _read(path: Path, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+    """The file upright, resized so that it just covers height x width, and centre-cropped."""
+    try:
+        with Image.open(path, formats=("JPEG", "PNG", "WEBP")) as image:
+            image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
+            upright = ImageOps.exif_transpose(image)
+            return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not a readable image ({error})") from error
+
+
+def _rgb(image: Image.Image) -> Image.Image:
+    if image.mode.startswith("I"):  # 16-bit grey: Pillow's own conversion clips at 255 instead of scaling
+        return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8)).convert("RGB")
+    if image.has_transparency_data:
+        rgba = image.convert("RGBA")
+        return Image.alpha_composite(Image.new("RGBA", rgba.size, "white"), rgba).convert("RGB")
+    return image.convert("RGB")
