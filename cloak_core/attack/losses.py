@@ -1,0 +1,66 @@
+"""What training minimises: how surely a person is found, plus how restless the colours are.
+
+Gradients: "score" is the detector's own probability p, whose gradient through a sigmoid fades as p (1 - p), at both
+ends; a score under the detection threshold still has one. "log" is -log(1 - p), whose gradient with respect to the
+logit is p: full strength where the detector is sure, fading only where the person is already hidden. Where a
+detector's own arithmetic has rounded p to exactly 1, its gradient is 0 and no loss can bring it back.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detections
+from cloak_core.detectors.scoring import max_objectness, max_person_score
+from cloak_core.errors import InputError
+
+TOP = 10
+"""Boxes that reduction "topk" averages."""
+SHARPNESS = 20.0
+"""Of the soft maximum: boxes within 1 / SHARPNESS of the best one count."""
+
+
+def disappearance(detections: Detections, kind: str = "score", reduce: str = "max") -> Float[Tensor, ""]:
+    """Batch mean of each image's person evidence, in [0, 1] for "score" and "objectness", in [0, inf) for "log".
+
+    kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
+    without objectness) or "log"; reduce, over the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0.
+    """
+    if kind == "objectness":
+        best = max_objectness(detections) if reduce == "max" else _reduce(_person_objectness(detections), reduce)
+    else:
+        best = max_person_score(detections) if reduce == "max" else _reduce(detections.scores, reduce)
+    if kind == "log":
+        # 2^-24: the largest float32 below 1, so that a saturated score gives 16.6 and not infinity.
+        best = -torch.log1p(-best.clamp(max=1 - 2**-24))
+    return best.mean()
+
+
+def total_variation(
+    colors: Float[Tensor, "L 3"], edges: Int[Tensor, "E 2"], edge_lengths: Float[Tensor, "E"]
+) -> Float[Tensor, ""]:
+    """Sum over inner edges of length (metres) times absolute colour difference summed over channels, divided by L.
+
+    edges: positions of the two faces in `colors`; edge_lengths: in the first pose.
+    """
+    # Indexing, not index_select: its gradient is accumulated in a fixed order on CUDA, too.
+    ends = colors[edges]
+    return ((ends[:, 0] - ends[:, 1]).abs().sum(dim=1) * edge_lengths).sum() / len(colors)
+
+
+def _person_objectness(detections: Detections) -> Float[Tensor, "B N"]:
+    if detections.objectness is None or detections.is_person is None:
+        raise InputError("--loss objectness: the detector has no objectness; use --loss score")
+    return torch.where(detections.is_person, detections.objectness, 0.0)
+
+
+def _reduce(values: Float[Tensor, "B N"], reduce: str) -> Float[Tensor, "B"]:
+    if not values.shape[1]:
+        return values.sum(dim=1)
+    if reduce == "topk":
+        return values.topk(min(TOP, values.shape[1]), dim=1).values.mean(dim=1)
+    # Over the best boxes alone, less the log of their number: hundreds of empty boxes must not count for something.
+    top = values.topk(min(TOP, values.shape[1]), dim=1).values
+    return (torch.logsumexp(SHARPNESS * top, dim=1) - math.log(top.shape[1])) / SHARPNESS

@@ -1,0 +1,313 @@
+"""Everything that decides how a logo is trained, in one dataclass, with three presets.
+
+`paper` is the paper's text, `reference` its published code, `best` what this project measured to work best. Every
+field is checked by name when a `TrainSettings` is made; bad values raise `InputError` naming the option.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import NoneType
+
+from cloak_core.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """How to train. The defaults are preset `paper`; `make_settings` starts from any preset."""
+
+    preset: str = "paper"
+    """Where the settings come from: paper, reference or best."""
+
+    # --- length
+    epochs: float | None = 100.0
+    """Passes over the data; an epoch shows every background once at every training angle. None when `steps` counts."""
+    steps: int | None = None
+    """Updates of the colours, instead of `epochs`."""
+    batch: int = 8
+    """Images per update."""
+    max_seconds: float | None = None
+    """Stop in order (checkpoint written, resumable) after this much training time, seconds."""
+
+    # --- views
+    angles: str = "-10:10:5"
+    """Training azimuths in degrees: "0", "-10,0,10" or FIRST:LAST:STEP, last included."""
+    angle_jitter: float = 0.0
+    """Each azimuth is moved by up to this many degrees, uniformly; 0 keeps the angles and lets views be reused."""
+    elevation: float = 6.0
+    """Camera elevation, degrees."""
+    elevation_jitter: float = 0.0
+    """Standard deviation of the elevation, degrees."""
+    distance: str = "2.2"
+    """Camera distance in metres: one number, or LOW:HIGH for a uniform draw per image."""
+    field_of_view: float = 60.0
+    """Vertical field of view, degrees."""
+    size: int = 416
+    """Width and height of the rendered images, pixels."""
+    samples: int | None = None
+    """Samples per pixel: 1, 4, 16 or 64; None takes the renderer's default."""
+    outfits: str = "random"
+    """Clothing of the body outside the logo: "random" (a draw per image) or "first"."""
+
+    # --- augmentation
+    translation: int = 50
+    """The body is moved by up to this many pixels along both axes."""
+    translation_per: str = "image"
+    """One translation per "image" or per "batch"."""
+    contrast: str = "0:1"
+    """LOW:HIGH of the factor on the colours; "1" switches it off."""
+    brightness: str = "0:1"
+    """LOW:HIGH of what is added to the colours; "0" switches it off."""
+    noise: float = 0.1
+    """Amplitude of the uniform noise on the colours."""
+    photometric_on: str = "logo"
+    """Contrast, brightness and noise act on the "logo" (per face) or on the "render" (per pixel of the body)."""
+
+    # --- loss
+    loss: str = "score"
+    """Of each image's boxes: "score" (person score), "objectness" (of boxes whose likeliest class is person), "log"
+    (-log(1 - score), which keeps its gradient where the score saturates)."""
+    reduce: str = "max"
+    """From an image's boxes to one number: "max", "topk" (mean of the ten best) or "logsumexp" (soft maximum)."""
+    tv_weight: float = 2.5
+    """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
+
+    # --- optimiser
+    optimizer: str = "sgd"
+    """"sgd" or "adam"."""
+    lr: float = 0.1
+    """Learning rate, in units of colour [0, 1]."""
+    momentum: float = 0.0
+    """Of SGD, [0, 1)."""
+    schedule: str = "step"
+    """Learning rate over time: "constant", "step" (times 0.1 every `lr_epochs` epochs), "cosine" (ends at 1 %)."""
+    lr_epochs: float = 10.0
+    """Epochs between the drops of schedule "step"."""
+    gamut: str = "projection"
+    """Colours stay in [0, 1] by "projection" after every update, or as the "sigmoid" of free parameters."""
+    initial: str = "grey"
+    """First colours: "grey", "random" (uniform per face and channel) or "clothing" (the first outfit's own)."""
+
+    # --- the run
+    seed: int = 0
+    """Every random draw derives from it."""
+    threads: int | None = None
+    """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
+    device: str = "cpu"
+    """torch device: "cpu", "cuda", "cuda:1"."""
+    threshold: float = 0.6
+    """A person counts as detected above this score (only for the success that events tell)."""
+    checkpoint_every: int = 100
+    """Steps between checkpoints; 0 writes one at the end alone."""
+    preview_every: int = 100
+    """Steps between preview pictures; 0 writes none."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high, ends) in _BOUNDS.items():
+            _check_bounds(name, getattr(self, name), low, high, ends)
+        for name, known in _CHOICES.items():
+            if getattr(self, name) not in known:
+                allowed = ", ".join(str(k) for k in known if k is not None)
+                raise InputError(f"{option(name)}: {getattr(self, name)!r} is not one of {allowed}")
+        if (self.epochs is None) == (self.steps is None):
+            raise InputError("--steps and --epochs: give one of them")
+        parse_angles(self.angles)
+        low, _ = parse_range(self.distance, "--distance")
+        if low <= 0:
+            raise InputError(f"--distance: {self.distance} is not in front of the camera")
+        if parse_range(self.contrast, "--contrast")[0] < 0:
+            raise InputError(f"--contrast: {self.contrast} is negative")
+        parse_range(self.brightness, "--brightness")
+        if self.optimizer == "adam" and self.momentum:
+            raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
+        if not -90 <= self.elevation - 4 * self.elevation_jitter <= self.elevation + 4 * self.elevation_jitter <= 90:
+            raise InputError("--elevation-jitter: would carry the camera over the pole")
+        if 2 * self.translation >= self.size:
+            raise InputError(f"--translation: {self.translation} px would move the body out of {self.size} px images")
+
+    def epoch_images(self, background_count: int) -> int:
+        """Images in one epoch: every background at every training angle."""
+        return background_count * len(parse_angles(self.angles))
+
+    def total_steps(self, background_count: int) -> int:
+        """Updates of the whole run; the last one may hold fewer images than a batch."""
+        if self.steps is not None:
+            return self.steps
+        return max(1, math.ceil(self.epochs * self.epoch_images(background_count) / self.batch))
+
+
+_INF = math.inf
+_BOUNDS: dict[str, tuple[float, float, str]] = {
+    # name: low, high, which ends belong to the range
+    "epochs": (0, _INF, "()"),
+    "steps": (1, 10_000_000, "[]"),
+    "batch": (1, 4096, "[]"),
+    "max_seconds": (0, _INF, "()"),
+    "angle_jitter": (0, 180, "[]"),
+    "elevation": (-90, 90, "[]"),
+    "elevation_jitter": (0, 22.5, "[]"),
+    "field_of_view": (0, 180, "()"),
+    "size": (16, 8192, "[]"),
+    "translation": (0, 4096, "[]"),
+    "noise": (0, 1, "[]"),
+    "tv_weight": (0, _INF, "[)"),
+    "lr": (0, _INF, "()"),
+    "momentum": (0, 1, "[)"),
+    "lr_epochs": (0, _INF, "()"),
+    "seed": (0, 2**63 - 1, "[]"),
+    "threads": (1, 4096, "[]"),
+    "threshold": (0, 1, "()"),
+    "checkpoint_every": (0, _INF, "[)"),
+    "preview_every": (0, _INF, "[)"),
+}
+_CHOICES: dict[str, tuple] = {
+    "preset": ("paper", "reference", "best"),
+    "samples": (None, 1, 4, 16, 64),
+    "outfits": ("random", "first"),
+    "translation_per": ("image", "batch"),
+    "photometric_on": ("logo", "render"),
+    "loss": ("score", "objectness", "log"),
+    "reduce": ("max", "topk", "logsumexp"),
+    "optimizer": ("sgd", "adam"),
+    "schedule": ("constant", "step", "cosine"),
+    "gamut": ("projection", "sigmoid"),
+    "initial": ("grey", "random", "clothing"),
+}
+
+PRESETS: dict[str, dict[str, object]] = {
+    "paper": {},
+    "reference": {
+        "elevation_jitter": 0.09,
+        "translation": 25,
+        "translation_per": "batch",
+        "contrast": "0.8:1.2",
+        "brightness": "-0.1:0.1",
+        "loss": "objectness",
+        "lr": 1e-2 / math.sqrt(8),
+        "momentum": 0.9,
+        "schedule": "constant",
+    },
+    "best": {
+        "epochs": None,
+        "steps": 1000,
+        "contrast": "0.8:1.2",
+        "brightness": "-0.1:0.1",
+        "optimizer": "adam",
+        "lr": 0.02,
+        "schedule": "cosine",
+    },
+}
+"""What each preset changes of the defaults. The reference's learning rate is its 1e-2 / sqrt(batch) at batch 8."""
+
+
+def make_settings(preset: str = "best", **changes: object) -> TrainSettings:
+    """Settings of a preset with changes by name, in the right types (7 becomes 7.0 where a number is meant).
+
+    `steps` replaces the preset's `epochs` and the other way round. Unknown names, wrong types and bad values raise
+    `InputError` naming the option.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"--preset: {preset!r} is not one of {', '.join(PRESETS)}")
+    values = dict(PRESETS[preset])
+    if changes.get("steps") is not None and changes.get("epochs") is None:
+        values["epochs"] = None
+    elif changes.get("epochs") is not None and changes.get("steps") is None:
+        values["steps"] = None
+    return settings_from_record(values | {"preset": preset} | changes)
+
+
+def settings_from_record(record: Mapping[str, object]) -> TrainSettings:
+    """Settings from plain values as JSON, TOML or flags give them; names that are missing keep the default."""
+    types = typing.get_type_hints(TrainSettings)
+    unknown = sorted(set(record) - set(types))
+    if unknown:
+        raise InputError(f"{option(unknown[0])}: no such setting (known: {', '.join(types)})")
+    return TrainSettings(**{name: _convert(name, value, types[name]) for name, value in record.items()})
+
+
+def settings_record(settings: TrainSettings) -> dict[str, object]:
+    """Settings as plain values for JSON; `settings_from_record` reads them back."""
+    return dataclasses.asdict(settings)
+
+
+def parse_angles(spec: str, name: str = "--angles") -> tuple[float, ...]:
+    """Angles in degrees from "0", "-10,0,10" or "FIRST:LAST:STEP" (STEP 1 when left out, LAST included)."""
+    parts = [_number(part, spec, name) for part in spec.replace(":", ",").split(",")]
+    if ":" not in spec:
+        angles = parts
+    elif "," in spec or len(parts) not in (2, 3):
+        raise InputError(f"{name}: {spec!r} is neither A,B,C nor FIRST:LAST:STEP")
+    else:
+        first, last, step = (*parts, 1.0)[:3]
+        if step <= 0:
+            raise InputError(f"{name}: the step of {spec!r} is not positive")
+        if last < first:
+            raise InputError(f"{name}: {spec!r} ends before it begins")
+        # 1e-9: 0:1:0.1 has eleven angles although 1 / 0.1 may round below 10.
+        count = math.floor((last - first) / step + 1e-9) + 1
+        if count > 3600:
+            raise InputError(f"{name}: {spec!r} are {count} angles, more than 3600")
+        angles = [first + i * step for i in range(count)]
+    angles = [round(angle, 9) + 0.0 for angle in angles]
+    if max(map(abs, angles)) > 360:
+        raise InputError(f"{name}: {spec!r} leaves [-360, 360] degrees")
+    if len(set(angles)) < len(angles):
+        raise InputError(f"{name}: {spec!r} names an angle twice")
+    return tuple(angles)
+
+
+def parse_range(spec: str, name: str) -> tuple[float, float]:
+    """LOW, HIGH from "LOW:HIGH"; a single number is both."""
+    parts = [_number(part, spec, name) for part in spec.split(":")]
+    if len(parts) > 2:
+        raise InputError(f"{name}: {spec!r} is neither a number nor LOW:HIGH")
+    if parts[-1] < parts[0]:
+        raise InputError(f"{name}: {spec!r} is an inverted range")
+    return parts[0], parts[-1]
+
+
+def option(name: str) -> str:
+    """A field's name as the command line spells it."""
+    return "--" + name.replace("_", "-")
+
+
+def _number(text: str, spec: str, name: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{name}: {text.strip()!r} in {spec!r} is not a number")
+    return value
+
+
+def _convert(name: str, value: object, kind: object) -> object:
+    kinds = typing.get_args(kind) or (kind,)
+    if value is None and NoneType in kinds:
+        return None
+    if isinstance(value, bool):
+        raise InputError(f"{option(name)}: {value} is neither a number nor a word")
+    if str in kinds and isinstance(value, (int, float)):
+        value = repr(value)  # angles = 0 in a TOML file
+    if float in kinds and isinstance(value, int):
+        value = float(value)
+    if int in kinds and isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if not isinstance(value, tuple(k for k in kinds if k is not NoneType)):
+        wanted = " or ".join({str: "text", int: "a whole number", float: "a number"}.get(k, "none") for k in kinds)
+        raise InputError(f"{option(name)}: {value!r} is not {wanted}")
+    return value
+
+
+def _check_bounds(name: str, value: float | int | None, low: float | int, high: float | int, ends: str) -> None:
+    if value is None:
+        return
+    above = value >= low if ends[0] == "[" else value > low
+    below = value <= high if ends[1] == "]" else value < high
+    if not (above and below):  # NaN fails both
+        limits = f"{ends[0]}{low:g}, {high:g}{ends[1]}"
+        raise InputError(f"{option(name)}: {value} is not in {limits}")

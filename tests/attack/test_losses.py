@@ -1,0 +1,83 @@
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cloak_core.attack.losses import disappearance, total_variation
+from cloak_core.detectors.protocol import Detections
+from cloak_core.errors import InputError
+
+
+def detections(scores, objectness=None, is_person=None):
+    scores = torch.as_tensor(scores)
+    return Detections(torch.zeros(*scores.shape, 4), scores, objectness, is_person)
+
+
+def test_disappearance_is_the_mean_of_the_best_scores():
+    found = detections([[0.1, 0.7], [0.3, 0.2]])
+    assert disappearance(found).item() == pytest.approx(0.5)
+
+
+def test_objectness_counts_person_boxes_alone():
+    objectness = torch.tensor([[0.9, 0.4], [0.8, 0.7]])
+    is_person = torch.tensor([[False, True], [False, False]])
+    found = detections([[0.5, 0.5], [0.5, 0.5]], objectness, is_person)
+    assert disappearance(found, "objectness").item() == pytest.approx(0.2)
+    with pytest.raises(InputError, match="objectness"):
+        disappearance(detections([[0.5]]), "objectness")
+    with pytest.raises(InputError, match="objectness"):
+        disappearance(detections([[0.5]]), "objectness", "topk")
+
+
+@pytest.mark.parametrize("reduce", ["max", "topk", "logsumexp"])
+@pytest.mark.parametrize("kind", ["score", "log"])
+def test_no_boxes_and_empty_boxes_count_nothing(kind, reduce):
+    assert disappearance(detections(torch.zeros(2, 0)), kind, reduce).item() == 0
+    assert disappearance(detections(torch.zeros(2, 500)), kind, reduce).item() == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("reduce", ["max", "topk", "logsumexp"])
+@pytest.mark.parametrize("kind", ["score", "log"])
+@pytest.mark.parametrize("logit", [-6.0, -1.0, 1.0, 6.0])
+def test_a_score_on_either_side_of_the_threshold_has_a_gradient(kind, reduce, logit):
+    logits = torch.full((1, 3), logit, requires_grad=True)
+    disappearance(detections(torch.sigmoid(logits)), kind, reduce).backward()
+    assert logits.grad.abs().sum() > 1e-3
+
+
+def test_the_log_form_keeps_its_gradient_where_the_score_saturates():
+    gradients = {}
+    for kind in ("score", "log"):
+        logits = torch.full((1, 1), 12.0, requires_grad=True)
+        disappearance(detections(torch.sigmoid(logits)), kind).backward()
+        gradients[kind] = logits.grad.item()
+    assert gradients["score"] < 1e-4
+    assert gradients["log"] == pytest.approx(1, abs=0.01)
+    assert math.isfinite(disappearance(detections([[1.0]]), "log").item())
+
+
+def test_soft_reductions_by_hand():
+    assert disappearance(detections([[0.5, 0.1]]), reduce="topk").item() == pytest.approx(0.3)
+    expected = (math.log((math.exp(10) + math.exp(2)) / 2)) / 20
+    assert disappearance(detections([[0.5, 0.1]]), reduce="logsumexp").item() == pytest.approx(expected)
+
+
+def test_total_variation_by_hand():
+    # Edge 0.5 m: |0.2| + |0.4| + |0.6| = 1.2; edge 2 m: 3 x 0.1; three faces: (0.6 + 0.6) / 3.
+    colors = torch.tensor([[0.0, 0.0, 0.0], [0.2, 0.4, 0.6], [0.3, 0.5, 0.5]], dtype=torch.float64)
+    edges, lengths = torch.tensor([[0, 1], [1, 2]]), torch.tensor([0.5, 2.0], dtype=torch.float64)
+    assert total_variation(colors, edges, lengths).item() == pytest.approx(0.4)
+    assert total_variation(colors[:1], edges[:0], lengths[:0]).item() == 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(2, 12), st.integers(0, 2**31))
+def test_total_variation_gradient_is_right(count, seed):
+    generator = torch.Generator().manual_seed(seed)
+    colors = torch.rand(count, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    edges = torch.randint(count, (2 * count, 2), generator=generator)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    lengths = torch.rand(len(edges), generator=generator, dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda c: total_variation(c, edges, lengths), colors, eps=1e-7, atol=1e-5)
