@@ -46,7 +46,7 @@ def person_index(names: Sequence[str] | None, person_class: str, count: int, sou
 
 
 def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:
-    """The names of `count` classes: NAME.names of NAME.cfg, else any list of that length beside it, else COCO or VOC by count.
+    """The names of `count` classes: NAME.names of NAME.cfg, else any list of that length beside it, else COCO or VOC.
 
     None where nothing fits; InputError where several lists fit and disagree, or NAME.names has another length.
     """

@@ -29,7 +29,7 @@ class Placement:
 def fit(
     images: Float[Tensor, "B 3 H W"], size: tuple[int, int], letterbox: bool = False
 ) -> tuple[Float[Tensor, "B 3 h w"], Placement]:
-    """Resize images to `size` (height, width) as Darknet does: bilinear, corner pixels on corner pixels, no antialiasing.
+    """Resize images to `size` (height, width) as Darknet does: bilinear, corner on corner pixel, no antialiasing.
 
     Stretches to the size; with `letterbox` keeps the aspect ratio, centred on grey. An image that has the size already
     passes through unchanged.

@@ -19,9 +19,9 @@ def max_person_score(detections: Detections) -> Float[Tensor, "B"]:
 
 
 def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
-    """The best objectness over the boxes whose likeliest class is person, 0 where there is none (the reference's form).
+    """The best objectness over the boxes whose likeliest class is person (the reference's form), 0 where there is none.
 
-    Where no box is a person the result is a constant 0 and has no gradient. InputError when the family has no objectness.
+    Where no box is a person the result is a constant 0 without gradient. InputError when the family has no objectness.
     """
     if detections.objectness is None or detections.is_person is None:
         raise InputError("the objectness loss needs a detector with objectness (darknet, builtin); use the score loss")

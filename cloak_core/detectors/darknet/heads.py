@@ -1,4 +1,4 @@
-"""Detection heads: [region] (YOLOv2) and [yolo] (v3, v4): from raw maps to boxes, objectness and class probabilities."""
+"""Detection heads, [region] (YOLOv2) and [yolo] (v3, v4): from raw maps to boxes, objectness and classes."""
 
 from typing import NamedTuple
 

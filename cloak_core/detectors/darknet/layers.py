@@ -8,6 +8,8 @@ from torch import Tensor, nn
 
 Earlier = dict[int, Tensor]
 
+NORMALIZATION_EPSILON = 1e-4
+
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "linear": lambda x: x,
     "leaky": lambda x: F.leaky_relu(x, 0.1),
@@ -20,19 +22,30 @@ ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 class BatchNorm(nn.BatchNorm2d):
-    """Batch norm that, outside training, divides by sqrt(var) + 1e-6 as Darknet does, not by sqrt(var + eps)."""
+    """Batch norm that divides by sqrt(var + 1e-5), or, with weights of the original Darknet, by sqrt(var) + 1e-6.
 
-    EPSILON = 1e-6
+    The difference matters for dead channels: MobileNetV2-YOLOv3-Nano has three whose variance is 6e-45.
+    """
+
+    OUTSIDE = 1e-6
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, eps=1e-5)
+        self.epsilon_outside = False
+        """True: sqrt(var) + 1e-6, as the original Darknet's CPU code has it."""
 
     def forward(self, x: Tensor) -> Tensor:
-        if self.training:
+        if self.training or not self.epsilon_outside:
             return super().forward(x)
-        scale = self.factor()
-        return x * scale[:, None, None] + (self.bias - self.running_mean * scale)[:, None, None]
+        scale, shift = self.scale_and_shift()
+        return x * scale.to(x.dtype)[:, None, None] + shift.to(x.dtype)[:, None, None]
 
-    def factor(self) -> Tensor:
-        """What a channel is multiplied with outside training: [C]."""
-        return self.weight / (self.running_var.sqrt() + self.EPSILON)
+    def scale_and_shift(self) -> tuple[Tensor, Tensor]:
+        """Scale and shift [C] of each channel outside training, in float64."""
+        variance = self.running_var.double()
+        deviation = variance.sqrt() + self.OUTSIDE if self.epsilon_outside else (variance + self.eps).sqrt()
+        scale = self.weight.double() / deviation
+        return scale, self.bias.double() - self.running_mean.double() * scale
 
 
 class Convolution(nn.Module):
@@ -53,15 +66,14 @@ class Convolution(nn.Module):
         """Multiply the batch norm's running statistics into the convolution; afterwards it cannot train as before."""
         if self.norm is None:
             return
-        scale = self.norm.weight.double() / (self.norm.running_var.double().sqrt() + BatchNorm.EPSILON)
-        bias = self.norm.bias.double() - self.norm.running_mean.double() * scale
+        scale, bias = self.norm.scale_and_shift()
         self.conv.weight.copy_(self.conv.weight.double() * scale[:, None, None, None])
         self.conv.bias = nn.Parameter(bias.to(self.conv.weight.dtype))
         self.norm = None
 
 
 class MaxPool(nn.Module):
-    """[maxpool]: padding - padding // 2 ... on the right and bottom, so that stride 1 keeps the size."""
+    """[maxpool]: padding // 2 on the left and top, the rest on the right and bottom; stride 1 keeps the size."""
 
     def __init__(self, size: int, stride: int, padding: int) -> None:
         super().__init__()
@@ -98,8 +110,8 @@ class Route(nn.Module):
 class Reorg(nn.Module):
     """[reorg]: space to depth in Darknet's own order of elements.
 
-    Darknet reads its input [C, H, W] as if it were [C/s², H*s, W*s], gathers s x s blocks into [C, H, W], and reads that as
-    [C*s², H/s, W/s].
+    Darknet reads its input [C, H, W] as if it were [C/s², H*s, W*s], gathers s x s blocks into [C, H, W], and reads
+    that as [C*s², H/s, W/s].
     """
 
     def __init__(self, stride: int) -> None:
@@ -125,6 +137,26 @@ class Shortcut(nn.Module):
         for index in self.sources:
             other = earlier[index] if self.beta == 1.0 else self.beta * earlier[index]
             total = total + _match_channels(other, total.shape[1])
+        return ACTIVATIONS[self.activation](total)
+
+
+class WeightedShortcut(nn.Module):
+    """[shortcut] with learned weights, one per input or per input and channel, plain, relu- or softmax-normalised."""
+
+    def __init__(self, sources: list[int], channels: int, normalization: str, activation: str) -> None:
+        super().__init__()
+        self.sources, self.normalization, self.activation = sources, normalization, activation
+        self.weights = nn.Parameter(torch.ones(len(sources) + 1, channels))
+
+    def forward(self, x: Tensor, earlier: Earlier) -> Tensor:
+        weights = self.weights
+        if self.normalization == "relu":
+            weights = weights.relu() / (weights.relu().sum(dim=0) + NORMALIZATION_EPSILON)
+        elif self.normalization == "softmax":
+            weights = (weights - weights.amax(dim=0)).exp()
+            weights = weights / (weights.sum(dim=0) + NORMALIZATION_EPSILON)
+        inputs = [x, *(_match_channels(earlier[index], x.shape[1]) for index in self.sources)]
+        total = sum(part * weight[:, None, None] for part, weight in zip(inputs, weights, strict=True))
         return ACTIVATIONS[self.activation](total)
 
 

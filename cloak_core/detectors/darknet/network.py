@@ -15,6 +15,7 @@ from cloak_core.detectors.darknet.layers import (
     Route,
     Shortcut,
     Upsample,
+    WeightedShortcut,
 )
 
 MAX_SIDE = 8192
@@ -156,13 +157,22 @@ def _reorg(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Modu
 
 
 def _shortcut(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:
-    section.refuse("weights_type", "weights_normalization")
     sources = _sources(section, "from", shapes)
     for index in sources:
         if shapes[index][1:] != shape[1:]:
             raise section.error(f"adds layer {index} of another size ({shapes[index]} to {shape})")
+    activation = _activation(section, "linear")
+    kind = section.text("weights_type", "none")
+    if kind != "none":
+        if kind not in ("per_feature", "per_layer", "per_channel"):
+            raise section.error(f"weights_type={kind} is not supported")
+        normalization = section.text("weights_normalization", "none").removeprefix("avg_")
+        if normalization not in ("none", "relu", "softmax"):
+            raise section.error(f"weights_normalization={normalization} is not supported")
+        columns = shape[0] if kind == "per_channel" else 1
+        return WeightedShortcut(sources, columns, normalization, activation), shape
     alpha, beta = section.number("alpha", 1.0), section.number("beta", 1.0)
-    return Shortcut(sources, alpha, beta, _activation(section, "linear")), shape
+    return Shortcut(sources, alpha, beta, activation), shape
 
 
 def _upsample(section: Section, shape: Shape, shapes: list[Shape]) -> tuple[nn.Module, Shape]:

@@ -9,17 +9,21 @@ import torch
 from torch import Tensor
 
 from cloak_core.detectors.darknet.cfg import parse_cfg
-from cloak_core.detectors.darknet.layers import Convolution
+from cloak_core.detectors.darknet.layers import BatchNorm, Convolution, WeightedShortcut
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.errors import InputError
 
 WRITTEN_VERSION = (0, 2, 5)
+"""AlexeyAB's Darknet writes this version. Its batch norm divides by sqrt(var + 1e-5); the original's (revision 0) by
+sqrt(var) + 1e-6 on the CPU, which is what its golden outputs show."""
 
 
 def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
     """(layer index, name, tensor) of everything a .weights file holds, in file order. Needs an unfolded network."""
     stored: list[tuple[int, str, Tensor]] = []
     for index, (section, layer) in enumerate(zip(network.sections, network.layers, strict=True)):
+        if isinstance(layer, WeightedShortcut):
+            stored.append((index, "weights", layer.weights))
         if not isinstance(layer, Convolution):
             continue
         if bool(section.integer("batch_normalize", 0)) != (layer.norm is not None):
@@ -46,7 +50,7 @@ def read_weights(network: Network, path: Path) -> Network:
     expected = sum(tensor.numel() for _, _, tensor in stored)
     if not path.is_file():
         raise InputError(f"{path}: no such file (expected {expected:,} floats of weights)")
-    header = _header_bytes(path)
+    header, revision = _header(path)
     found, odd = divmod(max(path.stat().st_size - header, 0), 4)
     if found != expected or odd:
         more = f" and {odd} odd bytes" if odd else ""
@@ -65,14 +69,18 @@ def read_weights(network: Network, path: Path) -> Network:
                 f"{network.sections[index].line}) hold NaN, infinite or negative numbers where none can be"
             )
         tensor.copy_(part.reshape(tensor.shape))
+    for module in network.modules():
+        if isinstance(module, BatchNorm):
+            module.epsilon_outside = revision != WRITTEN_VERSION[2]
     return network
 
 
 def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int = 0) -> tuple[Path, Path]:
     """Store an unfolded, trained network as PATH.cfg and PATH.weights; returns both paths.
 
-    `cfg_text` is the text the network was built from; a network of other shapes is refused (ValueError), as are numbers
-    that are not finite. `seen` is the number of training images, kept in the header. `path` may end in .cfg or .weights.
+    `cfg_text` is the text the network was built from; a network of other shapes is refused (ValueError), as are
+    numbers that are not finite. `seen` is the number of training images, kept in the header. `path` may end in .cfg
+    or .weights.
     """
     stem = Path(path).with_suffix("") if Path(path).suffix in (".cfg", ".weights") else Path(path)
     cfg, weights = Path(f"{stem}.cfg"), Path(f"{stem}.weights")
@@ -89,14 +97,17 @@ def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int =
     return cfg, weights
 
 
-def _header_bytes(path: Path) -> int:
-    """major, minor, revision as int32; then `seen`, an int64 from version 0.2 on and an int32 before."""
+def _header(path: Path) -> tuple[int, int]:
+    """Bytes of the header, and the revision.
+
+    The header is major, minor, revision as int32; then `seen`, an int64 from version 0.2 on and an int32 before.
+    """
     with path.open("rb") as file:
         head = file.read(12)
     if len(head) < 12:
-        return len(head)
-    major, minor, _ = struct.unpack("<iii", head)
-    return 12 + (8 if major * 10 + minor >= 2 and major < 1000 and minor < 1000 else 4)
+        return len(head), 0
+    major, minor, revision = struct.unpack("<iii", head)
+    return 12 + (8 if major * 10 + minor >= 2 and major < 1000 and minor < 1000 else 4), revision
 
 
 def _replace(path: Path, content: bytes) -> None:
