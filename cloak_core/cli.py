@@ -109,12 +109,10 @@ def parse(name: str, arguments: list[str]) -> Command:
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(
-                load(name),
-                prog=f"cloak {name}",
-                args=arguments,
-                config=(tyro.conf.FlagCreatePairsOff,),
-            )
+            command = load(name)
+            default = {"default": command.default(arguments)} if hasattr(command, "default") else {}
+            config = (tyro.conf.FlagCreatePairsOff,)
+            return tyro.cli(command, prog=f"cloak {name}", args=arguments, config=config, **default)
     except SystemExit as end:
         if not end.code:
             raise

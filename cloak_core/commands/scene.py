@@ -8,8 +8,8 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, out, require_new
-from cloak_core.scene.exchange import Bodies, read_scene, write_scene
+from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.scene.exchange import Bodies, write_scene
 
 
 def describe(bodies: Bodies) -> dict:
@@ -84,10 +84,10 @@ class Sample(Command):
 class Info(Command):
     """Say what a scene holds."""
 
-    scene: Positional[Path]
-    """Scene folder or .npz."""
+    scene: Positional[str]
+    """Scene folder, .npz, or sample[:train|unseen]."""
 
     def run(self) -> dict:
-        return describe(read_scene(self.scene))
+        return describe(open_scene(self.scene))
 
     show = staticmethod(show_scene)

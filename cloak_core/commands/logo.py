@@ -1,0 +1,149 @@
+"""`cloak logo ...`: which faces the cloak may colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.errors import InputError
+from cloak_core.scene.exchange import Bodies, write_face_list
+
+
+def write_logo(path: Path, bodies: Bodies, ids: np.ndarray) -> dict:
+    from cloak_core.scene.logo import area_share
+
+    write_face_list(path, ids, bodies.topology)
+    return {"faces": len(ids), "area_share": round(float(area_share(bodies, ids)), 5), "out": str(path)}
+
+
+def show_logo(result: dict) -> None:
+    out.print(
+        f"wrote {result['out']}: {result['faces']} faces, {result['area_share']:.1%} of the body's area", markup=False
+    )
+
+
+@dataclass(kw_only=True)
+class Select(Command):
+    """Take faces by named region or by box into a face list (.npy)."""
+
+    scene: str
+    """Scene folder, .npz, or sample."""
+    out: Path
+    """Face list to write, with its sidecar .json."""
+    region: str | None = None
+    """Named regions joined by +, such as chest+thighs (cloak scene info lists them)."""
+    box: str | None = None
+    """x0,x1,y0,y1,z0,z1 in metres, in the first pose: faces whose centre lies inside."""
+    facing: Literal["front", "back", "left", "right", "any"] = "any"
+    """With --box: only faces whose normal points that way."""
+
+    def run(self) -> dict:
+        from cloak_core.scene.logo import select_box, select_region
+
+        if (self.region is None) == (self.box is None):
+            raise InputError("logo select: give either --region or --box")
+        require_new(self.out)
+        bodies = open_scene(self.scene)
+        if self.region is not None:
+            ids = select_region(bodies, self.region)
+        else:
+            ids = select_box(bodies, parse_box(self.box), self.facing)
+        return write_logo(self.out, bodies, ids)
+
+    show = staticmethod(show_logo)
+
+
+def parse_box(text: str) -> tuple[float, ...]:
+    try:
+        box = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        box = ()
+    if len(box) != 6 or not np.isfinite(box).all() or any(a >= b for a, b in zip(box[::2], box[1::2], strict=True)):
+        raise InputError(f"--box {text}: six numbers x0,x1,y0,y1,z0,z1 are needed, each pair rising")
+    return box
+
+
+@dataclass(kw_only=True)
+class Project(Command):
+    """Stamp a text or a picture on the chest and take the faces it covers."""
+
+    scene: str
+    """Scene folder, .npz, or sample."""
+    out: Path
+    """Face list to write, with its sidecar .json."""
+    text: str | None = None
+    """Text to stamp, such as G."""
+    mask: Path | None = None
+    """Picture to stamp: its dark, opaque pixels are ink."""
+    height: float | None = None
+    """Height of the stamp in metres (default: fits the chest)."""
+    center: tuple[float, float] | None = None
+    """Centre x y of the stamp in metres, in the first pose (default: the chest's)."""
+
+    def run(self) -> dict:
+        from cloak_core.scene.logo import project_mask, project_text
+
+        if (self.text is None) == (self.mask is None):
+            raise InputError("logo project: give either --text or --mask")
+        require_new(self.out)
+        bodies = open_scene(self.scene)
+        placed = {"height": self.height, "center": self.center}
+        if self.text is not None:
+            ids = project_text(bodies, self.text, **placed)
+        else:
+            ids = project_mask(bodies, self.mask, **placed)
+        return write_logo(self.out, bodies, ids)
+
+    show = staticmethod(show_logo)
+
+
+@dataclass(kw_only=True)
+class Heatmap(Command):
+    """Measure how much each face moves a detector's person score: where a logo pays."""
+
+    scene: str
+    """Scene folder, .npz, or sample[:train]."""
+    detector: str
+    """Detector, as in cloak train."""
+    out: Path
+    """Heat map to write: float32, one number per face (.npy)."""
+    backgrounds: str = "procedural:train"
+    """Folder of images, or procedural[:train|test]."""
+    angles: str = "-10:10:5"
+    """Azimuths in degrees: A:B:STEP or a comma list."""
+    pick: float | None = None
+    """Also take the most sensitive faces, this share of the body's area (0.2 = 20 %), into a face list."""
+    logo: Path | None = None
+    """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
+    device: str = "cpu"
+    """Torch device."""
+
+    def run(self) -> dict:
+        from cloak_core.attack.heatmap import heatmap, pick
+        from cloak_core.attack.settings import parse_angles
+        from cloak_core.detectors.loading import load_detector
+        from cloak_core.scene.backgrounds import open_backgrounds
+        from cloak_core.scene.exchange import write_npy
+
+        logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
+        if self.pick is not None and not 0 < self.pick <= 1:
+            raise InputError(f"--pick {self.pick}: a share of the area in (0, 1] is needed")
+        for path in [self.out] + [logo] * (self.pick is not None):
+            require_new(path)
+        bodies = open_scene(self.scene)
+        detector = load_detector(self.detector, device=self.device)
+        heat = heatmap(bodies, detector, open_backgrounds(self.backgrounds), parse_angles(self.angles))
+        write_npy(self.out, np.asarray(heat, np.float32))
+        result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}
+        if self.pick is not None:
+            result |= write_logo(logo, bodies, pick(heat, bodies, self.pick))
+        return result
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['heat']}: {result['seen']} of {result['faces']} faces move the score", markup=False)
+        if "out" in result:
+            show_logo(result)

@@ -1,0 +1,91 @@
+"""The command line's manners: exit codes, one line for bad input, JSON alone on standard output."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cloak_core import cli
+from cloak_core.scene.exchange import Bodies, write_scene
+
+
+def cloak(*arguments: object, **options: object) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "cloak_core", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+
+
+def bad(*arguments: object) -> str:
+    """The one line with which bad input is refused."""
+    done = cloak(*arguments)
+    assert done.returncode == 2, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("cloak: ") and not done.stdout
+    return lines[0]
+
+
+@pytest.fixture
+def scene(tmp_path):
+    vertices = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    return write_scene(tmp_path / "scene", Bodies(vertices=vertices, triangles=triangles, name="tetrahedron"))
+
+
+def test_json_alone_on_standard_output(scene):
+    done = cloak("scene", "info", scene, "--json")
+    assert done.returncode == 0
+    record = json.loads(done.stdout)
+    assert (record["poses"], record["vertices"], record["triangles"], record["faces"]) == (1, 4, 4, 4)
+    assert len(record["topology"]) == 64
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nonsense",), "unknown command 'nonsense'"),
+        (("scene", "nonsense"), "unknown command 'scene nonsense'"),
+        (("scene", "info"), "scene info: .*scene"),
+        (("scene", "info", "--nonsense", "x"), "--nonsense"),
+        (("scene", "info", "absent"), "absent: no such scene"),
+        (("scene", "import", "absent.obj", "--out", "x"), "absent.obj"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
+    import re
+
+    assert re.search(words, bad(*arguments))
+
+
+def test_nothing_is_overwritten(scene):
+    assert "exists already" in bad("scene", "sample", "--out", scene)
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_every_command_has_help_and_json(name, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.parse(name, ["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert "--json" in text and (cli.load(name).__doc__ or "").strip().splitlines()[0][:30] in text
+
+
+def test_help_names_every_command():
+    done = cloak("--help")
+    assert done.returncode == 0
+    assert all(f"cloak {name}" in done.stdout for name in cli.COMMANDS)
+
+
+def test_help_is_quick_because_torch_is_not_imported():
+    code = "import sys; sys.argv=['cloak','--help']\nfrom cloak_core import cli\ntry: cli.main()\nexcept SystemExit: pass\n"
+    done = subprocess.run([sys.executable, "-c", code + "print('torch' in sys.modules)"], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "False", done.stderr
+
+
+def test_a_defect_keeps_its_traceback(monkeypatch, scene):
+    def broken(_):
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr("cloak_core.commands.scene.describe", broken)
+    with pytest.raises(RuntimeError, match="a defect"):
+        cli.main(["scene", "info", str(scene)])
