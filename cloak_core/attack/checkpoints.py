@@ -1,0 +1,125 @@
+"""What a run needs to go on bit-identically, on disk: complete or absent, never half.
+
+`checkpoint/step-00000100/` holds `state.safetensors` (colours and the optimiser's state) and `state.json` (step, time,
+and the SHA-256 of the former). It is written under another name, flushed, and renamed; the last two are kept, so that a
+damaged one leaves its predecessor. Random numbers need no state: they derive from (seed, step).
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from cloak_core.errors import InputError
+from cloak_core.scene.exchange import FORMAT_VERSION, new_folder, read_json
+
+KEPT = 2
+MAX_BYTES = 1 << 30
+_NAME = re.compile(r"step-(\d{8,})")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The state after `step` updates."""
+
+    step: int
+    time: float
+    """Seconds of training so far."""
+    tensors: dict[str, Tensor]
+    """On the CPU."""
+
+
+def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
+    """Write into `folder` (the run's `checkpoint/`) and let the oldest beyond two go. InputError when it cannot."""
+    data = save({name: tensor.detach().cpu().contiguous() for name, tensor in checkpoint.tensors.items()})
+    record = {
+        "format": "cloak checkpoint",
+        "version": FORMAT_VERSION,
+        "step": checkpoint.step,
+        "time": checkpoint.time,
+        "sha256": hashlib.sha256(data).hexdigest(),
+    }
+    target = folder / f"step-{checkpoint.step:08d}"
+    if target.exists():  # the same step again, after a resume that found it damaged
+        shutil.rmtree(target)
+    with new_folder(target) as temporary:
+        _write(temporary / "state.safetensors", data)
+        _write(temporary / "state.json", json.dumps(record, indent=2).encode())
+    _flush_folder(folder)
+    for path in _checkpoints(folder)[:-KEPT]:
+        shutil.rmtree(path)
+
+
+def load_checkpoint(folder: Path) -> tuple[Checkpoint | None, list[str]]:
+    """The latest sound checkpoint in `folder`, None where there is none, and a line on each that is not sound."""
+    damaged = []
+    for path in reversed(_checkpoints(folder)):
+        try:
+            return _read(path), damaged
+        except InputError as error:
+            damaged.append(str(error))
+    return None, damaged
+
+
+def sweep(folder: Path) -> None:
+    """Remove what a killed process left unfinished in `folder`."""
+    for path in folder.glob(".*"):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    found = [path for path in folder.glob("step-*") if _NAME.fullmatch(path.name)]
+    return sorted(found, key=lambda path: int(path.name[5:]))
+
+
+def _read(path: Path) -> Checkpoint:
+    record = read_json(path / "state.json")
+    step, time = record.get("step"), record.get("time")
+    if record.get("format") != "cloak checkpoint" or not isinstance(record.get("version"), int):
+        raise InputError(f"{path}: not a checkpoint of Cloak")
+    if record["version"] > FORMAT_VERSION:
+        raise InputError(f"{path}: version {record['version']} is newer than this Cloak reads ({FORMAT_VERSION})")
+    if not isinstance(step, int) or not isinstance(time, (int, float)) or path.name != f"step-{step:08d}":
+        raise InputError(f"{path}: its record does not fit its name")
+    file = path / "state.safetensors"
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise InputError(f"{file}: larger than any checkpoint")
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror or error}") from None
+    if hashlib.sha256(data).hexdigest() != record.get("sha256"):
+        raise InputError(f"{file}: torn or changed (its SHA-256 is not the recorded one)")
+    try:
+        tensors = load(data)
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: not readable as safetensors ({error})") from None
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise InputError(f"{file}: '{name}' is not finite")
+    return Checkpoint(step, float(time), tensors)
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    if os.name == "posix":  # elsewhere a folder cannot be opened; the rename is as durable as it gets
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

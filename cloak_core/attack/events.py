@@ -1,0 +1,75 @@
+"""A run's event log: one JSON object per line, readable while it grows and after any crash.
+
+Every event has "type", "step" (updates done) and "time" (seconds of training so far, resumed runs included; it never
+runs backwards, whatever the clock does).
+"""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from cloak_core.errors import InputError
+
+MAX_LINE = 1 << 20
+"""Bytes; no event is longer."""
+Event = dict[str, object]
+OnEvent = Callable[[Event], None]
+
+
+class EventLog:
+    """Appends events to a file and tells them to a listener."""
+
+    def __init__(self, path: Path, on_event: OnEvent | None = None) -> None:
+        self._listener = on_event
+        try:
+            self._file = path.open("ab", buffering=0)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        self.path = path
+
+    def write(self, event: Event) -> None:
+        """Append one event: in one write, so that a kill cannot leave two halves."""
+        try:
+            self._file.write(json.dumps(event, allow_nan=False).encode() + b"\n")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from None
+        if self._listener:
+            self._listener(event)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def read_events(path: str | os.PathLike) -> list[Event]:
+    """The events of a run; lines that are torn or no JSON objects are skipped, as a crash may leave one."""
+    events = []
+    try:
+        with Path(path).open("rb") as file:
+            while line := file.readline(MAX_LINE):
+                event = _parse(line)
+                if event is not None:
+                    events.append(event)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    return events
+
+
+def rewind_events(path: Path, step: int) -> float:
+    """Drop what was logged after `step` (the run goes on from there); returns the time of the last event kept."""
+    kept = (
+        [e for e in read_events(path) if isinstance(e.get("step"), int) and e["step"] <= step] if path.exists() else []
+    )
+    kept = [e for e in kept if e.get("type") != "end"]
+    temporary = path.with_name(f".{path.name}.rewound")
+    temporary.write_bytes(b"".join(json.dumps(e).encode() + b"\n" for e in kept))
+    os.replace(temporary, path)
+    return max((e["time"] for e in kept if isinstance(e.get("time"), (int, float))), default=0.0)
+
+
+def _parse(line: bytes) -> Event | None:
+    try:
+        event = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return event if isinstance(event, dict) else None

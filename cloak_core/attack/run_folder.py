@@ -1,0 +1,104 @@
+"""The folder of one training: who may write into it, what it was started with, and how it is told to stop.
+
+config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previews/  report.html  cancel
+"""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from cloak_core.attack.checkpoints import sweep
+from cloak_core.errors import InputError
+from cloak_core.scene.exchange import new_folder, read_json, write_face_list, write_json
+from cloak_core.scene.logo import Logo
+
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds")
+"""What a resumed run may change: nothing of it reaches the colours."""
+
+
+class RunFolder:
+    """Paths of a run. Make one with `open_run`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config = path / "config.json"
+        self.logo = path / "logo.npy"
+        self.events = path / "events.jsonl"
+        self.colors = path / "colors.npy"
+        self.checkpoint = path / "checkpoint"
+        self.previews = path / "previews"
+        self.cancel = path / "cancel"
+
+
+@contextlib.contextmanager
+def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[RunFolder]:
+    """Create a run folder, or open it to resume; nobody else can train in it until the block ends.
+
+    InputError: the folder exists and is not to be resumed, was started with another configuration (the first
+    difference is named), is no run folder, or is being written by another process. Resuming what does not exist yet
+    starts it, so that one command serves every restart.
+    """
+    path = Path(path)
+    if path.exists() and not resume:
+        raise InputError(f"{path}: exists already (--resume goes on with it)")
+    if not path.exists():
+        with new_folder(path) as temporary:
+            write_json(temporary / "config.json", config)
+            write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
+            (temporary / "checkpoint").mkdir()
+            (temporary / "previews").mkdir()
+    run = RunFolder(path)
+    if not run.config.exists():
+        raise InputError(f"{path}: not a run folder (no config.json in it)")
+    with _locked(path):
+        _check_same(read_json(run.config), config, path)
+        sweep(run.checkpoint)
+        run.checkpoint.mkdir(exist_ok=True)
+        run.previews.mkdir(exist_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            run.cancel.unlink()
+        yield run
+
+
+def _check_same(recorded: dict, config: dict, path: Path) -> None:
+    """The parts of a configuration that decide the result must be what the run was started with."""
+    for part in ("settings", "scene", "logo", "detectors", "backgrounds"):
+        old, new = recorded.get(part), config[part]
+        if part == "settings" and isinstance(old, dict):
+            old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
+        name, before, now = _difference(part, old, new)
+        if name:
+            raise InputError(f"{path}: was started with {name} = {before}, not {now}; resume with the same settings")
+
+
+def _difference(name: str, old: object, new: object) -> tuple[str, object, object]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            found = _difference(f"{name}.{key}", old.get(key), new.get(key))
+            if found[0]:
+                return found
+        return "", None, None
+    return ("", None, None) if old == new else (name, old, new)
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """An advisory lock that the system releases when the process ends, however it ends."""
+    with (path / ".lock").open("ab") as file:
+        try:
+            _lock(file.fileno())
+        except OSError:
+            raise InputError(f"{path}: another process is training in this folder") from None
+        yield
+
+
+def _lock(handle: int) -> None:
+    if os.name == "nt":
+        import msvcrt
+
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,0 +1,134 @@
+"""Which body, angle, background and augmentation each training image gets.
+
+Everything drawn is a function of (seed, step): a resumed run draws what the uninterrupted one drew, and each of several
+processes can draw the whole batch and take its share.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloak_core.attack.settings import TrainSettings, parse_angles, parse_range
+from cloak_core.scene.cameras import Camera
+
+_EPOCH, _STEP = 0, 1
+"""Streams of random numbers, kept apart."""
+
+
+@dataclass(frozen=True)
+class Draws:
+    """What B images show; every field has length B."""
+
+    background: np.ndarray
+    """int64, index of the background."""
+    pose: np.ndarray
+    """int64, index of the pose."""
+    outfit: np.ndarray
+    """int64, index of the outfit."""
+    azimuth: np.ndarray
+    """float64, degrees."""
+    elevation: np.ndarray
+    """float64, degrees."""
+    distance: np.ndarray
+    """float64, metres."""
+    shift: np.ndarray
+    """[B, 2] int64, (dx, dy) pixels."""
+    contrast: np.ndarray
+    """float64 factors."""
+    brightness: np.ndarray
+    """float64 summands."""
+    seed: np.ndarray
+    """int64, for what else an image needs at random (noise)."""
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def share(self, rank: int, count: int) -> "Draws":
+        """Every `count`-th image from `rank` on: one process's part of the batch."""
+        return Draws(**{name: getattr(self, name)[rank::count] for name in self.__dataclass_fields__})
+
+
+class Sampler:
+    """Draws the batches of a run.
+
+    An epoch shows every background once at every training angle, the bodies dealt out evenly (each shown as often as
+    any other, plus or minus one), in random order. Batches run on across epochs; the run's last one may be shorter.
+    """
+
+    def __init__(self, settings: TrainSettings, pose_count: int, outfit_count: int, background_count: int) -> None:
+        self.settings = settings
+        self.pose_count, self.background_count = pose_count, background_count
+        self.outfit_count = outfit_count if settings.outfits == "random" else 1
+        self.angles = np.array(parse_angles(settings.angles))
+        self.epoch_images = settings.epoch_images(background_count)
+        self.steps = settings.total_steps(background_count)
+        self.images = self.steps * settings.batch
+        if settings.steps is None:
+            self.images = min(self.images, max(1, round(settings.epochs * self.epoch_images)))
+        self._plan: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def epoch_of(self, step: int) -> float:
+        """Epochs finished before `step` (counted from 0)."""
+        return step * self.settings.batch / self.epoch_images
+
+    def draw(self, step: int) -> Draws:
+        """The images of `step`, 0 <= step < steps."""
+        settings = self.settings
+        first = step * settings.batch
+        images = np.arange(first, min(first + settings.batch, self.images))
+        background, pose, angle = self._deal(images)
+        count = len(images)
+        random = np.random.default_rng([settings.seed, _STEP, step])
+        shift = random.integers(-settings.translation, settings.translation, (count, 2), endpoint=True)
+        return Draws(
+            background=background,
+            pose=pose,
+            outfit=random.integers(self.outfit_count, size=count),
+            azimuth=self.angles[angle] + random.uniform(-settings.angle_jitter, settings.angle_jitter, count),
+            elevation=settings.elevation + random.standard_normal(count) * settings.elevation_jitter,
+            distance=random.uniform(*parse_range(settings.distance, "--distance"), count),
+            shift=shift if settings.translation_per == "image" else np.repeat(shift[:1], count, axis=0),
+            contrast=random.uniform(*parse_range(settings.contrast, "--contrast"), count),
+            brightness=random.uniform(*parse_range(settings.brightness, "--brightness"), count),
+            seed=random.integers(2**62, size=count),
+        )
+
+    def _deal(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Background, pose and angle index of images counted from the start of the run."""
+        epochs, places = np.divmod(images, self.epoch_images)
+        dealt = np.empty((3, len(images)), np.int64)
+        for epoch in np.unique(epochs):
+            chosen = epochs == epoch
+            for row, plan in zip(dealt, self._epoch_plan(int(epoch)), strict=True):
+                row[chosen] = plan[places[chosen]]
+        return tuple(dealt)
+
+    def _epoch_plan(self, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        if self._plan is None or self._plan[0] != epoch:
+            random = np.random.default_rng([self.settings.seed, _EPOCH, epoch])
+            background, angle = np.divmod(random.permutation(self.epoch_images), len(self.angles))
+            # A new order of the bodies each epoch, so that the odd ones out change.
+            pose = random.permutation(self.pose_count)[random.permutation(self.epoch_images) % self.pose_count]
+            self._plan = (epoch, background, pose, angle)
+        return self._plan[1:]
+
+
+def cameras(draws: Draws, settings: TrainSettings) -> list[Camera]:
+    """The B cameras of some draws. Equal draws give equal cameras, so that views are found again in the ViewBank."""
+    return [
+        Camera(
+            distance=float(distance),
+            elevation=float(elevation),
+            azimuth=float(azimuth),
+            field_of_view=settings.field_of_view,
+            width=settings.size,
+            height=settings.size,
+        )
+        for distance, elevation, azimuth in zip(draws.distance, draws.elevation, draws.azimuth, strict=True)
+    ]
+
+
+def is_fresh(settings: TrainSettings) -> bool:
+    """Whether every image has a camera of its own, so that caching views gains nothing."""
+    low, high = parse_range(settings.distance, "--distance")
+    return high > low or settings.angle_jitter > 0 or settings.elevation_jitter > 0

@@ -1,0 +1,70 @@
+import itertools
+
+import pytest
+import torch
+
+from cloak_core.attack.optimizing import ColorOptimizer, initial_colors, learning_rate
+from cloak_core.attack.settings import make_settings
+
+
+def test_paper_schedule():
+    settings = make_settings("paper")
+    rates = [learning_rate(settings, 0, 1, epoch) for epoch in (0.0, 9.99, 10.0, 19.9, 20.0)]
+    assert rates == pytest.approx([0.1, 0.1, 0.01, 0.01, 0.001])
+
+
+def test_other_schedules():
+    constant = make_settings("best", schedule="constant", lr=0.5)
+    assert learning_rate(constant, 99, 100, 50.0) == 0.5
+    cosine = make_settings("best", schedule="cosine", lr=1.0)
+    rates = [learning_rate(cosine, step, 100, 0.0) for step in (0, 50, 100)]
+    assert rates == pytest.approx([1.0, 0.505, 0.01])
+
+
+def test_plain_sgd_is_the_formula_and_projected():
+    optimizer = ColorOptimizer(make_settings("paper"), torch.tensor([[0.5, 0.9, 0.1]]))
+    (optimizer.colors() * torch.tensor([[2.0, -2.0, 2.0]])).sum().backward()
+    optimizer.update(0.1)
+    assert torch.allclose(optimizer.colors(), torch.tensor([[0.3, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("optimizer", "gamut"), list(itertools.product(["sgd", "adam", "momentum"], ["projection", "sigmoid"]))
+)
+def test_colours_stay_in_gamut_and_state_restores_exactly(optimizer, gamut):
+    changes = {"optimizer": "sgd", "momentum": 0.9} if optimizer == "momentum" else {"optimizer": optimizer}
+    settings = make_settings("best", gamut=gamut, **changes)
+    generator = torch.Generator().manual_seed(0)
+    pushes = torch.randn(8, 4, 3, generator=generator)
+
+    def steps(target, wanted):
+        for push in wanted:
+            target.clear()
+            (target.colors() * push).sum().backward()
+            target.update(0.7)
+            assert target.colors().min() >= 0 and target.colors().max() <= 1
+
+    whole = ColorOptimizer(settings, torch.full((4, 3), 0.5))
+    steps(whole, pushes)
+    first = ColorOptimizer(settings, torch.full((4, 3), 0.5))
+    steps(first, pushes[:3])
+    second = ColorOptimizer(settings, torch.full((4, 3), 0.5))
+    second.load({name: tensor.clone() for name, tensor in first.state().items()})
+    steps(second, pushes[3:])
+    assert torch.equal(whole.colors(), second.colors())
+
+
+def test_foreign_state_is_refused():
+    optimizer = ColorOptimizer(make_settings("best"), torch.full((4, 3), 0.5))
+    with pytest.raises(ValueError, match="3 colours instead of 4"):
+        optimizer.load({"parameter": torch.zeros(3, 3)})
+    with pytest.raises(KeyError):
+        optimizer.load({})
+
+
+def test_initial_colours():
+    clothing = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    assert torch.equal(initial_colors(make_settings("best", initial="clothing"), clothing), clothing)
+    assert (initial_colors(make_settings("best", initial="grey"), clothing) == 0.5).all()
+    random = [initial_colors(make_settings("best", initial="random", seed=seed), clothing) for seed in (1, 1, 2)]
+    assert torch.equal(random[0], random[1]) and not torch.equal(random[0], random[2])
