@@ -1,0 +1,130 @@
+"""`cloak evaluate` and `cloak report`: what a run is worth, in numbers and in pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.progress import Progress
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
+
+from cloak_core.commands.base import Command, err, open_scene, out
+from cloak_core.errors import InputError
+from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, read_json
+
+COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
+"""What was kept back from training on embedded material."""
+
+
+@dataclass(kw_only=True)
+class Evaluate(Command):
+    """Measure a trained cloak on unseen bodies, backgrounds and angles, beside controls on the same images."""
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote."""
+    scene: str | None = None
+    """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
+    backgrounds: str | None = None
+    """Folder of images, or procedural:test (the default after training on procedural:train)."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors to judge with (default: those it was trained against)."""
+    angles: str = "-10:10:1"
+    """Azimuths in degrees: A:B:STEP or a comma list."""
+    device: str = "cpu"
+    """Torch device."""
+    settings: OmitArgPrefixes[EvaluateSettings] = field(default_factory=EvaluateSettings)
+
+    def run(self) -> dict:
+        from cloak_core.attack.settings import parse_angles
+        from cloak_core.detectors.loading import load_detector
+        from cloak_core.evaluate.provenance import training_record
+        from cloak_core.evaluate.store import FOLDER
+        from cloak_core.evaluate.success import evaluate
+        from cloak_core.scene.backgrounds import open_backgrounds
+        from cloak_core.scene.logo import make_logo
+
+        config = read_run(self.run_folder)
+        angles = parse_angles(self.angles)
+        bodies = open_scene(self.scene or kept_back("scene", config))
+        backgrounds = open_backgrounds(self.backgrounds or kept_back("backgrounds", config))
+        logo = make_logo(bodies, face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies))
+        colors = read_colors(self.run_folder / "colors.npy", len(logo.face_ids))
+        specs = self.detector or tuple(config["detectors"])
+        detectors = {spec: load_detector(spec, device=self.device) for spec in specs}
+        with Progress(console=err, disable=not err.is_terminal) as progress:
+            task = progress.add_task("evaluating", total=None)
+            return evaluate(
+                colors,
+                logo,
+                bodies,
+                backgrounds,
+                detectors,
+                angles,
+                self.settings,
+                training=training_record(self.run_folder),
+                out=self.run_folder / FOLDER,
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+
+    def show(self, result: dict) -> None:
+        show_success(result)
+
+
+def read_run(folder: Path) -> dict:
+    """A run's config.json; InputError when this is no finished run."""
+    if not (folder / "config.json").exists():
+        raise InputError(f"{folder}: not a run folder (no config.json in it)")
+    if not (folder / "colors.npy").exists():
+        raise InputError(f"{folder}: has no trained colours yet (no colors.npy in it)")
+    return read_json(folder / "config.json")
+
+
+def kept_back(kind: str, config: dict) -> str:
+    """The embedded material that training did not see; for anything else the user must say."""
+    spec = config.get("inputs", {}).get(kind, "")
+    head, mark, rest = spec.partition(":train")
+    if mark and head in ("sample", "procedural"):
+        return head + COUNTERPART[":train"][kind] + rest
+    raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
+
+
+def show_success(result: dict) -> None:
+    """Success under the logo and under each control, a table per detector."""
+    for spec, measured in result["detectors"].items():
+        table = Table(title=f"success against {spec}: the rendered person is not reported")
+        for column in ("", "success", "95 %", "IoU ≥ 0.5", "of those found clean", "images"):
+            table.add_column(column, justify="left" if not column else "right")
+        for name, rates in measured.items():
+            if not isinstance(rates, dict) or "success" not in rates:
+                continue
+            low, high = rates["ci95"]
+            conditional = rates["conditional"]
+            table.add_row(
+                name,
+                f"{rates['success']:.2f}",
+                f"{low:.2f}–{high:.2f}",
+                f"{rates['success_iou']:.2f}",
+                "–" if conditional is None else f"{conditional:.2f}",
+                str(rates["n"]),
+            )
+        out.print(table)
+        out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
+
+
+@dataclass(kw_only=True)
+class Report(Command):
+    """Write a run's report: one HTML file that opens offline."""
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote."""
+
+    def run(self) -> dict:
+        from cloak_core.evaluate.report import make_report
+
+        read_run(self.run_folder)
+        return {"report": str(make_report(self.run_folder))}
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['report']}", markup=False)
