@@ -1,0 +1,69 @@
+"""Small detectors for tests: seeded Darknet pairs written to disk."""
+
+from pathlib import Path
+
+import torch
+
+from cloak_core.detectors.darknet.network import build_network
+from cloak_core.detectors.darknet.weights import write_darknet
+
+TINY_CFG = """\
+[net]
+width=64
+height=64
+channels=3
+
+[convolutional]
+batch_normalize=1
+filters=8
+size=3
+stride=2
+pad=1
+activation=leaky
+
+[maxpool]
+size=2
+stride=2
+
+[convolutional]
+batch_normalize=1
+filters=16
+size=3
+stride=2
+pad=1
+activation=leaky
+
+[convolutional]
+filters=12
+size=1
+stride=1
+pad=1
+activation=linear
+
+[region]
+anchors=1,2, 2,4
+classes=1
+num=2
+softmax=1
+"""
+
+
+def write_tiny(folder: Path, cfg: str = TINY_CFG, seed: int = 0, names: tuple[str, ...] | None = ("person",)) -> str:
+    """A seeded pair in `folder`, batch-norm statistics and all; returns its spec."""
+    network = build_network(cfg, seed=seed)
+    generator = torch.Generator().manual_seed(seed + 1)
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            for values, low in ((module.running_var, 0.5), (module.weight.data, 0.5), (module.running_mean, -0.2)):
+                values.copy_(torch.rand(values.shape, generator=generator) + low)
+    write_darknet(cfg, network, folder / "tiny")
+    if names is not None:
+        (folder / "tiny.names").write_text("\n".join(names))
+    return f"darknet:{folder / 'tiny.cfg'}:{folder / 'tiny.weights'}"
+
+
+def images(count: int = 2, height: int = 64, width: int = 64, seed: int = 3) -> torch.Tensor:
+    """Seeded noise images, smooth enough that resizing keeps them recognisable."""
+    generator = torch.Generator().manual_seed(seed)
+    coarse = torch.rand(count, 3, 8, 8, generator=generator)
+    return torch.nn.functional.interpolate(coarse, size=(height, width), mode="bilinear", align_corners=True)

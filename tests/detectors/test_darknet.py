@@ -1,0 +1,214 @@
+"""The Darknet reader against what Darknet itself computed, and against bad files."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.detectors.darknet.cfg import parse_cfg, read_cfg
+from cloak_core.detectors.darknet.layers import Reorg
+from cloak_core.detectors.darknet.network import Network, build_network
+from cloak_core.detectors.darknet.weights import read_weights, stored_tensors, write_darknet
+from cloak_core.detectors.loading import load_detector
+from cloak_core.errors import InputError
+from tests.detectors.golden.seeded import seeded_inputs
+from tests.detectors.helpers import TINY_CFG, images, write_tiny
+
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@pytest.mark.parametrize(("name", "revision"), [("yolov4-parts", 5), ("yolov2-parts", 0)])
+@pytest.mark.parametrize("folded", [False, True])
+def test_equals_darknet_itself(name: str, revision: int, folded: bool, tmp_path: Path) -> None:
+    network = Network(read_cfg(GOLDEN / f"{name}.cfg"))
+    image = seeded_inputs(network, tmp_path / "seeded.weights", revision)
+    read_weights(network, tmp_path / "seeded.weights").eval()
+    if folded:
+        network.fold()
+    golden = np.load(GOLDEN / f"{name}.npz", allow_pickle=False)
+    with torch.no_grad():
+        maps = network(image[None])
+    assert len(maps) == len(golden.files)
+    for index, (head, raw) in enumerate(zip(network.heads, maps, strict=True)):
+        ours, theirs = head.activate(raw)[0].numpy(), golden[f"head_{index}"]
+        assert np.abs(ours - theirs).max() <= 1e-5 * np.abs(theirs).max()
+
+
+def test_reorg_equals_darknets_loops() -> None:
+    channels, height, width, stride = 8, 4, 6, 2
+    x = np.arange(channels * height * width, dtype=np.float32)
+    out = np.empty_like(x)
+    for k in range(channels):
+        for j in range(height):
+            for i in range(width):
+                part, block = k % (channels // stride**2), k // (channels // stride**2)
+                column, row = i * stride + block % stride, j * stride + block // stride
+                out[i + width * (j + height * k)] = x[column + width * stride * (row + height * stride * part)]
+    ours = Reorg(stride)(torch.from_numpy(x).view(1, channels, height, width), {})
+    assert torch.equal(ours, torch.from_numpy(out).view(1, channels * 4, height // 2, width // 2))
+
+
+def test_region_boxes_by_hand() -> None:
+    text = (
+        "[net]\nwidth=64\nheight=32\n[convolutional]\nfilters=7\nsize=1\n"
+        "[region]\nanchors=2,3\nclasses=2\nnum=1\nsoftmax=1"
+    )
+    network = build_network(text)
+    raw = torch.zeros(1, 7, 4, 8)
+    raw[0, :, 1, 5] = torch.tensor([0.0, 2.0, np.log(0.5), 0.0, 3.0, 1.0, 0.0])
+    boxes, objectness, classes = network.heads[0].decode(raw, network.input_size)
+    cell = 1 * 8 + 5
+    x, y = (5 + 0.5) / 8, (1 + 1 / (1 + np.exp(-2.0))) / 4
+    w, h = 0.5 * 2 / 8, 3 / 4
+    expected = torch.tensor([x - w / 2, y - h / 2, x + w / 2, y + h / 2])
+    torch.testing.assert_close(boxes[0, cell].double(), expected.double(), rtol=1e-6, atol=1e-6)
+    assert objectness[0, cell].item() == pytest.approx(1 / (1 + np.exp(-3.0)))
+    assert classes[0, cell].tolist() == pytest.approx([np.e / (1 + np.e), 1 / (1 + np.e)])
+
+
+def test_yolo_boxes_by_hand() -> None:
+    text = (
+        "[net]\nwidth=64\nheight=32\n[convolutional]\nfilters=7\nsize=1\n"
+        "[yolo]\nmask=1\nanchors=1,1, 10,20\nclasses=2\nnum=2\nscale_x_y=1.2"
+    )
+    network = build_network(text)
+    raw = torch.zeros(1, 7, 4, 8)
+    raw[0, :, 2, 3] = torch.tensor([1.0, 0.0, 0.0, np.log(2.0), -1.0, 2.0, 0.0])
+    boxes, objectness, classes = network.heads[0].decode(raw, network.input_size)
+    cell = 2 * 8 + 3
+    x = (3 + 1.2 / (1 + np.exp(-1.0)) - 0.1) / 8
+    assert boxes[0, cell].tolist() == pytest.approx(
+        [x - 5 / 64, 2.5 / 4 - 20 / 32, x + 5 / 64, 2.5 / 4 + 20 / 32], abs=1e-6
+    )
+    assert objectness[0, cell].item() == pytest.approx(1 / (1 + np.e))
+    assert classes[0, cell].tolist() == pytest.approx([1 / (1 + np.exp(-2.0)), 0.5])
+
+
+def test_folding_changes_nothing(tmp_path: Path) -> None:
+    cfg, weights = write_tiny(tmp_path).split(":")[1:]
+    plain = read_weights(Network(read_cfg(Path(cfg))), Path(weights)).eval()
+    folded = read_weights(Network(read_cfg(Path(cfg))), Path(weights)).eval().fold()
+    assert not [m for m in folded.modules() if isinstance(m, torch.nn.BatchNorm2d)]
+    (a,), (b,) = plain(images()), folded(images())
+    torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5)
+
+
+def test_dead_channels_follow_the_writing_program(tmp_path: Path) -> None:
+    """sqrt(var + 1e-5) in AlexeyAB's revision 5, sqrt(var) + 1e-6 in the original: thousands apart at variance 0."""
+    network = build_network(TINY_CFG)
+    network.layers[0].norm.running_var[0] = 0.0
+    _, weights = write_darknet(TINY_CFG, network, tmp_path / "net")
+    scales = {}
+    for revision in (5, 0):
+        content = bytearray(weights.read_bytes())
+        content[8:12] = struct.pack("<i", revision)
+        weights.write_bytes(content)
+        norm = read_weights(build_network(TINY_CFG), weights).layers[0].norm
+        scales[revision] = norm.scale_and_shift()[0][0].item()
+    assert scales[5] == pytest.approx(1e5**0.5)
+    assert scales[0] == pytest.approx(1e6)
+
+
+def test_written_files_read_back_identical(tmp_path: Path) -> None:
+    network = build_network(TINY_CFG, seed=4)
+    cfg, weights = write_darknet(TINY_CFG, network, tmp_path / "out.weights", seen=77)
+    assert cfg.read_text() == TINY_CFG
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.cfg", "out.weights"]
+    again = read_weights(Network(read_cfg(cfg)), weights)
+    for (_, _, a), (_, _, b) in zip(stored_tensors(network), stored_tensors(again), strict=True):
+        assert torch.equal(a, b)
+    with pytest.raises(ValueError, match="not built from this cfg"):
+        write_darknet(TINY_CFG.replace("filters=8", "filters=4"), network, tmp_path / "other")
+    with pytest.raises(ValueError, match="folded"):
+        write_darknet(TINY_CFG, network.eval().fold(), tmp_path / "folded")
+
+
+def test_trains(tmp_path: Path) -> None:
+    network = build_network(TINY_CFG)
+    assert network.training and isinstance(network.layers[0].norm, torch.nn.BatchNorm2d)
+    optimizer = torch.optim.Adam(network.parameters(), lr=1e-2)
+    losses = []
+    for _ in range(20):
+        loss = network.heads[0].activate(network(images())[0])[:, 4].mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_old_header_has_a_short_seen(tmp_path: Path) -> None:
+    network = build_network(TINY_CFG)
+    _, weights = write_darknet(TINY_CFG, network, tmp_path / "net")
+    body = weights.read_bytes()[20:]
+    weights.write_bytes(struct.pack("<iiii", 0, 1, 0, 5) + body)
+    again = read_weights(build_network(TINY_CFG, seed=9), weights)
+    assert torch.equal(again.layers[3].conv.weight, network.layers[3].conv.weight)
+
+
+@pytest.mark.parametrize("change", ["missing", "truncated", "too long", "odd"])
+def test_wrong_number_of_weights(change: str, tmp_path: Path) -> None:
+    spec = write_tiny(tmp_path)
+    weights = tmp_path / "tiny.weights"
+    content = weights.read_bytes()
+    total = (len(content) - 20) // 4
+    if change == "missing":
+        weights.unlink()
+        expected = f"tiny.weights: no such file .expected {total:,} floats"
+    else:
+        changed = {"truncated": content[:-40], "too long": content + b"\0" * 8, "odd": content + b"\0"}[change]
+        weights.write_bytes(changed)
+        found = {"truncated": total - 10, "too long": total + 2, "odd": total}[change]
+        expected = f"tiny.weights: expected {total:,} floats for .*tiny.cfg, found {found:,}"
+    with pytest.raises(InputError, match=expected):
+        load_detector(spec)
+
+
+@pytest.mark.parametrize("poison", [float("nan"), float("inf")])
+def test_weights_that_are_not_numbers(poison: float, tmp_path: Path) -> None:
+    spec = write_tiny(tmp_path)
+    weights = tmp_path / "tiny.weights"
+    content = weights.read_bytes()
+    weights.write_bytes(content[:-4] + struct.pack("<f", poison))
+    with pytest.raises(InputError, match=r"tiny.weights: weights of layer 3 .\[convolutional\], cfg line 26"):
+        load_detector(spec)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[maxpool]", "[warp]", r"cfg:14: \[warp\] unknown section"),
+        ("[net]", "[nut]", "does not begin with .net."),
+        ("activation=linear", "activation=gelu", r"cfg:26: \[convolutional\] activation=gelu is not supported"),
+        ("filters=12", "filters=13", r"cfg:33: \[region\] 2 anchors and 1 classes need 12 channels"),
+        ("filters=12", "filters=twelve", r"cfg:26: .*filters=twelve is not an integer"),
+        ("anchors=1,2, 2,4", "anchors=1,2, 2", r"cfg:33: .*num=2 needs 4 numbers in anchors=, found 3"),
+        ("stride=2", "stride=0", r"cfg:6: .*stride=0 must be at least 1"),
+        ("[maxpool]\n", "[route]\nlayers=-3\n#", r"cfg:14: \[route\] layers=-3: there is no such layer"),
+        ("[maxpool]\n", "nonsense\n", r"cfg:14: expected \[section\] or key=value, found 'nonsense'"),
+        ("size=2\nstride=2", "size=40\npadding=0", r"cfg:14: .*the input 64x64 is too small to reach this"),
+        ("width=64\n", "", r"cfg:1: \[net\] lacks width="),
+        ("channels=3", "channels=1", r"cfg:1: .*only networks on RGB images"),
+        ("[region]", "[dropout]", "not a detector"),
+    ],
+)
+def test_bad_cfg_names_the_line(old: str, new: str, message: str) -> None:
+    assert old in TINY_CFG
+    with pytest.raises(InputError, match=message) as caught:
+        Network(parse_cfg(TINY_CFG.replace(old, new, 1)))
+    assert "\n" not in str(caught.value)
+
+
+def test_input_size_that_does_not_fit_is_explained() -> None:
+    cfg = read_cfg(GOLDEN / "yolov4-parts.cfg")
+    with pytest.raises(InputError, match=r"yolov4-parts.cfg:\d+: \[route\] joins layers of different sizes"):
+        Network(cfg, (66, 66))
+
+
+def test_swapped_files_are_recognised(tmp_path: Path) -> None:
+    big = tmp_path / "big.weights"
+    big.write_bytes(b"\0" * (2 << 20))
+    with pytest.raises(InputError, match="too large for a Darknet cfg"):
+        load_detector(f"darknet:{big}:{tmp_path / 'x.cfg'}")

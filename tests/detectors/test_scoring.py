@@ -1,0 +1,81 @@
+"""When a person counts as detected."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cloak_core.detectors.protocol import Detections
+from cloak_core.detectors.scoring import (
+    box_iou,
+    is_detected,
+    is_detected_on,
+    max_objectness,
+    max_person_score,
+    person_boxes,
+)
+from cloak_core.errors import InputError
+
+
+def found(scores: list[list[float]], boxes: list | None = None, **more) -> Detections:
+    scores = torch.tensor(scores)
+    boxes = torch.zeros(*scores.shape, 4) if boxes is None else torch.tensor(boxes)
+    return Detections(boxes, scores, **more)
+
+
+def test_max_scores_and_threshold() -> None:
+    detections = found([[0.2, 0.61], [0.6, 0.1]])
+    assert max_person_score(detections).tolist() == pytest.approx([0.61, 0.6])
+    assert is_detected(detections).tolist() == [True, False]  # above, not at, the threshold
+    assert is_detected(detections, 0.5).tolist() == [True, True]
+
+
+def test_objectness_counts_persons_only() -> None:
+    detections = found(
+        [[0.1, 0.2], [0.1, 0.2]],
+        objectness=torch.tensor([[0.9, 0.4], [0.9, 0.8]]),
+        is_person=torch.tensor([[False, True], [False, False]]),
+    )
+    assert max_objectness(detections).tolist() == pytest.approx([0.4, 0.0])
+    with pytest.raises(InputError, match="objectness"):
+        max_objectness(found([[0.1]]))
+
+
+def test_no_boxes_at_all_keep_the_graph() -> None:
+    scores = torch.zeros(3, 0, requires_grad=True)
+    detections = Detections(torch.zeros(3, 0, 4), scores)
+    best = max_person_score(detections)
+    assert best.tolist() == [0.0, 0.0, 0.0]
+    best.sum().backward()
+    assert is_detected_on(detections, torch.ones(3, 4)).tolist() == [False] * 3
+    assert [len(boxes) for boxes in person_boxes(detections)] == [0, 0, 0]
+
+
+def test_detected_on_needs_overlap_and_score() -> None:
+    body = [0.0, 0.0, 10.0, 20.0]
+    shifted = [0.0, 0.0, 10.0, 10.0]  # IoU exactly 0.5
+    away = [0.0, 11.0, 10.0, 20.0]  # IoU 0.45
+    detections = found([[0.9, 0.3], [0.9, 0.7], [0.3, 0.9]], [[body, away], [away, shifted], [body, away]])
+    boxes = torch.tensor([body] * 3)
+    assert is_detected_on(detections, boxes).tolist() == [True, True, False]
+    assert is_detected_on(detections, boxes, iou=0.51).tolist() == [True, False, False]
+    assert is_detected_on(detections, boxes, threshold=0.2).tolist() == [True, True, True]
+
+
+@given(st.lists(st.floats(-50, 50, width=32), min_size=8, max_size=8))
+def test_iou_equals_counting(values: list[float]) -> None:
+    a, b = (torch.tensor(values[i : i + 4]).round() for i in (0, 4))
+    pixels = torch.stack(torch.meshgrid(torch.arange(-50, 50), torch.arange(-50, 50), indexing="xy"), -1) + 0.5
+
+    def inside(box: torch.Tensor) -> torch.Tensor:
+        return ((pixels > box[:2]) & (pixels < box[2:])).all(dim=-1)
+
+    both, either = (inside(a) & inside(b)).sum().item(), (inside(a) | inside(b)).sum().item()
+    assert box_iou(a, b).item() == pytest.approx(both / either if either else 0.0, abs=1e-6)
+
+
+def test_suppression_keeps_the_best() -> None:
+    boxes = [[[0.0, 0, 10, 10], [1.0, 0, 11, 10], [30.0, 0, 40, 10], [0.0, 0, 10, 10]]]
+    kept = person_boxes(found([[0.7, 0.9, 0.8, 0.1]], boxes))[0]
+    assert kept[:, 4].tolist() == pytest.approx([0.9, 0.8])
+    assert kept[0, :4].tolist() == [1.0, 0.0, 11.0, 10.0]
