@@ -1,0 +1,74 @@
+"""What a detector says about one photograph: numbers, and a picture with its boxes drawn."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image, ImageDraw, ImageOps, UnidentifiedImageError
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
+from cloak_core.errors import InputError
+
+MAX_PIXELS = 64_000_000
+FRAME = (255, 60, 60)
+
+
+def check_image(
+    detector: Detector, image: Path, *, threshold: float = THRESHOLD, out: Path | None = None
+) -> dict[str, object]:
+    """Run a detector on one image file (any size and mode; EXIF orientation applied).
+
+    Returns {"max_person": best person score, thresholded or not, "boxes": [[x1, y1, x2, y2, score], ...]}: the boxes
+    above `threshold` after non-maximum suppression, in the file's pixels, best first. With `out`, also writes the
+    picture with those boxes drawn. InputError names a file that cannot be read or written.
+    """
+    if out is not None and (out.suffix.lower() not in (".png", ".jpg", ".jpeg") or not out.absolute().parent.is_dir()):
+        raise InputError(f"{out}: give a .png or .jpg in a folder that exists")
+    pixels = read_image(image)
+    with torch.no_grad():
+        detections = detector(pixels[None].to(detector.device))
+    boxes = person_boxes(detections, threshold)[0]
+    if out is not None:
+        _save(draw_boxes(pixels, boxes), out)
+    return {"max_person": max_person_score(detections).item(), "boxes": boxes.tolist()}
+
+
+def read_image(path: Path) -> Float[Tensor, "3 H W"]:
+    """An image file as RGB in [0, 1]; InputError when it is missing, no image, broken or huge."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with Image.open(path) as file:
+            if file.width * file.height > MAX_PIXELS:
+                raise InputError(f"{path}: {file.width} x {file.height} pixels, at most {MAX_PIXELS:,} are read")
+            pixels = np.array(ImageOps.exif_transpose(file).convert("RGB"))
+    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: cannot be read as an image ({error})") from error
+    return torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
+
+
+def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Image.Image:
+    """The image with each box (x1, y1, x2, y2, score) framed and its score beside it."""
+    pixels = (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
+    picture = Image.fromarray(pixels)
+    draw = ImageDraw.Draw(picture)
+    size = max(12, picture.height // 30)
+    for x1, y1, x2, y2, score in boxes.tolist():
+        x1, x2 = sorted(min(max(x, 0), picture.width - 1) for x in (x1, x2))
+        y1, y2 = sorted(min(max(y, 0), picture.height - 1) for y in (y1, y2))
+        draw.rectangle((x1, y1, x2, y2), outline=FRAME, width=max(2, size // 8))
+        label = f"{score:.2f}"
+        corner = (x1, max(0.0, y1 - size * 1.2))
+        draw.rectangle(draw.textbbox(corner, label, font_size=size), fill=FRAME)
+        draw.text(corner, label, fill=(255, 255, 255), font_size=size)
+    return picture
+
+
+def _save(picture: Image.Image, out: Path) -> None:
+    temporary = out.with_name(f".{os.getpid()}.{out.name}")
+    picture.save(temporary)
+    temporary.replace(out)
