@@ -51,7 +51,7 @@ class Evaluate(Command):
         backgrounds = open_backgrounds(self.backgrounds or kept_back("backgrounds", config))
         logo = make_logo(bodies, face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies))
         colors = read_colors(self.run_folder / "colors.npy", len(logo.face_ids))
-        specs = self.detector or tuple(config["detectors"])
+        specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
         detectors = {spec: load_detector(spec, device=self.device) for spec in specs}
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("evaluating", total=None)

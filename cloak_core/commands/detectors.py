@@ -1,0 +1,61 @@
+"""`cloak detectors ...`: is a detector read rightly, what does it see, and how was the built-in one made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.errors import InputError
+
+
+@dataclass(kw_only=True)
+class Check(Command):
+    """Show what a detector says of a photograph, or of clean renders and bare backgrounds."""
+
+    spec: Positional[str]
+    """Detector, as in cloak train."""
+    image: Path | None = None
+    """Photograph to look at."""
+    out: Path | None = None
+    """With --image: picture with the boxes drawn, to write."""
+    scene: str | None = None
+    """Bodies to render: scene folder, .npz, or sample:unseen."""
+    backgrounds: str | None = None
+    """With --scene: folder of images, or procedural:test."""
+    angles: str = "-10,0,10"
+    """With --scene: azimuths in degrees."""
+    device: str = "cpu"
+    """Torch device."""
+
+    def run(self) -> dict:
+        from cloak_core.detectors.loading import load_detector
+
+        if (self.image is None) == (self.scene is None):
+            raise InputError("detectors check: give either --image, or --scene and --backgrounds")
+        if self.image is not None:
+            from cloak_core.detectors.check import check_image
+
+            if self.out is not None:
+                require_new(self.out)
+            return check_image(load_detector(self.spec, device=self.device), self.image, self.out)
+        if self.backgrounds is None:
+            raise InputError("detectors check: --scene needs --backgrounds")
+        from cloak_core.attack.settings import parse_angles
+        from cloak_core.evaluate.clean import check_scene
+        from cloak_core.scene.backgrounds import open_backgrounds
+
+        detector = load_detector(self.spec, device=self.device)
+        return check_scene(
+            detector, open_scene(self.scene), open_backgrounds(self.backgrounds), parse_angles(self.angles)
+        )
+
+    def show(self, result: dict) -> None:
+        if "max_person" in result:
+            out.print(f"best person score {result['max_person']:.3f}")
+            for x1, y1, x2, y2, score in result["boxes"]:
+                out.print(f"  {score:.3f}  at {x1:.0f},{y1:.0f} to {x2:.0f},{y2:.0f}")
+        else:
+            out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f}")
