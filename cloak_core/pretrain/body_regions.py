@@ -1,7 +1,7 @@
 """Which part of the body a polygon of the sample mesh belongs to: for plain clothing colours, and as named regions.
 
-Everything is decided once, in the average adult's rest pose (arms 45 degrees down), from skinning weights, heights and normals,
-so that a region is the same set of polygons on every body.
+Everything is decided once, in the average adult's rest pose (arms 45 degrees down), from skinning weights, heights and
+normals, so that a region is the same set of polygons on every body.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ BONE_GROUPS = {
 }
 
 # Share of the height (from the soles) where the shirt ends, and where the chest ends and the belly begins.
-WAIST, CHEST = 0.585, 0.625
-# A normal's least forward component in the rest pose; a little above 0, so that what is only seen from the side is left out.
+WAIST, CHEST = 0.585, 0.615
+# A normal's least forward component in the rest pose; above 0, so that what is only seen from the side is left out.
 FORWARD = 0.12
 
 

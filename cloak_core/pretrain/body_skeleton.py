@@ -1,7 +1,8 @@
 """Posing a skinned body by the angles of its joints, for the sample bodies.
 
-Angles are anatomical and in degrees, left and right alike: flexion moves a limb forwards (a knee's, backwards), abduction away
-from the middle. Zero is standing upright, arms hanging, palms to the thighs. Axes: y up, facing +z, left at +x.
+Angles are anatomical and in degrees, left and right alike: flexion moves a limb forwards (a knee's, backwards),
+abduction away from the middle. Zero is standing upright, arms hanging, palms to the
+thighs. Axes: y up, facing +z, left at +x.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, share: fl
 
 
 def finger_rotations(skeleton: Skeleton, side: str, curl: float, wrist: np.ndarray) -> dict[str, np.ndarray]:
-    # Across the palm, from the little finger to the index finger on the left hand, the other way on the right (its mirror image).
+    # Across the palm, from the index to the little finger on the left hand, mirrored on the right.
     across = skeleton.direction(f"finger2-1.{side}", f"finger5-1.{side}") * (1.0 if side == "L" else -1.0)
     rotations = {}
     for finger in range(2, 6):

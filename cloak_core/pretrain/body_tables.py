@@ -11,7 +11,7 @@ PARTS = ("torso", "hips", "arms", "forearms", "hands", "thighs", "shins", "feet"
 
 @dataclass(frozen=True)
 class BodySpec:
-    """One sample body. `shape` are Anny's phenotypes: gender 0 male to 1 female, age 0.67 young to 1 old, the rest 0 to 1."""
+    """One sample body; `shape` in Anny's phenotypes: gender 0 male to 1 female, age 0.67 young to 1 old, else 0..1."""
 
     name: str
     shape: dict[str, float]
