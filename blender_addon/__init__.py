@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cloak in Blender: pick faces of a character, train their colours in a process outside, see them on the model.
+
+Registration only. The rooms: `body`, `faces`, `stamp`, `poses`, `scene_export`, `runs`, `colors`, `render_check` are
+plain functions over Blender's data; `trainer` and `training_job` talk to the process that trains; `operators`, `panel`,
+`overlay`, `preferences`, `properties` are what the user touches; `train.py` is the same without a window.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import overlay, panel, preferences, properties, training_job
+from .operators import body, logo, result, train
+
+CLASSES = (*preferences.CLASSES, *body.CLASSES, *logo.CLASSES, *train.CLASSES, *result.CLASSES, *panel.CLASSES)
+
+
+def register() -> None:
+    """Called by Blender when the extension is enabled."""
+    properties.register()
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    overlay.register()
+
+
+def unregister() -> None:
+    """Called by Blender when the extension is disabled, and when Blender closes."""
+    training_job.shut_down()
+    overlay.unregister()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
+    properties.unregister()

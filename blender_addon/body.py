@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bodies: the mesh object that wears the logo. Checks, topology, subdivision, and bodies built from a scene package.
+
+Plain functions over objects and meshes; whatever is wrong with the user's object is an `InputError` whose one line says
+what to do next.
+"""
+
+from __future__ import annotations
+
+import bmesh
+import bpy
+import numpy as np
+
+from .exchange import Bodies, InputError, topology_hash
+
+ORIGINAL_FACE = "cloak_original_face"
+"""Integer face attribute that subdivision leaves: the face each one came from."""
+
+
+def active_body(context: bpy.types.Context) -> bpy.types.Object:
+    """The active object, checked to be a mesh that Cloak may write to."""
+    obj = context.view_layer.objects.active if context.view_layer else None
+    require_body(obj)
+    return obj
+
+
+def require_body(obj: bpy.types.Object | None) -> None:
+    """Raise `InputError` unless `obj` is a local, single-user mesh object with faces."""
+    if obj is None:
+        raise InputError("No active object: click the character's mesh in the viewport")
+    if obj.type != "MESH":
+        meshes = [child.name for child in obj.children_recursive if child.type == "MESH"]
+        hint = f"click '{meshes[0]}' instead" if meshes else "click the character's mesh in the viewport"
+        raise InputError(f"'{obj.name}' is not a mesh ({obj.type.lower()}): {hint}")
+    mesh = obj.data
+    if obj.library or mesh.library:
+        source = (obj.library or mesh.library).name
+        raise InputError(
+            f"'{obj.name}' is linked from {source}: Object > Relations > Make Local > Selected Objects and Data"
+        )
+    if obj.override_library or mesh.override_library:
+        raise InputError(
+            f"'{obj.name}' is a library override: Object > Relations > Make Local > Selected Objects and Data"
+        )
+    users = mesh.users - mesh.use_fake_user
+    if users > 1:
+        raise InputError(
+            f"Mesh '{mesh.name}' is shared by {users} objects: Object > Relations > Make Single User > Object & Data"
+        )
+    if obj.mode != "EDIT" and not mesh.polygons:
+        raise InputError(f"'{obj.name}' has no faces: click the character's mesh in the viewport")
+
+
+def require_upright(obj: bpy.types.Object) -> None:
+    """Raise `InputError` when the object's transform mirrors or flattens the body."""
+    determinant = obj.matrix_world.determinant()
+    if not np.isfinite(determinant) or determinant == 0:
+        raise InputError(f"'{obj.name}' is scaled to nothing: set its scale, then apply it (Ctrl A > Scale)")
+    if determinant < 0:
+        raise InputError(
+            f"'{obj.name}' has a negative scale, which turns its faces inside out: apply it (Ctrl A > Scale), "
+            "then Mesh > Normals > Recalculate Outside"
+        )
+
+
+# --- topology --------------------------------------------------------------------------------------------------------
+
+
+def polygon_loops(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """The polygons' vertex loops: corner counts [F] int32 and vertex indices [sum] int32."""
+    loop_total = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_total", loop_total)
+    loop_vertices = np.empty(len(mesh.loops), np.int32)
+    corners = mesh.attributes.get(".corner_vert")
+    if corners is not None and len(corners.data) == len(loop_vertices):
+        corners.data.foreach_get("value", loop_vertices)  # ten times as fast as through the loops
+    else:
+        mesh.loops.foreach_get("vertex_index", loop_vertices)
+    return loop_total, loop_vertices
+
+
+def topology(obj: bpy.types.Object) -> str:
+    """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
+    sync(obj)
+    return topology_hash(len(obj.data.vertices), *polygon_loops(obj.data))
+
+
+def sync(obj: bpy.types.Object) -> None:
+    """Bring the mesh up to date with Edit Mode: `foreach_get` reads stale data otherwise."""
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+
+
+# --- subdivision -----------------------------------------------------------------------------------------------------
+
+
+def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> None:
+    """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
+
+    With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
+    also logos) carry over; each face keeps the index it came from in the attribute `cloak_original_face`.
+    """
+    mesh = obj.data
+    editing = obj.mode == "EDIT"
+    bm = bmesh.from_edit_mesh(mesh) if editing else bmesh.new()
+    if not editing:
+        bm.from_mesh(mesh)
+    try:
+        _remember_faces(bm)
+        _split(bm, keep_quads=not triangulate)
+        if editing:
+            bmesh.update_edit_mesh(mesh, destructive=True)
+        else:
+            bm.to_mesh(mesh)
+            mesh.update()
+    finally:
+        if not editing:
+            bm.free()
+
+
+def _remember_faces(bm: bmesh.types.BMesh) -> None:
+    if bm.faces.layers.int.get(ORIGINAL_FACE) is not None:
+        return
+    layer = bm.faces.layers.int.new(ORIGINAL_FACE)
+    for index, face in enumerate(bm.faces):
+        face[layer] = index
+
+
+def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
+    hidden = bm.faces.layers.bool.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
+    for face in bm.faces:
+        face[hidden] = face.hide
+    corners = set(bm.verts)
+    has_ngons = any(len(f.verts) > 4 for f in bm.faces)
+    bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)
+    if has_ngons:
+        _split_ngons(bm, corners, keep_quads)
+    if not keep_quads:
+        bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
+    flags = [face[hidden] for face in bm.faces]
+    for face, flag in zip(bm.faces, flags, strict=True):
+        if face.hide != flag:
+            face.hide_set(flag)
+    bm.faces.layers.bool.remove(bm.faces.layers.bool["cloak_hidden"])
+
+
+def _split_ngons(bm: bmesh.types.BMesh, corners: set[bmesh.types.BMVert], keep_quads: bool) -> None:
+    """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
+    for face in [f for f in bm.faces if len(f.verts) > 4]:
+        ring = list(face.verts)
+        (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]
+        _average(bm, center, [v for v in ring if v in corners])
+        if keep_quads:
+            spokes = [e for e in center.link_edges if e.other_vert(center) in corners]
+            bmesh.ops.dissolve_edges(bm, edges=spokes, use_verts=False)
+
+
+def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.types.BMVert]) -> None:
+    """Give `vert` the mean position, shape keys and weights of `ring`."""
+    for layer in bm.verts.layers.shape.values():
+        vert[layer] = sum((v[layer] for v in ring[1:]), ring[0][layer].copy()) / len(ring)
+    deform = bm.verts.layers.deform.active
+    if deform is None:
+        return
+    weights: dict[int, float] = {}
+    for v in ring:
+        for group, weight in v[deform].items():
+            weights[group] = weights.get(group, 0.0) + weight / len(ring)
+    vert[deform].clear()
+    for group, weight in weights.items():
+        vert[deform][group] = weight
+
+
+# --- bodies from a scene package -------------------------------------------------------------------------------------
+
+
+def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
+    """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
+
+    The first outfit becomes the corner colour attribute "Outfit", shown by a material; the scene's frame range is set
+    to the poses when the scene holds no other animation.
+    """
+    mesh = bpy.data.meshes.new(bodies.name)
+    poses = blender_axes(bodies.vertices)
+    loop_total, loop_vertices = bodies.loop_total, bodies.loop_vertices
+    if loop_total is None:
+        loop_total, loop_vertices = np.full(bodies.triangle_count, 3, np.int32), bodies.triangles.ravel()
+    _fill_mesh(mesh, poses[0], loop_total, loop_vertices)
+    for name, mask in bodies.regions.items():
+        mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
+    obj = bpy.data.objects.new(bodies.name, mesh)
+    context.collection.objects.link(obj)
+    from .colors import dress_in_outfit
+
+    dress_in_outfit(obj, bodies.face_colors[0])
+    if bodies.pose_count > 1:
+        _key_poses(context.scene, obj, poses, bodies.names)
+    if context.mode == "OBJECT":
+        for other in context.selected_objects:
+            other.select_set(False)
+        obj.select_set(True)
+        context.view_layer.objects.active = obj
+    return obj
+
+
+def blender_axes(vertices: np.ndarray) -> np.ndarray:
+    """Scene axes (y up, facing +z) to Blender's (z up, facing -y): [..., 3] -> [..., 3]."""
+    return np.stack((vertices[..., 0], -vertices[..., 2], vertices[..., 1]), -1)
+
+
+def scene_axes(vertices: np.ndarray) -> np.ndarray:
+    """Blender's axes (z up, facing -y) to scene axes (y up, facing +z): [..., 3] -> [..., 3]."""
+    return np.stack((vertices[..., 0], vertices[..., 2], -vertices[..., 1]), -1)
+
+
+def _fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, loop_total: np.ndarray, loop_vertices: np.ndarray) -> None:
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
+    mesh.loops.add(len(loop_vertices))
+    mesh.loops.foreach_set("vertex_index", loop_vertices)
+    mesh.polygons.add(len(loop_total))
+    mesh.polygons.foreach_set("loop_start", np.concatenate(([0], np.cumsum(loop_total)[:-1])).astype(np.int32))
+    mesh.update(calc_edges=True)
+    if mesh.validate():
+        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
+
+
+def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
+    """Pose p stands on frame p + 1, as a shape key that is 1 on that frame alone."""
+    obj.shape_key_add(name=names[0], from_mix=False)
+    for index in range(1, len(poses)):
+        key = obj.shape_key_add(name=names[index], from_mix=False)
+        key.data.foreach_set("co", np.ascontiguousarray(poses[index], np.float32).ravel())
+        for frame, value in ((index, 0.0), (index + 1, 1.0), (index + 2, 0.0)):
+            key.value = value
+            key.keyframe_insert("value", frame=frame)
+        key.value = 0.0
+    obj.data.shape_keys.name = f"{obj.name} poses"
+    scene.frame_start, scene.frame_end = 1, len(poses)
+    scene.frame_set(1)

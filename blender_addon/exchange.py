@@ -1,0 +1,1 @@
+../cloak_core/scene/exchange.py

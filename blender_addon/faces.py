@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Logos: named sets of faces, stored as boolean face attributes of the mesh.
+
+So they survive saving, subdivision and editing, and Blender's own attribute panel shows them too. Every function works
+in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polygon.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils.kdtree import KDTree
+
+from .body import polygon_loops, sync, topology
+from .exchange import InputError, read_face_list
+
+NOT_LOGOS = {"sharp_face", "freestyle_face"}
+"""Boolean face attributes that Blender itself keeps."""
+
+
+def is_logo(attribute: bpy.types.Attribute) -> bool:
+    """Whether a mesh attribute is a logo: a boolean per face that is not Blender's own."""
+    return (
+        attribute.domain == "FACE"
+        and attribute.data_type == "BOOLEAN"
+        and not attribute.name.startswith(".")
+        and attribute.name not in NOT_LOGOS
+    )
+
+
+def logo_names(mesh: bpy.types.Mesh) -> list[str]:
+    """Names of the mesh's logos, in the mesh's order."""
+    return [attribute.name for attribute in mesh.attributes if is_logo(attribute)]
+
+
+def require_logo(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """Mask of a logo that exists on `obj` and has faces; several names may be joined by "+"."""
+    names = [name] if name in logo_names(obj.data) else [part.strip() for part in name.split("+")]
+    mask = np.zeros(0, bool)
+    for part in names:
+        if part not in logo_names(obj.data):
+            raise InputError(_missing(obj, part))
+        faces = read_faces(obj, part)
+        mask = faces if not mask.size else mask | faces
+    if not mask.any():
+        raise InputError(f"Logo '{name}' is empty: select faces in Edit Mode and press Assign")
+    return mask
+
+
+def _missing(obj: bpy.types.Object, name: str) -> str:
+    others = [o.name for o in bpy.data.objects if o.type == "MESH" and o != obj and name in logo_names(o.data)]
+    if others:
+        return f"Logo '{name}' is on '{others[0]}', not on '{obj.name}': make '{others[0]}' the active object"
+    have = ", ".join(logo_names(obj.data)) or "none"
+    return f"'{obj.name}' has no logo '{name}' (it has: {have}): select faces in Edit Mode and press New from Selection"
+
+
+# --- reading and writing, in both modes ------------------------------------------------------------------------------
+
+
+def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """Mask [F] of the logo `name`."""
+    mesh = obj.data
+    if obj.mode == "EDIT":
+        bm = bmesh.from_edit_mesh(mesh)
+        layer = bm.faces.layers.bool[name]
+        return np.fromiter((face[layer] for face in bm.faces), bool, len(bm.faces))
+    mask = np.empty(len(mesh.polygons), bool)
+    mesh.attributes[name].data.foreach_get("value", mask)
+    return mask
+
+
+def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
+    """Set the logo `name` to `mask`, making it where there is none."""
+    mesh = obj.data
+    if obj.mode == "EDIT":
+        bm = bmesh.from_edit_mesh(mesh)
+        layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
+        for face, flag in zip(bm.faces, mask.tolist(), strict=True):
+            face[layer] = flag
+        bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
+        return
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "BOOLEAN", "FACE")
+    attribute.data.foreach_set("value", np.ascontiguousarray(mask, bool))
+    mesh.update_tag()
+
+
+def read_selection(obj: bpy.types.Object) -> np.ndarray:
+    """Mask [F] of the selected faces; in Edit Mode hidden faces are never selected."""
+    sync(obj)
+    mask = np.empty(len(obj.data.polygons), bool)
+    obj.data.polygons.foreach_get("select", mask)
+    return mask & ~read_hidden(obj)
+
+
+def read_hidden(obj: bpy.types.Object) -> np.ndarray:
+    """Mask [F] of faces hidden in Edit Mode."""
+    sync(obj)
+    mask = np.empty(len(obj.data.polygons), bool)
+    obj.data.polygons.foreach_get("hide", mask)
+    return mask
+
+
+def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
+    """Select exactly the visible faces of `mask`; returns how many of its faces are hidden and stay unselected."""
+    mesh = obj.data
+    hidden = read_hidden(obj)
+    visible = mask & ~hidden
+    if obj.mode == "EDIT":
+        bm = bmesh.from_edit_mesh(mesh)
+        for element in (*bm.verts, *bm.edges, *bm.faces):
+            element.select = False
+        for face, flag in zip(bm.faces, visible.tolist(), strict=True):
+            if flag:
+                face.select_set(True)
+        bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
+        return int((mask & hidden).sum())
+    vertices, edges = _elements_of(mesh, visible)
+    mesh.polygons.foreach_set("select", visible)
+    mesh.vertices.foreach_set("select", vertices)
+    mesh.edges.foreach_set("select", edges)
+    mesh.update_tag()
+    return int((mask & hidden).sum())
+
+
+def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Masks of the vertices and edges that border the faces of a mask."""
+    loop_total, loop_vertices = polygon_loops(mesh)
+    loop_edges = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("edge_index", loop_edges)
+    corners = np.repeat(faces, loop_total)
+    vertices, edges = np.zeros(len(mesh.vertices), bool), np.zeros(len(mesh.edges), bool)
+    vertices[loop_vertices[corners]] = True
+    edges[loop_edges[corners]] = True
+    return vertices, edges
+
+
+# --- making and changing logos ---------------------------------------------------------------------------------------
+
+
+def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
+    """Make a logo; returns its name, which gets a number where the wanted one is taken."""
+    if not mask.any():
+        raise InputError("No faces to take: select faces in Edit Mode (or stamp a picture) first")
+    name = name.strip().lstrip(".") or "Logo"
+    taken = {attribute.name for attribute in obj.data.attributes} | NOT_LOGOS
+    unique, number = name, 1
+    while unique in taken:
+        unique, number = f"{name}.{number:03d}", number + 1
+    write_faces(obj, unique, mask)
+    return unique
+
+
+def remove_logo(obj: bpy.types.Object, name: str) -> None:
+    """Take the logo off the mesh; its faces stay as they are."""
+    if obj.mode == "EDIT":
+        bm = bmesh.from_edit_mesh(obj.data)
+        bm.faces.layers.bool.remove(bm.faces.layers.bool[name])
+        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+        return
+    obj.data.attributes.remove(obj.data.attributes[name])
+
+
+def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+    """The faces of `mask` and all that share a corner with them."""
+    sync(obj)
+    loop_total, loop_vertices = polygon_loops(obj.data)
+    touched = np.zeros(len(obj.data.vertices), bool)
+    touched[loop_vertices[np.repeat(mask, loop_total)]] = True
+    return _any_corner(touched[loop_vertices], loop_total)
+
+
+def shrink(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+    """The faces of `mask` that share no corner with a face outside it."""
+    return ~grow(obj, ~mask)
+
+
+def _any_corner(corners: np.ndarray, loop_total: np.ndarray) -> np.ndarray:
+    face_of_corner = np.repeat(np.arange(len(loop_total)), loop_total)
+    return np.bincount(face_of_corner, corners, len(loop_total)) > 0
+
+
+def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
+    """The faces opposite those of `mask` across the object's X = 0 plane, and how many have no opposite.
+
+    Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
+    """
+    sync(obj)
+    mesh = obj.data
+    centers = face_vectors(mesh, "center")
+    areas = np.empty(len(centers), np.float32)
+    mesh.polygons.foreach_get("area", areas)
+    tree = KDTree(len(centers))
+    for index, center in enumerate(centers.tolist()):
+        tree.insert(center, index)
+    tree.balance()
+    mirrored, lost = np.zeros(len(centers), bool), 0
+    for index in np.flatnonzero(mask):
+        x, y, z = centers[index].tolist()
+        _, other, distance = tree.find((-x, y, z))
+        if distance <= 0.25 * float(areas[index]) ** 0.5:
+            mirrored[other] = True
+        else:
+            lost += 1
+    return mirrored, lost
+
+
+# --- face lists ----------------------------------------------------------------------------------------------------
+
+
+def import_face_list(obj: bpy.types.Object, path: Path) -> str:
+    """A new logo from a face list; checked against the mesh. Returns its name."""
+    face_list = read_face_list(path)
+    own = topology(obj)
+    if face_list.topology not in (None, own):
+        raise InputError(
+            f"{path}: made for topology {face_list.topology}, but '{obj.name}' has {own}: choose its own mesh"
+        )
+    count = len(obj.data.polygons)
+    if face_list.index_of == "triangle" and any(len(polygon.vertices) != 3 for polygon in obj.data.polygons):
+        raise InputError(f"{path}: counts triangles, but '{obj.name}' has larger faces: triangulate it first")
+    if face_list.ids[-1] >= count:
+        raise InputError(f"{path}: face {face_list.ids[-1]} is beyond the {count} faces of '{obj.name}'")
+    mask = np.zeros(count, bool)
+    mask[face_list.ids] = True
+    return new_logo(obj, path.stem, mask)
+
+
+# --- figures ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LogoStats:
+    """What the panel says about a logo. Areas in square metres of the object's rest shape, scaled by its transform."""
+
+    faces: int
+    hidden: int
+    area_share: float
+    """Of the body's surface, 0 to 1."""
+    projected_area: float
+    """Of the faces turned to the front, as seen from there (occlusion aside)."""
+    projected_share: float
+    """Of the same figure for the whole body, 0 to 1."""
+
+
+def face_vectors(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
+    """Polygon centres or normals, [F, 3] float32 in the object's space."""
+    values = np.empty(3 * len(mesh.polygons), np.float32)
+    mesh.polygons.foreach_get(name, values)
+    return values.reshape(-1, 3)
+
+
+def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
+    """Counts and areas of a logo."""
+    sync(obj)
+    vectors = area_vectors(obj)
+    area = np.linalg.norm(vectors, axis=1)
+    frontal = np.maximum(-vectors[:, 1], 0)  # the front looks along +y, so front faces have normals along -y
+    return LogoStats(
+        faces=int(mask.sum()),
+        hidden=int((mask & read_hidden(obj)).sum()),
+        area_share=float(area[mask].sum() / max(area.sum(), 1e-12)),
+        projected_area=float(frontal[mask].sum()) * bpy.context.scene.unit_settings.scale_length**2,
+        projected_share=float(frontal[mask].sum() / max(frontal.sum(), 1e-12)),
+    )
+
+
+def area_vectors(obj: bpy.types.Object) -> np.ndarray:
+    """[F, 3]: each face's normal times its area, in world space."""
+    areas = np.empty(len(obj.data.polygons), np.float32)
+    obj.data.polygons.foreach_get("area", areas)
+    local = face_vectors(obj.data, "normal") * areas[:, None]
+    linear = np.array(obj.matrix_world.to_3x3(), np.float64)
+    return local @ np.linalg.inv(linear) * np.linalg.det(linear)  # area vectors go with the cofactor matrix
+
+
+def face_areas(obj: bpy.types.Object) -> np.ndarray:
+    """[F] areas in world space."""
+    return np.linalg.norm(area_vectors(obj), axis=1)
+
+
+def pick(heat: np.ndarray, areas: np.ndarray, share: float) -> np.ndarray:
+    """Mask of the hottest faces that together have `share` of the area."""
+    order = np.argsort(-heat, kind="stable")
+    covered = np.cumsum(areas[order])
+    mask = np.zeros(len(heat), bool)
+    mask[order[: max(1, int(np.searchsorted(covered, share * covered[-1], side="right")))]] = True
+    return mask & (heat > 0)

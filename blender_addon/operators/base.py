@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all operators share: `InputError` becomes a message in the status bar, and nothing else has happened."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..exchange import InputError
+
+PLAIN = {"REGISTER"}
+WITH_UNDO = {"REGISTER", "UNDO"}
+"""Of operators that change the mesh and have ended when they return."""
+
+
+class CloakOperator(bpy.types.Operator):
+    """Base: `run` does the work and returns what to say, "" for nothing."""
+
+    bl_options = PLAIN
+
+    def run(self, context: bpy.types.Context) -> str:
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            message = self.run(context)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if message:
+            self.report({"INFO"}, message)
+        return {"FINISHED"}

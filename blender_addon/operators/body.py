@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 1, the body."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+
+from ..body import active_body, add_from_scene, subdivide
+from ..exchange import InputError, read_scene
+from ..preferences import trainer_python, user_folder
+from ..properties import settings_of
+from ..trainer import sample_command
+from ..training_job import Job, launch, require_idle
+from .base import WITH_UNDO, CloakOperator
+
+
+class CLOAK_OT_subdivide(CloakOperator):
+    """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
+keys, weights, materials, UVs and logos are kept"""
+
+    bl_idname = "cloak.subdivide"
+    bl_label = "Subdivide Body"
+    bl_options = WITH_UNDO
+
+    triangulate: bpy.props.BoolProperty(
+        name="Triangulate", description="Also split every face into triangles", default=True
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.triangulate = settings_of(context).triangulate
+        return self.execute(context)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj = active_body(context)
+        before = len(obj.data.polygons)
+        subdivide(obj, self.triangulate)
+        if obj.mode == "EDIT":
+            obj.update_from_editmode()
+        return f"'{obj.name}': {before:,} faces became {len(obj.data.polygons):,}"
+
+
+class CLOAK_OT_add_sample_body(CloakOperator):
+    """Add Cloak's sample body: nine people as shape keys on frames 1 to 9, with named regions as logos"""
+
+    bl_idname = "cloak.add_sample_body"
+    bl_label = "Add Sample Body"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        folder = user_folder("sample")
+        scene = folder / "scene"
+        shutil.rmtree(scene, ignore_errors=True)
+        command = sample_command(trainer_python(), scene)
+        launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene)))
+        return "Fetching the sample body from the trainer"
+
+
+def _add(job: Job, scene: Path) -> None:
+    if job.state != "done":
+        return
+    try:
+        obj = add_from_scene(bpy.context, read_scene(scene))
+    except InputError as error:
+        job.state, job.message = "failed", str(error)
+        return
+    settings = settings_of(bpy.context)
+    settings.pose_source, settings.frame_step = "RANGE", 1
+    settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    job.message = f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
+
+
+CLASSES = (CLOAK_OT_subdivide, CLOAK_OT_add_sample_body)

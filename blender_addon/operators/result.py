@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 5: colours on and off, colour management, report, render check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .. import colors, render_check, runs
+from ..body import active_body
+from ..exchange import InputError
+from ..preferences import trainer_python
+from ..properties import absolute, settings_of, train_request
+from ..trainer import check_command, report_command
+from ..training_job import Job, launch, require_idle
+from .base import WITH_UNDO, CloakOperator
+
+
+def run_of(obj: bpy.types.Object) -> Path:
+    """The object's run folder; `InputError` when it has none."""
+    if not obj.cloak.run:
+        raise InputError(f"'{obj.name}' has no training yet: press Start, or choose a run folder")
+    return Path(absolute(obj.cloak.run))
+
+
+class CLOAK_OT_result_load(CloakOperator):
+    """Bring the colours of the run folder onto the model"""
+
+    bl_idname = "cloak.result_load"
+    bl_label = "Load Colours"
+    bl_options = WITH_UNDO
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj = active_body(context)
+        result = runs.import_colors(context, obj, run_of(obj))
+        return f"{len(result.face_ids):,} faces of '{obj.name}' wear the trained colours"
+
+
+class CLOAK_OT_result_toggle(CloakOperator):
+    """Switch between the cloak and the body's own materials"""
+
+    bl_idname = "cloak.result_toggle"
+    bl_label = "Toggle Cloak"
+    bl_options = WITH_UNDO
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj = active_body(context)
+        if obj.mode == "EDIT":
+            raise InputError("Leave Edit Mode (Tab) to switch the cloak on or off")
+        if colors.is_dressed(obj):
+            colors.undress(obj)
+            colors.show_attribute(context, obj, None)
+            return f"'{obj.name}' shows its own materials"
+        runs.import_colors(context, obj, run_of(obj))
+        return f"'{obj.name}' wears the cloak"
+
+
+class CLOAK_OT_use_standard_view(CloakOperator):
+    """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
+
+    bl_idname = "cloak.use_standard_view"
+    bl_label = "Use Standard"
+    bl_options = WITH_UNDO
+
+    def run(self, context: bpy.types.Context) -> str:
+        colors.use_standard_view(context.scene)
+        return "View transform: Standard"
+
+
+class CLOAK_OT_open_report(CloakOperator):
+    """Open the run's report in the web browser, after making it if need be"""
+
+    bl_idname = "cloak.open_report"
+    bl_label = "Open Report"
+
+    def run(self, context: bpy.types.Context) -> str:
+        run = run_of(active_body(context))
+        report = run / "report.html"
+        if report.exists():
+            _open(report)
+            return f"Opened {report}"
+        if not run.is_dir():
+            raise InputError(f"{run}: no such run folder")
+        require_idle()
+        command = report_command(trainer_python(), run)
+        launch(Job("Report", [command], runs.input_folder(run), "report", lambda job: _opened(job, report)))
+        return "Making the report"
+
+
+def _opened(job: Job, report: Path) -> None:
+    if job.state == "done" and report.exists():
+        _open(report)
+        job.message = f"Opened {report}"
+
+
+def _open(report: Path) -> None:
+    if not bpy.app.background:
+        bpy.ops.wm.url_open(url=report.as_uri())
+
+
+class CLOAK_OT_render_check(CloakOperator):
+    """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
+
+    bl_idname = "cloak.render_check"
+    bl_label = "Render Check"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        obj, settings = active_body(context), settings_of(context)
+        if not colors.is_dressed(obj):
+            raise InputError(f"'{obj.name}' shows its own materials: switch the cloak on first")
+        run = run_of(obj)
+        folder = render_check.new_folder_in(runs.input_folder(run))
+        request, python = train_request(settings), trainer_python()
+        angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
+        plan = render_check.Plan(obj.name, folder, angles, request.backgrounds)
+        images = render_check.image_paths(plan)
+        commands = [render_check.prepare(plan)] + [check_command(python, request, image) for image in images]
+        uid = obj.session_uid
+        launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, uid)))
+        return f"Rendering {len(images)} images into {folder}"
+
+
+def _judge(job: Job, plan: render_check.Plan, uid: int) -> None:
+    if job.state != "done":
+        return
+    try:
+        job.message = render_check.verdict(plan, job.outputs[1:])
+    except InputError as error:
+        job.state, job.message = "failed", str(error)
+        return
+    obj = next((o for o in bpy.data.objects if o.session_uid == uid), None)
+    if obj is not None:
+        obj.cloak.verdict = job.message
+
+
+CLASSES = (
+    CLOAK_OT_result_load,
+    CLOAK_OT_result_toggle,
+    CLOAK_OT_use_standard_view,
+    CLOAK_OT_open_report,
+    CLOAK_OT_render_check,
+)

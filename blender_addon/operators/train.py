@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 4: start, cancel and resume a training, and what happens while it runs."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+
+from .. import runs, training_job
+from ..body import active_body
+from ..exchange import InputError
+from ..preferences import trainer_python
+from ..properties import absolute, output_folder, pose_choice, settings_of, train_request
+from ..scene_export import export, read_export
+from ..trainer import train_command
+from ..training_job import Job, TrainingJob, launch, require_idle
+from .base import CloakOperator
+from .logo import active_logo
+
+
+class CLOAK_OT_train_start(CloakOperator):
+    """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
+
+    bl_idname = "cloak.train_start"
+    bl_label = "Start"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        obj, settings = active_body(context), settings_of(context)
+        logo = active_logo(obj)
+        request, python = train_request(settings), trainer_python()
+        if obj.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        run = runs.new_run(output_folder(settings), obj.name, logo)
+        done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
+        runs.remember_options(run, request.options())
+        begin(context, obj, run, train_command(python, request.options(), done.scene, done.face_list, run))
+        return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}"
+
+
+class CLOAK_OT_train_cancel(CloakOperator):
+    """End the running job; a training ends after the current step and can be resumed"""
+
+    bl_idname = "cloak.train_cancel"
+    bl_label = "Cancel"
+
+    def run(self, context: bpy.types.Context) -> str:
+        job = training_job.current
+        if job is None or not job.running:
+            raise InputError("Nothing is running")
+        job.cancel()
+        return f"Stopping: {job.label}"
+
+
+class CLOAK_OT_train_resume(CloakOperator):
+    """Go on with this object's training from its last checkpoint"""
+
+    bl_idname = "cloak.train_resume"
+    bl_label = "Resume"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        obj = active_body(context)
+        run = resumable_run(obj)
+        done = read_export(runs.input_folder(run))
+        runs.require_same_topology(obj, done.topology)
+        options = runs.remembered_options(run)
+        command = train_command(trainer_python(), options, done.scene, done.face_list, run)
+        begin(context, obj, run, [*command, "--resume"])
+        return f"Resuming {run}"
+
+
+def resumable_run(obj: bpy.types.Object) -> Path:
+    """The object's run, if it has one whose input is still there."""
+    if not obj.cloak.run:
+        raise InputError(f"'{obj.name}' has no training to resume: press Start")
+    run = Path(absolute(obj.cloak.run))
+    if not runs.input_folder(run).is_dir():
+        raise InputError(f"{runs.input_folder(run)} is gone, so the run cannot be resumed: press Start")
+    return run
+
+
+def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command: list[str]) -> TrainingJob:
+    """Launch the training and wire its live colours."""
+    folder = runs.input_folder(run)
+    watch = Watch(obj, run, read_export(folder).topology)
+    job = TrainingJob(command, run, folder, watch.finish)
+    obj.cloak.run, obj.cloak.verdict = str(run), ""
+    training_job.on_tick[:] = [watch.tick]
+    launch(job)
+    return job
+
+
+class Watch:
+    """Looks after one training on the main thread: redraws the panel, shows live colours, imports the last ones."""
+
+    def __init__(self, obj: bpy.types.Object, run: Path, topology: str) -> None:
+        self._live = runs.LiveColors(obj, run, topology)
+        self._run = run
+        self._refused = ""
+        self._last = time.monotonic()
+
+    def tick(self, job: Job) -> None:
+        """Called by the timer."""
+        redraw()
+        settings = settings_of(bpy.context)
+        if not job.running or not settings.live or self._refused:
+            return
+        if time.monotonic() - self._last < settings.live_seconds:
+            return
+        try:
+            self._live.update(bpy.context)
+        except InputError as error:
+            self._refused = str(error)
+        self._last = time.monotonic()
+
+    def finish(self, job: Job) -> None:
+        """Called at the end: whatever colours there are come onto the model."""
+        if not (self._run / "colors.npy").exists():
+            return
+        obj = self._live.object
+        try:
+            if obj is None:
+                raise InputError("the object is gone; open its file and press Load Colours")
+            if obj.mode == "EDIT":
+                raise InputError("leave Edit Mode (Tab) and press Load Colours")
+            runs.import_colors(bpy.context, obj, self._run)
+            push_undo("Cloak Colours")
+        except InputError as error:
+            job.message += f"; no colours imported: {error}"
+
+
+def push_undo(message: str) -> None:
+    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
+    windows = bpy.context.window_manager.windows
+    if not bpy.app.background and len(windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message=message)
+
+
+def redraw() -> None:
+    """Redraw the sidebars: progress has changed."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in ("VIEW_3D", "PREFERENCES"):
+                area.tag_redraw()
+
+
+CLASSES = (CLOAK_OT_train_start, CLOAK_OT_train_cancel, CLOAK_OT_train_resume)

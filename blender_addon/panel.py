@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab "Cloak" in the 3D viewport's sidebar: five steps, from a body to its trained colours."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+
+from . import colors, faces, overlay, steps, training_job
+from .body import active_body
+from .operators.logo import HEAT
+from .properties import settings_of
+
+
+def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
+    """A message over as many lines as the sidebar's width asks for."""
+    scale = context.preferences.system.ui_scale
+    width = max(20, int((context.region.width / scale - 60) / 6.2)) if context.region else 48
+    column = layout.column(align=True)
+    column.scale_y = 0.85
+    for index, line in enumerate(textwrap.wrap(text, width) or [""]):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1")
+
+
+class CloakPanel:
+    """Base of the five steps."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Cloak"
+
+    def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
+        """A column to draw into, greyed out below its reason when there is one."""
+        if reason:
+            wrapped(self.layout, context, reason)
+        column = self.layout.column()
+        column.enabled = not reason
+        column.use_property_split = True
+        column.use_property_decorate = False
+        return column
+
+
+class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
+    """Step 1: the mesh that wears the logo"""
+
+    bl_idname = "CLOAK_PT_body"
+    bl_label = "1. Body"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        reason = steps.body_reason(context)
+        column = self.gate(context, reason)
+        if not reason:
+            obj = active_body(context)
+            column.label(text=obj.name, icon="MESH_DATA")
+            counts = f"{len(obj.data.vertices):,} vertices, {len(obj.data.polygons):,} faces"
+            column.label(text=counts if obj.mode != "EDIT" else "Counts: leave Edit Mode", icon="BLANK1")
+        row = column.row(align=True)
+        row.operator("cloak.subdivide", text="Subdivide")
+        row.prop(settings_of(context), "triangulate", toggle=True)
+        sample = self.layout.column()
+        sample.enabled = not training_job.busy()
+        sample.operator("cloak.add_sample_body", icon="ADD")
+
+
+class CLOAK_UL_logos(bpy.types.UIList):
+    """The mesh's logos: its boolean face attributes"""
+
+    bl_idname = "CLOAK_UL_logos"
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        layout.prop(item, "name", text="", emboss=False, icon="FACESEL")
+
+    def filter_items(self, context, data, property) -> tuple[list[int], list[int]]:
+        return [self.bitflag_filter_item if faces.is_logo(a) else 0 for a in getattr(data, property)], []
+
+
+class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
+    """Step 2: the faces that get trained colours"""
+
+    bl_idname = "CLOAK_PT_logo"
+    bl_label = "2. Logo"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        reason = steps.body_reason(context) and "Choose a body first"
+        column = self.gate(context, reason)
+        settings = settings_of(context)
+        if not reason:
+            self._list(column, active_body(context))
+            self._stats(column, active_body(context), settings)
+        self._stamp(column, settings)
+        heat = column.box().column(align=True)
+        row = heat.row(align=True)
+        row.enabled = not training_job.busy()
+        row.operator("cloak.heatmap", icon="SHADING_RENDERED")
+        if not reason and active_body(context).data.attributes.get(HEAT):
+            heat.prop(settings, "heat_share")
+            heat.operator("cloak.logo_from_heat")
+
+    def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
+        row = column.row()
+        row.template_list("CLOAK_UL_logos", "", obj.data, "attributes", obj.cloak, "logo_index", rows=3)
+        side = row.column(align=True)
+        side.operator("cloak.logo_new", text="", icon="ADD")
+        side.operator("cloak.logo_remove", text="", icon="REMOVE")
+        has_logo = bool(faces.logo_names(obj.data))
+        for names in (("assign", "unassign", "select"), ("mirror", "grow", "shrink"), ("export", "import")):
+            row = column.row(align=True)
+            for name in names:
+                cell = row.row(align=True)
+                cell.enabled = has_logo or name == "import"
+                label = {"export": "Export Face List", "import": "Import"}.get(name)
+                cell.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
+
+    def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object, settings: bpy.types.PropertyGroup) -> None:
+        stats = overlay.active_stats(obj)
+        if stats is not None:
+            lines = column.column(align=True)
+            lines.label(text=f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", icon="FACESEL")
+            lines.label(
+                text=f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}", icon="BLANK1"
+            )
+            if not stats.faces:
+                lines.label(text="Empty: select faces and press Assign", icon="ERROR")
+            if stats.hidden:
+                lines.label(text=f"{stats.hidden:,} faces are hidden (Alt H shows them)", icon="HIDE_ON")
+        column.prop(settings, "tint")
+
+    def _stamp(self, column: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+        box = column.box().column(align=True)
+        box.row(align=True).prop(settings, "stamp_kind", expand=True)
+        if settings.stamp_kind == "TEXT":
+            box.prop(settings, "stamp_text")
+        elif settings.stamp_kind == "IMAGE":
+            box.template_ID(settings, "stamp_image", open="image.open")
+        box.row(align=True).prop(settings, "stamp_from", expand=True)
+        box.prop(settings, "stamp_size")
+        if settings.stamp_from == "FRONT":
+            box.prop(settings, "stamp_center")
+            box.prop(settings, "stamp_offset")
+        row = box.row(align=True)
+        row.operator("cloak.logo_stamp", text="Stamp New Logo").target = "NEW"
+        row.operator("cloak.logo_stamp", text="Add").target = "ADD"
+
+
+class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
+    """Step 3: the poses to train on"""
+
+    bl_idname = "CLOAK_PT_poses"
+    bl_label = "3. Poses"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        no_body = steps.body_reason(context) and "Choose a body first"
+        column = self.gate(context, no_body)
+        settings = settings_of(context)
+        column.prop(settings, "pose_source")
+        if settings.pose_source == "RANGE":
+            pair = column.column(align=True)
+            pair.prop(settings, "frame_start")
+            pair.prop(settings, "frame_end", text="End")
+        if settings.pose_source != "CURRENT":
+            column.prop(settings, "frame_step", text="Step")
+        column.prop(settings, "clothing")
+        if no_body:
+            return
+        reason = steps.poses_reason(context)
+        if reason:
+            wrapped(column, context, reason, icon="ERROR")
+        else:
+            wrapped(column, context, steps.export_summary(context), icon="EXPORT")
+
+
+class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
+    """Step 4: train the logo's colours against a detector"""
+
+    bl_idname = "CLOAK_PT_train"
+    bl_label = "4. Train"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        settings = settings_of(context)
+        reason, running = steps.train_reason(context), bool(training_job.busy())
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.enabled = not steps.logo_reason(context) and not running
+        self._detector(column, settings)
+        column.prop(settings, "backgrounds")
+        column.prop(settings, "preset")
+        angles = column.column(align=True)
+        angles.prop(settings, "angle_first", text="Angles From")
+        angles.prop(settings, "angle_last", text="To")
+        angles.prop(settings, "angle_step", text="Step")
+        column.prop(settings, "steps")
+        column.prop(settings, "device")
+        column.prop(settings, "output")
+        live = column.row(align=True, heading="Live Colours")
+        live.prop(settings, "live", text="")
+        live.prop(settings, "live_seconds", text="Seconds")
+        if reason and not running:
+            wrapped(self.layout, context, reason)
+        row = self.layout.row(align=True)
+        start = row.row(align=True)
+        start.enabled = not reason
+        start.operator("cloak.train_start", icon="PLAY")
+        resume = row.row(align=True)
+        resume.enabled = not steps.resume_reason(context)
+        resume.operator("cloak.train_resume", icon="FILE_REFRESH")
+        self._progress(context)
+
+    def _detector(self, column: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
+        column.prop(settings, "detector")
+        for name in {
+            "DARKNET": ("darknet_cfg", "darknet_weights"),
+            "TORCHVISION": ("torchvision_name", "torchvision_checkpoint"),
+            "PYTHON": ("python_file", "python_function"),
+        }.get(settings.detector, ()):
+            column.prop(settings, name)
+
+    def _progress(self, context: bpy.types.Context) -> None:
+        job = training_job.current
+        if job is None:
+            return
+        if job.running:
+            row = self.layout.row(align=True)
+            row.progress(factor=job.fraction, text=job.describe())
+            row.operator("cloak.train_cancel", text="", icon="X")
+        elif job.message:
+            wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
+
+
+class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
+    """Step 5: the trained colours on the model"""
+
+    bl_idname = "CLOAK_PT_result"
+    bl_label = "5. Result"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        if not steps.body_reason(context):
+            folder = self.layout.column()
+            folder.use_property_split, folder.use_property_decorate = True, False
+            folder.prop(active_body(context).cloak, "run")
+        reason = steps.result_reason(context)
+        column = self.gate(context, reason)
+        dressed = not reason and colors.is_dressed(active_body(context))
+        column.operator("cloak.result_load", icon="IMPORT")
+        column.operator(
+            "cloak.result_toggle", text="Show Original" if dressed else "Show Cloak", icon="HIDE_OFF", depress=dressed
+        )
+        warning = colors.view_transform_reason(context.scene)
+        if warning and not reason:
+            box = self.layout.box()
+            wrapped(box, context, warning, icon="ERROR")
+            box.operator("cloak.use_standard_view")
+        row = column.row(align=True)
+        row.operator("cloak.open_report", icon="URL")
+        check = row.row(align=True)
+        check.enabled = dressed and not training_job.busy()
+        check.operator("cloak.render_check", icon="RENDER_STILL")
+        if not reason and active_body(context).cloak.verdict:
+            wrapped(self.layout, context, active_body(context).cloak.verdict, icon="RENDER_RESULT")
+
+
+CLASSES = (CLOAK_UL_logos, CLOAK_PT_body, CLOAK_PT_logo, CLOAK_PT_poses, CLOAK_PT_train, CLOAK_PT_result)

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which poses are exported: the current one, a frame range, or every action that moves the body.
+
+Stepping through poses changes the scene's frame, actions and unkeyed pose; `visit` puts all of it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+
+from .exchange import InputError
+
+MAX_POSES = 1000
+
+
+@dataclass(frozen=True)
+class PoseChoice:
+    """What the user asked for; `start`, `end` and `step` are frames (ACTIONS uses `step` alone)."""
+
+    source: str = "CURRENT"
+    start: int = 1
+    end: int = 1
+    step: int = 1
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One pose to export: a frame, with an action put on `owner` where one is given."""
+
+    name: str
+    frame: int | None = None
+    owner: bpy.types.ID | None = None
+    action: bpy.types.Action | None = None
+
+
+def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
+    """The poses a choice stands for; raises `InputError` when there are none or far too many."""
+    if choice.source == "CURRENT":
+        return [Pose("current pose")]
+    if choice.step < 1:
+        raise InputError(f"Frame step {choice.step}: it must be at least 1")
+    if choice.source == "RANGE":
+        if choice.end < choice.start:
+            raise InputError(f"Frames {choice.start} to {choice.end}: the end lies before the start")
+        poses = [Pose(f"frame {f}", f) for f in range(choice.start, choice.end + 1, choice.step)]
+    else:
+        poses = _action_poses(obj, choice.step)
+    if len(poses) > MAX_POSES:
+        raise InputError(f"{len(poses)} poses are more than {MAX_POSES}: raise the frame step")
+    return poses
+
+
+def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The armature that deforms or carries the object."""
+    found = obj.find_armature()
+    if found is None and obj.parent is not None and obj.parent.type == "ARMATURE":
+        found = obj.parent
+    return found
+
+
+def _owners(obj: bpy.types.Object) -> list[bpy.types.ID]:
+    """Whatever an action may move: the armature (or, without one, the object) and the shape keys."""
+    owners: list[bpy.types.ID] = [armature_of(obj) or obj]
+    if obj.data.shape_keys is not None:
+        owners.append(obj.data.shape_keys)
+    return owners
+
+
+def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
+    poses = []
+    for action in bpy.data.actions:
+        owner = next((o for o in _owners(obj) if _fits(action, o)), None)
+        if owner is None:
+            continue
+        first, last = (round(frame) for frame in action.frame_range)
+        for frame in range(first, last + 1, step):
+            poses.append(Pose(f"{action.name} {frame}", frame, owner, action))
+    if not poses:
+        raise InputError(f"No action moves '{obj.name}': choose Current Pose or Frame Range, or add an action")
+    return poses
+
+
+def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:
+    return any(_path_fits(curve.data_path, owner) for curve in _curves(action, owner))
+
+
+def _path_fits(path: str, owner: bpy.types.ID) -> bool:
+    try:
+        owner.path_resolve(path)
+    except ValueError:
+        return False
+    return True
+
+
+def _slot(action: bpy.types.Action, owner: bpy.types.ID) -> object | None:
+    """The action's slot for this kind of owner (actions have slots from Blender 4.4)."""
+    return next((s for s in action.slots if s.target_id_type in (owner.id_type, "UNSPECIFIED")), None)
+
+
+def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    if bpy.app.version < (4, 4, 0):
+        return list(action.fcurves) if action.id_root in (owner.id_type, "UNSPECIFIED") else []
+    slot = _slot(action, owner)
+    if slot is None:
+        return []
+    bags = (strip.channelbag(slot) for layer in action.layers for strip in layer.strips)
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
+# --- stepping through them -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def visit(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[object]:
+    """Yields `go(pose)`, which puts the body into a pose; frame, actions and unkeyed poses return at the end."""
+    scene = context.scene
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    armature = armature_of(obj)
+    bones = {bone.name: bone.matrix_basis.copy() for bone in armature.pose.bones} if armature else {}
+    keys = obj.data.shape_keys
+    values = {key.name: key.value for key in keys.key_blocks} if keys else {}
+    saved = [(owner, *_animation_state(owner)) for owner in _owners(obj)]
+    moved = False
+
+    def go(pose: Pose) -> None:
+        nonlocal moved
+        if pose.action is not None:
+            _animate(pose.owner, pose.action)
+        if pose.frame is not None:
+            moved = True
+            scene.frame_set(pose.frame)
+        else:
+            context.view_layer.update()
+
+    try:
+        yield go
+    finally:
+        if moved:
+            for owner, had_data, action, slot, use_nla in saved:
+                _restore_animation(owner, had_data, action, slot, use_nla)
+            scene.frame_set(frame, subframe=subframe)
+            for name, matrix in bones.items():
+                armature.pose.bones[name].matrix_basis = matrix
+            for name, value in values.items():
+                keys.key_blocks[name].value = value
+            context.view_layer.update()
+
+
+def _animation_state(owner: bpy.types.ID) -> tuple[bool, object, object, bool]:
+    data = owner.animation_data
+    if data is None:
+        return False, None, None, True
+    return True, data.action, getattr(data, "action_slot", None), data.use_nla
+
+
+def _animate(owner: bpy.types.ID, action: bpy.types.Action) -> None:
+    data = owner.animation_data or owner.animation_data_create()
+    data.use_nla = False
+    if data.action != action:
+        data.action = action
+    if hasattr(data, "action_slot"):
+        data.action_slot = _slot(action, owner)
+
+
+def _restore_animation(owner: bpy.types.ID, had_data: bool, action: object, slot: object, use_nla: bool) -> None:
+    data = owner.animation_data
+    if data is None:
+        return
+    if not had_data:
+        owner.animation_data_clear()
+        return
+    data.use_nla = use_nla
+    if data.action != action:
+        data.action = action
+    if action is not None and slot is not None:
+        data.action_slot = slot

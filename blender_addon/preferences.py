@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Preferences: the Python that has `cloak_core`; found, tested, or installed with a line to copy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import StringProperty
+
+from . import training_job
+from .exchange import InputError
+from .operators.base import CloakOperator
+from .trainer import INSTALL_LINE, about_command, find_python, parse_about
+from .training_job import Job, launch, require_idle
+
+
+def preferences() -> CloakPreferences | None:
+    """The add-on's preferences; None where it runs without being installed."""
+    addon = bpy.context.preferences.addons.get(__package__)
+    return addon.preferences if addon else None
+
+
+def user_folder(name: str) -> Path:
+    """A folder of the add-on's own, made if need be; the only place it writes to unasked."""
+    if __package__.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(__package__, path=name, create=True))
+    return Path(bpy.utils.user_resource("DATAFILES", path=f"cloak/{name}", create=True))
+
+
+def trainer_python() -> str:
+    """The Python to train with; remembered once found. Raises `InputError` with what to do."""
+    kept = preferences()
+    python = find_python(kept.python if kept else "")
+    if kept and not kept.python:
+        kept.python = python
+    return python
+
+
+class CloakPreferences(bpy.types.AddonPreferences):
+    """Which trainer to use."""
+
+    bl_idname = __package__
+
+    python: StringProperty(
+        name="Trainer's Python",
+        description="Python executable that has cloak_core installed; empty to look for one",
+        subtype="FILE_PATH",
+    )
+    answer: StringProperty(
+        name="Answer", description="What the trainer said when it was last tested", options={"SKIP_SAVE"}
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        row = layout.row(align=True)
+        row.prop(self, "python")
+        row.operator(CLOAK_OT_find_python.bl_idname, text="", icon="VIEWZOOM")
+        row.operator(CLOAK_OT_test_python.bl_idname, text="Test")
+        if self.answer:
+            layout.label(text=self.answer, icon="INFO")
+        box = layout.box()
+        box.label(text="To install the trainer, run this in the folder of Cloak's sources:")
+        row = box.row(align=True)
+        row.label(text=INSTALL_LINE)
+        row.operator(CLOAK_OT_copy_install_line.bl_idname, text="", icon="COPYDOWN")
+
+
+class CLOAK_OT_find_python(CloakOperator):
+    """Look for a Python that has cloak_core"""
+
+    bl_idname = "cloak.find_python"
+    bl_label = "Find Python"
+
+    def run(self, context: bpy.types.Context) -> str:
+        kept = preferences()
+        python = find_python()
+        if kept:
+            kept.python = python
+        return f"Trainer's Python: {python}"
+
+
+class CLOAK_OT_test_python(CloakOperator):
+    """Start the trainer and show its version and device"""
+
+    bl_idname = "cloak.test_python"
+    bl_label = "Test Trainer"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        python = trainer_python()
+        kept = preferences()
+        if kept:
+            kept.answer = "Starting the trainer..."
+        job = Job("Test", [about_command(python)], user_folder("test"), "test", lambda job: _show_answer(job, python))
+        launch(job)
+        return "Testing the trainer: the answer appears in the preferences"
+
+
+def _show_answer(job: Job, python: str) -> None:
+    try:
+        stderr = training_job.last_words(job.log)
+        facts = parse_about(python, 0 if job.state == "done" else 1, "".join(job.outputs), stderr)
+        job.message = f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
+    except InputError as error:
+        job.message = str(error)
+    kept = preferences()
+    if kept:
+        kept.answer = job.message
+
+
+class CLOAK_OT_copy_install_line(CloakOperator):
+    """Copy the line that installs the trainer to the clipboard"""
+
+    bl_idname = "cloak.copy_install_line"
+    bl_label = "Copy Installation Line"
+
+    def run(self, context: bpy.types.Context) -> str:
+        context.window_manager.clipboard = INSTALL_LINE
+        return "Copied: paste it into a terminal in the folder of Cloak's sources"
+
+
+CLASSES = (CloakPreferences, CLOAK_OT_find_python, CLOAK_OT_test_python, CLOAK_OT_copy_install_line)

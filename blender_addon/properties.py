@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panel lets the user set: on the scene (how to export and train) and on the object (its logo, its run)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from .exchange import InputError
+from .faces import is_logo, logo_names
+from .poses import PoseChoice
+from .preferences import user_folder
+from .trainer import TrainRequest
+
+
+def _logo_index(self: CloakObject) -> int:
+    names = [attribute.name for attribute in self.id_data.data.attributes]
+    if self.logo not in names:
+        first = logo_names(self.id_data.data)
+        return names.index(first[0]) if first else -1
+    return names.index(self.logo)
+
+
+def _set_logo_index(self: CloakObject, index: int) -> None:
+    attributes = self.id_data.data.attributes
+    if 0 <= index < len(attributes) and is_logo(attributes[index]):
+        self.logo = attributes[index].name
+
+
+class CloakObject(bpy.types.PropertyGroup):
+    """What Cloak keeps on an object."""
+
+    logo: StringProperty(name="Logo", description="Name of the active logo of this object")
+    logo_index: IntProperty(
+        name="Active Logo",
+        description="Position of the active logo among the mesh's attributes",
+        get=_logo_index,
+        set=_set_logo_index,
+    )
+    run: StringProperty(
+        name="Run Folder",
+        description="Folder of the training whose colours this object wears, or will wear",
+        subtype="DIR_PATH",
+    )
+    verdict: StringProperty(name="Render Check", description="What the detector said about the Cycles renders")
+
+
+class CloakSettings(bpy.types.PropertyGroup):
+    """What Cloak keeps on a scene."""
+
+    triangulate: BoolProperty(
+        name="Triangulate",
+        description="Also split every face into triangles, so that each triangle gets its own colour as in the paper",
+        default=True,
+    )
+    tint: BoolProperty(name="Tint", description="Tint the active logo's faces in the viewport", default=True)
+
+    stamp_kind: EnumProperty(
+        name="Stamp",
+        description="What to project onto the body",
+        items=[
+            ("TEXT", "Text", "A letter or a word in Blender's font"),
+            ("IMAGE", "Image", "The dark, opaque pixels of an image"),
+            ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
+        ],
+    )
+    stamp_text: StringProperty(name="Text", description="Text to stamp", default="G")
+    stamp_image: PointerProperty(
+        name="Image", description="Image whose dark, opaque pixels are stamped", type=bpy.types.Image
+    )
+    stamp_from: EnumProperty(
+        name="From",
+        description="Where the stamp is projected from",
+        items=[
+            ("FRONT", "Front", "Straight onto the body's front, placed by Size, Height and Offset"),
+            ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
+        ],
+    )
+    stamp_size: FloatProperty(
+        name="Size",
+        description="Height of the stamp as a share of the body's height (or of the viewport's)",
+        default=0.2,
+        min=0.01,
+        max=1.0,
+        subtype="FACTOR",
+    )
+    stamp_center: FloatProperty(
+        name="Height",
+        description="Middle of the stamp above the ground, as a share of the body's height",
+        default=0.72,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+    stamp_offset: FloatProperty(
+        name="Offset",
+        description="Middle of the stamp to the right of the body's middle, as a share of the body's height",
+        default=0.0,
+        min=-0.5,
+        max=0.5,
+        subtype="FACTOR",
+    )
+    heat_share: FloatProperty(
+        name="Share",
+        description="Share of the body's area that New from Heatmap takes, most sensitive faces first",
+        default=0.2,
+        min=0.001,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
+    pose_source: EnumProperty(
+        name="Poses",
+        description="Which poses to train on",
+        items=[
+            ("CURRENT", "Current Pose", "The body as it stands now"),
+            ("RANGE", "Frame Range", "Every so many frames of the animation"),
+            ("ACTIONS", "All Actions", "Every so many frames of each action that moves the body"),
+        ],
+    )
+    frame_start: IntProperty(name="Start", description="First frame to export", default=1)
+    frame_end: IntProperty(name="End", description="Last frame to export", default=12)
+    frame_step: IntProperty(name="Step", description="Frames from one exported pose to the next", default=1, min=1)
+    clothing: BoolProperty(
+        name="Include Clothing",
+        description="Export visible meshes parented to the body, or moved by its armature, as clothing",
+    )
+
+    detector: EnumProperty(
+        name="Detector",
+        description="The person detector to hide from",
+        items=[
+            ("BUILTIN", "Built-in", "The small YOLOv2-family detector that comes with Cloak"),
+            ("DARKNET", "Darknet Files", "A YOLO network from its .cfg and .weights files"),
+            ("TORCHVISION", "Torchvision", "A torchvision detector by name, with its checkpoint"),
+            ("PYTHON", "Python Module", "A function in a Python file that makes a detector"),
+        ],
+    )
+    darknet_cfg: StringProperty(name="Config", description="Darknet .cfg file", subtype="FILE_PATH")
+    darknet_weights: StringProperty(name="Weights", description="Darknet .weights file", subtype="FILE_PATH")
+    torchvision_name: StringProperty(
+        name="Model", description="Name of a torchvision detector", default="fasterrcnn_mobilenet_v3_large_fpn"
+    )
+    torchvision_checkpoint: StringProperty(
+        name="Checkpoint", description="File with the model's weights", subtype="FILE_PATH"
+    )
+    python_file: StringProperty(
+        name="File", description="Python file that makes the detector (it will be run)", subtype="FILE_PATH"
+    )
+    python_function: StringProperty(
+        name="Function", description="Function in that file that returns the detector", default="load"
+    )
+    backgrounds: StringProperty(
+        name="Backgrounds",
+        description="Folder of photographs without people; empty for procedural scenes",
+        subtype="DIR_PATH",
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="Which settings to train with",
+        items=[
+            ("best", "Best", "What works best"),
+            ("paper", "Paper", "The settings of the paper"),
+            ("reference", "Reference", "The settings of the paper's published code"),
+        ],
+    )
+    angle_first: IntProperty(
+        name="From",
+        description="First azimuth to train at, in degrees; 0 looks at the front",
+        default=-10,
+        min=-180,
+        max=180,
+    )
+    angle_last: IntProperty(
+        name="To", description="Last azimuth to train at, in degrees", default=10, min=-180, max=180
+    )
+    angle_step: IntProperty(
+        name="Step", description="Degrees from one training azimuth to the next", default=5, min=1, max=360
+    )
+    steps: IntProperty(name="Steps", description="Updates of the colours", default=1000, min=1, max=10_000_000)
+    device: EnumProperty(
+        name="Device",
+        description="What to train on",
+        items=[("cpu", "CPU", "The processor"), ("cuda", "GPU", "An NVIDIA graphics card (CUDA)")],
+    )
+    output: StringProperty(
+        name="Output",
+        description="Folder that run folders are made in; empty for the add-on's own folder",
+        subtype="DIR_PATH",
+    )
+    live: BoolProperty(
+        name="Live Colours", description="Show the colours on the model while they are being trained", default=True
+    )
+    live_seconds: FloatProperty(
+        name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
+    )
+
+
+def settings_of(context: bpy.types.Context) -> CloakSettings:
+    """The scene's settings."""
+    return context.scene.cloak
+
+
+def pose_choice(settings: CloakSettings) -> PoseChoice:
+    """Which poses the settings ask for."""
+    return PoseChoice(settings.pose_source, settings.frame_start, settings.frame_end, settings.frame_step)
+
+
+def train_request(settings: CloakSettings) -> TrainRequest:
+    """Options for the trainer; raises `InputError` naming the field that is missing."""
+    if settings.angle_last < settings.angle_first:
+        raise InputError(f"Angles {settings.angle_first} to {settings.angle_last}: the last lies before the first")
+    backgrounds = absolute(settings.backgrounds)
+    if backgrounds and not Path(backgrounds).is_dir():
+        raise InputError(f"Backgrounds folder {backgrounds} does not exist")
+    return TrainRequest(
+        detector=detector_spec(settings),
+        backgrounds=backgrounds,
+        angles=f"{settings.angle_first}:{settings.angle_last}:{settings.angle_step}",
+        preset=settings.preset,
+        steps=settings.steps,
+        device=settings.device,
+    )
+
+
+def detector_spec(settings: CloakSettings) -> str:
+    """The detector as the trainer's command line names it."""
+    if settings.detector == "DARKNET":
+        return f"darknet:{_file(settings.darknet_cfg, 'Config')}:{_file(settings.darknet_weights, 'Weights')}"
+    if settings.detector == "TORCHVISION":
+        if not settings.torchvision_name.strip():
+            raise InputError("Detector > Model is empty: name a torchvision detector")
+        checkpoint = settings.torchvision_checkpoint
+        name = settings.torchvision_name.strip()
+        return f"torchvision:{name}:{_file(checkpoint, 'Checkpoint')}" if checkpoint else f"torchvision:{name}"
+    if settings.detector == "PYTHON":
+        if not settings.python_function.strip():
+            raise InputError("Detector > Function is empty: name the function that makes the detector")
+        return f"python:{_file(settings.python_file, 'File')}:{settings.python_function.strip()}"
+    return "builtin"
+
+
+def _file(path: str, label: str) -> str:
+    if not path:
+        raise InputError(f"Detector > {label} is empty: choose a file")
+    found = absolute(path)
+    if not Path(found).is_file():
+        raise InputError(f"Detector > {label}: {found} does not exist")
+    return found
+
+
+def absolute(path: str) -> str:
+    """A path as the user typed it ("//" means beside the .blend file) as an absolute one; "" stays ""."""
+    return str(Path(bpy.path.abspath(path)).absolute()) if path else ""
+
+
+def output_folder(settings: CloakSettings) -> Path:
+    """Where runs go: the folder the user chose, or `runs` in the add-on's own folder."""
+    if not settings.output:
+        return user_folder("runs")
+    if settings.output.startswith("//") and not bpy.data.filepath:
+        raise InputError("Output lies beside the .blend file: save that first, or choose another folder")
+    return Path(absolute(settings.output))
+
+
+CLASSES = (CloakObject, CloakSettings)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.cloak = PointerProperty(type=CloakObject)
+    bpy.types.Scene.cloak = PointerProperty(type=CloakSettings)
+
+
+def unregister() -> None:
+    del bpy.types.Scene.cloak
+    del bpy.types.Object.cloak
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Does the cloak survive a path tracer? Cycles renders the body from the training cameras, and the detector judges.
+
+The rendering is done by a second Blender on a copy of the file (`train.py -- render-check PLAN`), so that the first one
+stays usable. Camera and light are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60
+degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and above.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from . import colors
+from .exchange import InputError, read_json, write_json
+from .scene_export import clothing_of
+
+THRESHOLD = 0.6
+"""A person counts as detected at this score."""
+DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
+LIGHT_POSITION = (0.0, -100.0, 85.0)
+AMBIENT, DIFFUSE = 0.5, 0.3
+SAMPLES = 32
+IMAGES = (".jpg", ".jpeg", ".png", ".webp")
+BLEND, PLAN = "check.blend", "plan.json"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to render: an object from several azimuths (degrees), over photographs of a folder ("" for plain grey)."""
+
+    object: str
+    folder: Path
+    angles: tuple[int, ...]
+    backgrounds: str = ""
+
+
+def angles_of(first: int, last: int, step: int) -> tuple[int, ...]:
+    """The training azimuths."""
+    return tuple(range(first, last + 1, step))
+
+
+def new_folder_in(parent: Path) -> Path:
+    """A folder `render check N` that did not exist."""
+    number = 1
+    while (folder := parent / f"render check {number}").exists():
+        number += 1
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def image_paths(plan: Plan) -> list[Path]:
+    """The images a plan makes: with the cloak at every angle, then without."""
+    return [plan.folder / f"{kind} {angle:+d}.png" for kind in ("cloak", "own") for angle in plan.angles]
+
+
+def prepare(plan: Plan) -> list[str]:
+    """Save a copy of the file and the plan; returns the command that renders them."""
+    blend = plan.folder / BLEND
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
+    record = asdict(plan) | {"folder": str(plan.folder), "angles": list(plan.angles)}
+    write_json(plan.folder / PLAN, record)
+    script = str(Path(__file__).with_name("train.py"))
+    arguments = ["--", "render-check", str(plan.folder / PLAN)]
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "-b", str(blend), "--python-exit-code", "1", "-P", script, *arguments]
+    return [sys.executable, script, *arguments]
+
+
+def run_plan(path: Path) -> None:
+    """What the second Blender does."""
+    record = read_json(path)
+    plan = Plan(record["object"], Path(record["folder"]), tuple(record["angles"]), record["backgrounds"])
+    bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
+    obj = bpy.data.objects[plan.object]
+    photographs = _photographs(plan.backgrounds)
+    paths = image_paths(plan)
+    for worn, batch in ((True, paths[: len(plan.angles)]), (False, paths[len(plan.angles) :])):
+        if not worn:
+            colors.undress(obj)
+        for number, (angle, image) in enumerate(zip(plan.angles, batch, strict=True)):
+            render_view(obj, image, angle)
+            _composite(image, photographs[number % len(photographs)] if photographs else None)
+
+
+def verdict(plan: Plan, answers: list[str]) -> str:
+    """One line from what the detector said about the images of `image_paths`."""
+    try:
+        scores = [float(json.loads(text)["max_person"]) for text in answers]
+    except (ValueError, KeyError, TypeError):
+        raise InputError("Render check: the detector's answer is not understood; see check.log") from None
+    count = len(plan.angles)
+    found = [sum(score >= THRESHOLD for score in half) for half in (scores[:count], scores[count:])]
+    return (
+        f"Cycles: person detected in {found[0]} of {count} renders with the cloak "
+        f"(highest score {max(scores[:count]):.2f}), in {found[1]} without"
+    )
+
+
+# --- rendering -------------------------------------------------------------------------------------------------------
+
+
+def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = SIZE, samples: int = SAMPLES) -> None:
+    """Render the body with transparent surroundings from one training camera into a PNG, in display colours."""
+    scene = bpy.data.scenes.new("cloak render")
+    camera = bpy.data.cameras.new("cloak render")
+    sun = bpy.data.lights.new("cloak render", "SUN")
+    world = bpy.data.worlds.new("cloak render")
+    holders = [bpy.data.objects.new("cloak camera", camera), bpy.data.objects.new("cloak sun", sun)]
+    try:
+        for thing in (obj, *clothing_of(obj), *holders):
+            scene.collection.objects.link(thing)
+        _set_up(scene, size, samples)
+        _light(scene, holders[1], world)
+        scene.frame_set(bpy.context.scene.frame_current)
+        metre = 1 / bpy.context.scene.unit_settings.scale_length
+        _aim(scene, holders[0], _middle(scene, obj), azimuth, DISTANCE * metre)
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    finally:
+        for holder in holders:
+            bpy.data.objects.remove(holder)
+        bpy.data.scenes.remove(scene)
+        bpy.data.cameras.remove(camera)
+        bpy.data.lights.remove(sun)
+        bpy.data.worlds.remove(world)
+    if not path.exists():
+        raise InputError(f"{path}: the render was not written")
+
+
+def _set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
+    render = scene.render
+    render.engine = "CYCLES"
+    render.resolution_x = render.resolution_y = size
+    render.resolution_percentage = 100
+    render.film_transparent = True
+    render.image_settings.file_format = "PNG"
+    render.image_settings.color_mode = "RGBA"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_denoising = False
+    scene.cycles.seed = 0
+    colors.use_standard_view(scene)
+
+
+def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World) -> None:
+    """A uniform surround of radiance 0.5 and a sun whose irradiance makes a white diffuse face reflect 0.3."""
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    background = next(n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    background.inputs["Strength"].default_value = AMBIENT
+    scene.world = world
+    sun.data.energy = DIFFUSE * math.pi
+    sun.rotation_euler = Vector(LIGHT_POSITION).to_track_quat("Z", "Y").to_euler()
+
+
+def _middle(scene: bpy.types.Scene, obj: bpy.types.Object) -> Vector:
+    graph = scene.view_layers[0].depsgraph
+    evaluated = obj.evaluated_get(graph)
+    mesh = evaluated.to_mesh()
+    try:
+        points = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.vertices.foreach_get("co", points)
+    finally:
+        evaluated.to_mesh_clear()
+    matrix = np.array(evaluated.matrix_world)
+    world = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    return Vector((world.min(0) + world.max(0)) / 2)
+
+
+def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimuth: float, distance: float) -> None:
+    elevation, turn = math.radians(ELEVATION), math.radians(azimuth)
+    away = Vector((math.cos(elevation) * math.sin(turn), -math.cos(elevation) * math.cos(turn), math.sin(elevation)))
+    camera.location = pivot + away * distance
+    camera.rotation_euler = away.to_track_quat("Z", "Y").to_euler()
+    camera.data.sensor_fit = "VERTICAL"
+    camera.data.angle = math.radians(FIELD_OF_VIEW)
+    camera.data.clip_start, camera.data.clip_end = distance / 100, distance * 100
+    scene.camera = camera
+
+
+# --- backgrounds -----------------------------------------------------------------------------------------------------
+
+
+def _photographs(folder: str) -> list[Path]:
+    return sorted(p for p in Path(folder).iterdir() if p.suffix.lower() in IMAGES) if folder else []
+
+
+def _composite(path: Path, photograph: Path | None) -> None:
+    """Put the body in `path` (RGBA) in front of a photograph, or of mid-grey; in display colours, as training does."""
+    body = _read_pixels(path)
+    height, width = body.shape[:2]
+    behind = np.full((height, width, 3), colors.GREY, np.float32)
+    if photograph is not None:
+        behind = _read_pixels(photograph, cover=(width, height))[..., :3]
+    alpha = body[..., 3:]
+    mixed = np.ones_like(body)
+    mixed[..., :3] = body[..., :3] * alpha + behind * (1 - alpha)
+    image = bpy.data.images.new("cloak render", width, height, alpha=False)
+    try:
+        image.pixels.foreach_set(mixed.ravel())
+        image.filepath_raw, image.file_format = str(path), "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
+
+
+def _read_pixels(path: Path, cover: tuple[int, int] | None = None) -> np.ndarray:
+    """[H, W, 4] as stored (display colours, straight alpha), bottom row first; scaled and cropped to `cover`."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        if cover:
+            scale = max(cover[0] / image.size[0], cover[1] / image.size[1])
+            image.scale(math.ceil(image.size[0] * scale), math.ceil(image.size[1] * scale))
+        width, height = image.size
+        pixels = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        pixels = pixels.reshape(height, width, 4)
+        if cover:
+            x, y = (width - cover[0]) // 2, (height - cover[1]) // 2
+            pixels = pixels[y : y + cover[1], x : x + cover[0]]
+        return pixels
+    finally:
+        bpy.data.images.remove(image)

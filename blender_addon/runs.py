@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Run folders: where a training's input and output lie, and how its colours come back onto the model.
+
+A run RUN has its input beside it, in RUN.input: the export (scene, face list, record), the command and the log. So a
+run can be resumed after Blender was closed, and its colours are checked against the mesh they were made for.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from . import colors
+from .body import require_body, topology
+from .exchange import InputError, read_colors, read_face_list, read_json, write_json
+from .scene_export import RECORD, read_export
+
+COMMAND = "command.json"
+
+
+def input_folder(run: Path) -> Path:
+    """Where a run's input lies."""
+    return run.with_name(run.name + ".input")
+
+
+def new_run(output: Path, obj: str, logo: str) -> Path:
+    """A run folder in `output` that does not exist yet, named after object and logo."""
+    name = re.sub(r'[\\/:*?"<>|\x00-\x1f]+', "_", f"{obj} {logo}").strip(" .") or "run"
+    number = 1
+    while True:
+        run = output / (name if number == 1 else f"{name} {number}")
+        if not run.exists() and not input_folder(run).exists():
+            return run
+        number += 1
+
+
+def remember_options(run: Path, options: list[str]) -> None:
+    """Keep the options a run was started with, for Resume."""
+    write_json(input_folder(run) / COMMAND, {"options": options})
+
+
+def remembered_options(run: Path) -> list[str]:
+    """The options a run was started with."""
+    options = read_json(input_folder(run) / COMMAND).get("options")
+    if not isinstance(options, list) or not all(isinstance(word, str) for word in options):
+        raise InputError(f"{input_folder(run) / COMMAND}: not the options of a run")
+    return options
+
+
+@dataclass(frozen=True)
+class RunColors:
+    """What a run gives back: face ids [L], colours [L, 3] sRGB, and the hash of the body's topology."""
+
+    face_ids: np.ndarray
+    colors: np.ndarray
+    topology: str
+
+
+def read_run(run: Path) -> RunColors:
+    """Colours of a run folder, made here or by the command line on an exported scene."""
+    if not run.is_dir():
+        raise InputError(f"{run}: no such run folder")
+    face_list = read_face_list(run / "logo.npy")
+    if not (run / "colors.npy").exists():
+        raise InputError(f"{run}: no colours yet; wait for the first step")
+    values = read_colors(run / "colors.npy", count=len(face_list.ids))
+    expected = face_list.topology
+    if (input_folder(run) / RECORD).exists():
+        expected = read_export(input_folder(run)).topology
+    if expected is None:
+        raise InputError(f"{run / 'logo.json'}: names no topology, so the colours cannot be matched to a mesh")
+    return RunColors(face_list.ids, values, expected)
+
+
+def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
+    """Raise `InputError` when the object's faces are not those that were exported."""
+    now = topology(obj)
+    if now != expected:
+        raise InputError(
+            f"'{obj.name}' changed since export: its faces are {now[:12]}..., the colours are for {expected[:12]}...; "
+            "undo the change, or export and train again"
+        )
+
+
+def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> RunColors:
+    """Bring a run's colours onto the object as colour attribute and material; all or nothing."""
+    require_body(obj)
+    if obj.mode == "EDIT":
+        raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
+    result = read_run(run)
+    require_same_topology(obj, result.topology)
+    if len(result.face_ids) and result.face_ids[-1] >= len(obj.data.polygons):
+        raise InputError(f"{run}: face {result.face_ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
+    colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, result.face_ids, result.colors))
+    colors.dress(obj, result.face_ids)
+    colors.show_attribute(context, obj, colors.CLOAK)
+    return result
+
+
+class LiveColors:
+    """Shows a growing run's colours on its object: the first update prepares, the others only write."""
+
+    def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str) -> None:
+        self._run, self._topology, self._uid = run, body_topology, obj.session_uid
+        self._seen = 0
+        self._base: np.ndarray | None = None
+        self._ids = np.empty(0, np.int64)
+
+    @property
+    def object(self) -> bpy.types.Object | None:
+        """The object, found by its identity: it may have been renamed."""
+        return next((o for o in bpy.data.objects if o.session_uid == self._uid), None)
+
+    def update(self, context: bpy.types.Context) -> bool:
+        """Write new colours if there are any; False when there is nothing new or the object cannot take them now.
+
+        Raises `InputError` when the object changed since export.
+        """
+        obj, path = self.object, self._run / "colors.npy"
+        if obj is None or obj.mode == "EDIT" or not path.exists():
+            return False
+        stamp = path.stat().st_mtime_ns
+        if stamp == self._seen:
+            return False
+        require_same_topology(obj, self._topology)
+        if self._base is None:
+            self._base = colors.own_face_colors(obj)
+            self._ids = read_face_list(self._run / "logo.npy").ids
+            colors.dress(obj, self._ids)
+            shown = True
+        else:
+            shown = False
+        values = read_colors(path, count=len(self._ids))
+        self._base[self._ids] = values
+        colors.write_face_colors(obj, colors.CLOAK, self._base)
+        if shown:
+            colors.show_attribute(context, obj, colors.CLOAK)
+        self._seen = stamp
+        return True

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a Blender scene to the trainer's files: a scene package and a face list.
+
+The body's polygons come first and keep their indices, so a logo's face ids mean the same on both sides; clothing
+follows them. Polygons are triangulated once, in the first pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from . import colors
+from .body import polygon_loops, require_body, require_upright, scene_axes, topology
+from .exchange import Bodies, InputError, new_folder, read_json, write_face_list, write_json, write_scene
+from .faces import require_logo
+from .poses import PoseChoice, armature_of, list_poses, visit
+
+RECORD = "export.json"
+DEFORMS_ONLY = {
+    "ARMATURE", "CAST", "CLOTH", "COLLISION", "CORRECTIVE_SMOOTH", "CURVE", "DATA_TRANSFER", "DISPLACE", "HOOK",
+    "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE", "MESH_CACHE", "MESH_DEFORM", "NORMAL_EDIT", "SHRINKWRAP",
+    "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY", "SURFACE", "SURFACE_DEFORM", "UV_PROJECT", "UV_WARP", "VERTEX_WEIGHT_EDIT",
+    "VERTEX_WEIGHT_MIX", "VERTEX_WEIGHT_PROXIMITY", "VOLUME_DISPLACE", "WARP", "WAVE", "WEIGHTED_NORMAL",
+}  # fmt: skip
+"""Modifier types that never change the number or order of faces."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One evaluated object in one pose, in scene axes and metres."""
+
+    vertices: np.ndarray
+    loop_total: np.ndarray
+    loop_vertices: np.ndarray
+    triangles: np.ndarray | None = None
+    triangle_face: np.ndarray | None = None
+
+
+def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Visible meshes worn by the body: its children, and what shares its armature."""
+    armature = armature_of(obj)
+    candidates = list(obj.children_recursive)
+    if armature is not None:
+        candidates += [o for o in bpy.context.view_layer.objects if o.type == "MESH" and armature_of(o) == armature]
+    worn = {o for o in candidates if o.type == "MESH" and o != obj and o.visible_get() and len(o.data.polygons)}
+    return sorted(worn, key=lambda o: o.name)
+
+
+def export_bodies(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, with_clothing: bool = False
+) -> Bodies:
+    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was."""
+    require_body(obj)
+    require_upright(obj)
+    objects = [obj, *(clothing_of(obj) if with_clothing else ())]
+    for worn in objects[1:]:
+        require_upright(worn)
+    poses = list_poses(obj, choice)
+    frames: list[list[Part]] = []
+    with visit(context, obj) as go:
+        for pose in poses:
+            go(pose)
+            graph = context.evaluated_depsgraph_get()
+            frames.append([_evaluate(o, graph, with_triangles=not frames) for o in objects])
+            _require_same_topology(obj, objects, frames)
+    outfit = np.concatenate([_outfit(o, part) for o, part in zip(objects, frames[0], strict=True)])
+    try:
+        return _join(frames, [pose.name for pose in poses], outfit, obj.name)
+    except InputError as error:
+        raise InputError(f"'{obj.name}': {error}") from None
+
+
+def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, with_triangles: bool) -> Part:
+    evaluated = obj.evaluated_get(graph)
+    mesh = evaluated.to_mesh()
+    try:
+        vertices = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.vertices.foreach_get("co", vertices)
+        matrix = np.array(evaluated.matrix_world, np.float64)
+        world = vertices.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        world *= graph.scene.unit_settings.scale_length
+        part = Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh))
+        if not with_triangles:
+            return part
+        mesh.calc_loop_triangles()
+        triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles)
+        faces = np.empty(len(mesh.loop_triangles), np.int32)
+        mesh.loop_triangles.foreach_get("polygon_index", faces)
+        return Part(part.vertices, part.loop_total, part.loop_vertices, triangles.reshape(-1, 3), faces)
+    finally:
+        evaluated.to_mesh_clear()
+
+
+def _require_same_topology(obj: bpy.types.Object, objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
+    """The body's faces must be the mesh's own, and no object may change its faces between poses."""
+    now, first = frames[-1], frames[0]
+    loop_total, loop_vertices = polygon_loops(obj.data)
+    if not (np.array_equal(now[0].loop_total, loop_total) and np.array_equal(now[0].loop_vertices, loop_vertices)):
+        raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when it is evaluated")
+    for worn, a, b in zip(objects[1:], now[1:], first[1:], strict=True):
+        if not np.array_equal(a.loop_vertices, b.loop_vertices) or len(a.vertices) != len(b.vertices):
+            raise InputError(f"The faces of '{worn.name}' change from pose to pose: turn off its modifiers, or hide it")
+
+
+def topology_modifiers_reason(obj: bpy.types.Object) -> str:
+    """Which visible modifiers may change the body's faces, and what to do; "" when there are none."""
+    names = [f"'{m.name}'" for m in obj.modifiers if m.show_viewport and m.type not in DEFORMS_ONLY]
+    if not names:
+        return ""
+    which = "modifier " + names[0] if len(names) == 1 else "modifiers " + ", ".join(names)
+    return (
+        f"The {which} of '{obj.name}' may change its faces, and a logo belongs to the mesh's own: "
+        "apply before making the logo, or turn off in the viewport"
+    )
+
+
+def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
+    own = colors.own_face_colors(obj)
+    if len(own) == len(part.loop_total):
+        return own
+    # Clothing whose modifiers change its faces: its main material's colour for all of them.
+    return np.tile(np.median(own, axis=0), (len(part.loop_total), 1)).astype(np.float32)
+
+
+def _join(frames: list[list[Part]], names: list[str], outfit: np.ndarray, name: str) -> Bodies:
+    first = frames[0]
+    vertex_offsets = np.cumsum([0] + [len(p.vertices) for p in first])
+    face_offsets = np.cumsum([0] + [len(p.loop_total) for p in first])
+    shifted = lambda key, offsets: np.concatenate([getattr(p, key) + o for p, o in zip(first, offsets, strict=False)])
+    return Bodies(
+        vertices=np.stack([np.concatenate([p.vertices for p in parts]) for parts in frames]),
+        triangles=shifted("triangles", vertex_offsets),
+        triangle_face=shifted("triangle_face", face_offsets),
+        loop_total=np.concatenate([p.loop_total for p in first]),
+        loop_vertices=shifted("loop_vertices", vertex_offsets),
+        face_colors=outfit[None],
+        names=tuple(names),
+        name=name,
+    )
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Export:
+    """What one export wrote into `folder`."""
+
+    folder: Path
+    object: str
+    logo: str
+    topology: str
+    """Of the body alone: what colours that come back are checked against."""
+    poses: int
+    faces: int
+
+    @property
+    def scene(self) -> Path:
+        return self.folder / "scene"
+
+    @property
+    def face_list(self) -> Path:
+        return self.folder / "logo.npy"
+
+
+def export(
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    logo: str,
+    choice: PoseChoice,
+    folder: Path,
+    with_clothing: bool = False,
+) -> Export:
+    """Write scene package, face list and record into `folder`, which appears whole or not at all."""
+    require_body(obj)
+    mask = require_logo(obj, logo)
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; choose another output folder")
+    bodies = export_bodies(context, obj, choice, with_clothing)
+    done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count)
+    with new_folder(folder) as temporary:
+        write_scene(temporary / "scene", bodies, creator="cloak add-on")
+        write_face_list(temporary / "logo.npy", np.flatnonzero(mask), bodies.topology)
+        record = {key: getattr(done, key) for key in ("object", "logo", "topology", "poses", "faces")}
+        write_json(temporary / RECORD, {"format": "cloak export", "version": 1, **record})
+    return done
+
+
+def read_export(folder: Path) -> Export:
+    """The record of an earlier export."""
+    record = read_json(folder / RECORD)
+    try:
+        words = {key: str(record[key]) for key in ("object", "logo", "topology")}
+        return Export(folder, poses=int(record["poses"]), faces=int(record["faces"]), **words)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{folder / RECORD}: not the record of an export") from None

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stamps: project a text, a picture or a smiley onto the body and take the faces it covers.
+
+A stamp is a bool array [H, W], row 0 at the top, True where there is ink.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+from mathutils.bvhtree import BVHTree
+
+from .exchange import InputError
+from .faces import face_vectors, read_hidden
+
+RESOLUTION = 512
+
+
+def text_stamp(text: str) -> np.ndarray:
+    """A line of text in Blender's own font."""
+    if not text.strip():
+        raise InputError("The stamp's text is empty: type a letter or a word")
+    curve = bpy.data.curves.new("cloak stamp", "FONT")
+    carrier = bpy.data.objects.new("cloak stamp", curve)
+    try:
+        curve.body = text
+        mesh = carrier.to_mesh()
+        if mesh is None or not len(mesh.polygons):
+            raise InputError(f"Nothing to see in the text '{text}': the font has no such letters")
+        mesh.calc_loop_triangles()
+        points = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.vertices.foreach_get("co", points)
+        triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles)
+        return _fill(points.reshape(-1, 3)[:, :2], triangles.reshape(-1, 3))
+    finally:
+        carrier.to_mesh_clear()
+        bpy.data.objects.remove(carrier)
+        bpy.data.curves.remove(curve)
+
+
+def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    low, high = points.min(0), points.max(0)
+    scale = RESOLUTION / max(high - low)
+    width, height = np.maximum(1, np.ceil((high - low) * scale)).astype(int)
+    pixels = (points - low) * scale
+    stamp = np.zeros((height, width), bool)
+    for corners in pixels[triangles]:
+        x0, y0 = np.floor(corners.min(0)).astype(int)
+        x1, y1 = np.ceil(corners.max(0)).astype(int) + 1
+        x, y = np.meshgrid(np.arange(x0, x1) + 0.5, np.arange(y0, y1) + 0.5)
+        sides = [_side(corners[i], corners[(i + 1) % 3], x, y) for i in range(3)]
+        inside = np.all([s >= 0 for s in sides], 0) | np.all([s <= 0 for s in sides], 0)
+        stamp[y0:y1, x0:x1] |= inside[: height - y0, : width - x0]
+    return stamp[::-1]
+
+
+def _side(a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+
+
+def smiley_stamp() -> np.ndarray:
+    """A ring with two eyes and a mouth."""
+    y, x = 1 - 2 * (np.mgrid[:RESOLUTION, :RESOLUTION] + 0.5) / RESOLUTION
+    x = -x
+    radius = np.hypot(x, y)
+    ring = (radius <= 1) & (radius >= 0.78)
+    eyes = np.hypot((np.abs(x) - 0.32) / 0.8, y - 0.25) <= 0.17
+    mouth = (np.hypot(x, y) <= 0.60) & (np.hypot(x, y) >= 0.38) & (y < -0.12)
+    return ring | eyes | mouth
+
+
+def image_stamp(image: bpy.types.Image | None) -> np.ndarray:
+    """The dark, opaque pixels of an image."""
+    if image is None:
+        raise InputError("No picture chosen: open one under Stamp > Image")
+    width, height = image.size
+    if not width or not height:
+        raise InputError(f"Picture '{image.name}' cannot be read: reload it or choose another")
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, image.channels)[::-1]
+    opaque = pixels[..., 3] > 0.5 if image.channels == 4 else np.ones((height, width), bool)
+    ink = opaque & (pixels[..., : min(3, image.channels)].mean(-1) < 0.5)
+    if not ink.any():
+        raise InputError(f"Picture '{image.name}' has no dark, opaque pixels: those are the ink of a stamp")
+    return ink
+
+
+@dataclass(frozen=True)
+class Projection:
+    """How points in world space become stamp coordinates: `to_plane` gives (x, y) with the stamp inside +-1."""
+
+    to_plane: Matrix
+    """4x4; the result is divided by its w, so perspective views work too."""
+    eye: Vector | None
+    """Where rays come from; None for a parallel projection along `direction`."""
+    direction: Vector
+    """Into the scene."""
+
+
+def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
+    """Straight onto the front. `size` (stamp height), `center` and `offset` are shares of the body's height."""
+    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    low, high = corners.min(0), corners.max(0)
+    tall = max(float(high[2] - low[2]), 1e-9)
+    half = 0.5 * size * tall
+    x, z = float(low[0] + high[0]) / 2 + offset * tall, float(low[2]) + center * tall
+    to_plane = Matrix(
+        ((1 / (half * aspect), 0, 0, -x / (half * aspect)), (0, 0, 1 / half, -z / half), (0,) * 4, (0, 0, 0, 1))
+    )
+    return Projection(to_plane, None, Vector((0, 1, 0)))
+
+
+def view_projection(region: bpy.types.Region, view: bpy.types.RegionView3D, size: float, aspect: float) -> Projection:
+    """From the viewport, the stamp in its middle; `size` is a share of the viewport's height."""
+    inverse = view.view_matrix.inverted()
+    scale = Matrix.Diagonal((region.width / region.height / (size * aspect), 1 / size, 1, 1))
+    eye = inverse.translation if view.is_perspective else None
+    return Projection(scale @ view.perspective_matrix, eye, -inverse.to_3x3().col[2])
+
+
+def covered_faces(
+    context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
+) -> np.ndarray:
+    """Mask [F] of the faces whose centre lies under ink, that look at the viewer and that nothing on the body hides."""
+    evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
+    mesh = evaluated.to_mesh()
+    try:
+        if len(mesh.polygons) != len(obj.data.polygons):
+            from .scene_export import topology_modifiers_reason
+
+            raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when evaluated")
+        matrix = np.array(evaluated.matrix_world, np.float64)
+        centers = face_vectors(mesh, "center") @ matrix[:3, :3].T + matrix[:3, 3]
+        normals = face_vectors(mesh, "normal") @ np.linalg.inv(matrix[:3, :3])
+        mask = _under_ink(centers, stamp, projection) & ~read_hidden(obj)
+        rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
+        mask &= (normals * rays).sum(1) < 0
+        world = [evaluated.matrix_world @ vertex.co for vertex in mesh.vertices]
+        tree = BVHTree.FromPolygons(world, [tuple(polygon.vertices) for polygon in mesh.polygons])
+    finally:
+        evaluated.to_mesh_clear()
+    reach = float(np.ptp(centers, axis=0).max()) * 4 + 1
+    for face in np.flatnonzero(mask):
+        center = Vector(centers[face])
+        ray = (center - projection.eye).normalized() if projection.eye is not None else projection.direction
+        start = projection.eye if projection.eye is not None else center - ray * reach
+        _, _, hit, _ = tree.ray_cast(start, ray)
+        mask[face] = hit == face
+    if not mask.any():
+        raise InputError("The stamp covers no visible face: change its size or place, or the view")
+    return mask
+
+
+def _under_ink(centers: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
+    plane = np.c_[centers, np.ones(len(centers))] @ np.array(projection.to_plane, np.float64).T
+    before_eye = plane[:, 3] > 1e-9
+    xy = plane[:, :2] / np.where(before_eye, plane[:, 3], 1)[:, None]
+    height, width = stamp.shape
+    column = np.floor((xy[:, 0] + 1) / 2 * width).astype(int)
+    row = np.floor((1 - xy[:, 1]) / 2 * height).astype(int)
+    inside = before_eye & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return inside & stamp[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]

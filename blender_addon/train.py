@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Train without a window: from a .blend file to a .blend file that wears the cloak.
+
+    blender -b body.blend -P blender_addon/train.py -- --logo chest --detector builtin --frames 1:60:10 --out RUN --save cloaked.blend
+    python blender_addon/train.py -- --blend body.blend --logo chest --out RUN      (a Python with the bpy package)
+
+Exit codes: 0 done, 2 bad input (one line that names it), 3 stopped, 1 a defect.
+"""  # noqa: E501
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import signal
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+if not __package__:
+    # Run as a script: load the package around it under a name of its own, installed extension or not.
+    _folder = Path(__file__).resolve().parent
+    _spec = importlib.util.spec_from_file_location(
+        "cloak_headless", _folder / "__init__.py", submodule_search_locations=[str(_folder)]
+    )
+    sys.modules[_spec.name] = importlib.util.module_from_spec(_spec)
+    _spec.loader.exec_module(sys.modules[_spec.name])
+    __package__ = _spec.name
+
+from . import properties, render_check, runs
+from .body import add_from_scene, require_body, subdivide
+from .exchange import InputError, read_scene
+from .faces import import_face_list, logo_names
+from .poses import PoseChoice
+from .scene_export import export, read_export
+from .trainer import TrainRequest, find_python, sample_command, train_command
+from .training_job import Job, TrainingJob
+
+PRINT_SECONDS = 2.0
+PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 48, 15.0
+
+
+class Stopped(Exception):
+    """The training ended early, in order."""
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Options; bad ones raise `InputError`."""
+
+    class Parser(argparse.ArgumentParser):
+        def error(self, message: str) -> None:
+            raise InputError(f"train.py: {message} (--help says what it takes)")
+
+    parser = Parser(prog="train.py", description="Train a logo on the body of a .blend file.", allow_abbrev=False)
+    add = parser.add_argument
+    add("--logo", required=True, help="logo on the body (several joined by +), or a face list (.npy)")
+    add("--out", required=True, type=Path, help="run folder to write; its input goes to RUN.input")
+    add("--save", type=Path, help=".blend file to save with the trained colours")
+    add("--preview", type=Path, help="PNG to render (default: RUN/previews/blender.png)")
+    add("--blend", type=Path, help=".blend file to open first (for the bpy package; Blender takes it before -P)")
+    add("--scene", type=Path, help="build the body from this scene package instead of taking it from the file")
+    add("--sample", action="store_true", help="take Cloak's sample body")
+    add("--object", help="name of the body (default: the active or only mesh)")
+    add("--subdivide", type=int, default=0, metavar="LEVELS", help="subdivide first (Simple), this many times")
+    add("--keep-quads", action="store_true", help="with --subdivide: do not triangulate")
+    add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
+    add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
+    add("--clothing", action="store_true", help="include visible meshes parented to the body")
+    add("--detector", default="builtin", help="as in cloak train")
+    add("--backgrounds", default="", help="folder of images, or procedural")
+    add("--angles", default="-10:10:5", help="azimuths in degrees, A:B:STEP")
+    add("--preset", default="", help="best, paper or reference")
+    add("--steps", type=int, help="updates of the colours")
+    add("--device", default="", help="cpu or cuda")
+    add("--python", default="", help="Python that has cloak_core (default: found)")
+    add("--resume", action="store_true", help="go on with the run in --out")
+    joined: list[str] = []
+    for word in arguments:  # `--angles -10:10:5`: argparse would take the value for an option
+        if joined and joined[-1] in ("--angles", "--frames"):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return parser.parse_args(joined)
+
+
+def choice_of(options: argparse.Namespace, scene: bpy.types.Scene) -> PoseChoice:
+    """Which poses the options ask for."""
+    if options.actions and options.frames:
+        raise InputError("--frames and --actions: give one of them")
+    if options.actions:
+        return PoseChoice("ACTIONS", step=options.actions)
+    if not options.frames:
+        return PoseChoice()
+    try:
+        first, last, step = (*(int(part) for part in options.frames.split(":")), 1)[:3]
+    except ValueError:
+        raise InputError(f"--frames {options.frames}: A:B:STEP in whole frames is needed") from None
+    return PoseChoice("RANGE", first, last, step)
+
+
+def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
+    """The body the options name, checked and subdivided."""
+    if options.sample or options.scene:
+        scene = options.scene or fetch_sample(python, folder)
+        obj = add_from_scene(bpy.context, read_scene(scene))
+    elif options.object:
+        obj = bpy.context.view_layer.objects.get(options.object)
+        if obj is None:
+            have = ", ".join(o.name for o in bpy.context.view_layer.objects if o.type == "MESH") or "none"
+            raise InputError(f"--object {options.object}: no such object in the scene (meshes: {have})")
+    else:
+        obj = _only_body(options.logo)
+    require_body(obj)
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+        bpy.context.view_layer.objects.active = obj
+        bpy.ops.object.mode_set(mode="OBJECT")
+    for _ in range(options.subdivide):
+        subdivide(obj, triangulate=not options.keep_quads)
+    return obj
+
+
+def _only_body(logo: str) -> bpy.types.Object | None:
+    active = bpy.context.view_layer.objects.active
+    if active is not None and active.type == "MESH":
+        return active
+    meshes = [o for o in bpy.context.view_layer.objects if o.type == "MESH"]
+    wearing = [o for o in meshes if logo in logo_names(o.data)]
+    candidates = wearing or meshes
+    if len(candidates) > 1:
+        raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
+    return candidates[0] if candidates else active
+
+
+def fetch_sample(python: str, folder: Path) -> Path:
+    """The sample bodies' scene package, from the trainer."""
+    scene = folder / "sample"
+    job = Job("Sample body", [sample_command(python, scene)], folder, "sample").wait()
+    if job.state != "done":
+        raise InputError(job.message)
+    return scene
+
+
+def require_writable(path: Path | None, option: str) -> None:
+    """Find out before an hour of training that a result could not be saved."""
+    if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise InputError(f"{option} {path}: the folder {path.parent} does not exist or cannot be written")
+
+
+def main(arguments: list[str]) -> None:
+    """Everything, in order."""
+    options = parse(arguments)
+    run = options.out.absolute()
+    folder = runs.input_folder(run)
+    if not options.resume and (run.exists() or folder.exists()):
+        raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
+    for path, name in ((options.save, "--save"), (options.preview, "--preview")):
+        require_writable(path and path.absolute(), name)
+    run.parent.mkdir(parents=True, exist_ok=True)
+    if options.blend is not None:
+        if not options.blend.is_file():
+            raise InputError(f"--blend {options.blend}: no such file")
+        bpy.ops.wm.open_mainfile(filepath=str(options.blend.absolute()))
+    if not hasattr(bpy.types.Object, "cloak"):
+        properties.register()
+    python = find_python(options.python)
+    obj = find_body(options, python, Path(bpy.app.tempdir))
+    logo = options.logo
+    if logo.endswith(".npy"):
+        logo = import_face_list(obj, Path(logo))
+    request = TrainRequest(
+        options.detector, options.backgrounds, options.angles, options.preset, options.steps, options.device
+    )
+    train(options, obj, logo, python, request, run)
+    obj.cloak.run = str(run)
+    finish(options, obj, run)
+
+
+def train(
+    options: argparse.Namespace, obj: bpy.types.Object, logo: str, python: str, request: TrainRequest, run: Path
+) -> None:
+    """Export and train, with progress on standard output."""
+    folder, words = runs.input_folder(run), request.options()
+    if options.resume and folder.is_dir():
+        done, words = read_export(folder), runs.remembered_options(folder.with_name(run.name))
+        runs.require_same_topology(obj, done.topology)
+    else:
+        done = export(bpy.context, obj, logo, choice_of(options, bpy.context.scene), folder, options.clothing)
+        runs.remember_options(run, words)
+    say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
+    command = train_command(python, words, done.scene, done.face_list, run)
+    job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: job.cancel())
+    said, last = "", 0.0
+    while job.poll():
+        line = job.describe()
+        if line != said and time.monotonic() - last >= PRINT_SECONDS:
+            say(line)
+            said, last = line, time.monotonic()
+        time.sleep(0.05)
+    if job.state == "stopped":
+        raise Stopped(job.message)
+    if job.state == "failed":
+        raise InputError(job.message) if job.code == 2 else RuntimeError(f"{job.message}; see {job.log}")
+    say(job.message)
+
+
+def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> None:
+    """Colours onto the body, the .blend, the preview."""
+    result = runs.import_colors(bpy.context, obj, run)
+    say(f"{len(result.face_ids)} faces of '{obj.name}' wear the trained colours")
+    if options.save:
+        bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
+        say(f"saved {options.save}")
+    preview = (options.preview or run / "previews" / "blender.png").absolute()
+    preview.parent.mkdir(exist_ok=True)
+    render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
+    say(f"rendered {preview}")
+
+
+def say(text: str) -> None:
+    """One line on standard output, at once."""
+    print(text, flush=True)
+
+
+def run_as_script(arguments: list[str]) -> int:
+    """`main` with its outcome as an exit code."""
+    try:
+        if arguments[:1] == ["render-check"]:
+            render_check.run_plan(Path(arguments[1]))
+        else:
+            main(arguments)
+    except InputError as error:
+        print(f"cloak: {error}", file=sys.stderr, flush=True)
+        return 2
+    except Stopped as stop:
+        print(f"cloak: {stop}", file=sys.stderr, flush=True)
+        return 3
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    words = sys.argv[1:] if bpy.app.binary_path == "" else []
+    sys.exit(run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else words))

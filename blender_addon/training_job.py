@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work done outside Blender: a process, a thread that reads its events, and a timer that looks in on both.
+
+Blender itself never waits: the timer's function (`tick`) takes what has arrived and returns. One job runs at a time.
+Standard output and error go to files, so a trainer never blocks on a full pipe and its last words can be read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+
+from .exchange import InputError
+from .trainer import clean_environment, no_window
+
+TICK_SECONDS = 0.25
+READ_SECONDS = 0.1
+MAX_LINE = 1 << 20
+STOPPED = 3
+"""Exit code of a trainer that ended early but in order."""
+
+
+# --- one or several commands, one after the other ---------------------------------------------------------------------
+
+
+class Job:
+    """Commands that run one after the other outside Blender. `poll` moves it on; `on_done(job)` is called at its end.
+
+    `state` is "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        commands: Sequence[list[str]],
+        folder: Path,
+        name: str,
+        on_done: Callable[[Job], None] = lambda job: None,
+    ) -> None:
+        self.label = label
+        self.state = "running"
+        self.message = ""
+        self.code: int | None = None
+        self.outputs: list[str] = []
+        self.on_done = on_done
+        self._commands = list(commands)
+        self._files = (folder / f"{name}.out", folder / f"{name}.log")
+        self._cancelled = False
+        self._process = self._start(self._commands[0])
+
+    @property
+    def log(self) -> Path:
+        """What the commands said on standard error."""
+        return self._files[1]
+
+    @property
+    def running(self) -> bool:
+        return self.state == "running"
+
+    @property
+    def fraction(self) -> float:
+        """How much is done, 0 to 1."""
+        return len(self.outputs) / len(self._commands)
+
+    def describe(self) -> str:
+        """One line for the panel."""
+        if not self.running:
+            return self.message
+        of = f" {len(self.outputs) + 1}/{len(self._commands)}" if len(self._commands) > 1 else ""
+        return f"{self.label}{of}{' (stopping)' if self._cancelled else ''}"
+
+    def _start(self, command: list[str]) -> subprocess.Popen:
+        try:
+            with self._files[0].open("wb") as out, self._files[1].open("ab") as log:
+                return subprocess.Popen(
+                    command,
+                    stdout=out,
+                    stderr=log,
+                    stdin=subprocess.DEVNULL,
+                    cwd=self._files[0].parent,
+                    env=clean_environment(),
+                    start_new_session=os.name == "posix",  # Ctrl-C in Blender's terminal is ours to pass on
+                    **no_window(),
+                )
+        except OSError as error:
+            raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None
+
+    def poll(self) -> bool:
+        """Look in on the process; True while there is more to wait for."""
+        if not self.running:
+            return False
+        code = self.code = self._process.poll()
+        if code is None:
+            return True
+        self.outputs.append(self._files[0].read_text("utf-8", "replace"))
+        if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
+            try:
+                self._process = self._start(self._commands[len(self.outputs)])
+                return True
+            except InputError as error:
+                self._finish("failed", str(error))
+                return False
+        self._finish(*self._verdict(code))
+        return False
+
+    def _verdict(self, code: int) -> tuple[str, str]:
+        if code == STOPPED or (self._cancelled and code != 0):
+            return "stopped", f"{self.label} stopped"
+        if code == 0:
+            return "done", f"{self.label} done"
+        said = last_words(self.log)
+        if code == 2:
+            return "failed", said or f"{self.label}: the trainer refused its input"
+        if code < 0:
+            return "failed", f"{self.label}: the process was killed (signal {-code})"
+        return "failed", f"{self.label} failed (exit code {code}): {said or 'no message'}"
+
+    def _finish(self, state: str, message: str) -> None:
+        self.state, self.message = state, message
+        self.on_done(self)
+
+    def cancel(self) -> None:
+        """Ask the process to end; it may take a moment."""
+        self._cancelled = True
+        if self.running:
+            self._terminate()
+
+    def _terminate(self) -> None:
+        with contextlib.suppress(OSError):
+            self._process.terminate()
+
+    def abandon(self) -> None:
+        """Blender is closing: ask the process to end, and wait no longer than a blink."""
+        self.on_done = lambda job: None
+        self.cancel()
+
+    def wait(self, seconds: float = math.inf) -> Job:
+        """Block until the job has ended: for headless use and tests."""
+        until = time.monotonic() + seconds
+        while self.poll() and time.monotonic() < until:
+            time.sleep(0.02)
+        return self
+
+    def json_outputs(self) -> list[dict]:
+        """The object each finished command printed under --json."""
+        records = []
+        for text in self.outputs:
+            try:
+                record = json.loads(text)
+            except ValueError:
+                record = None
+            if not isinstance(record, dict):
+                raise InputError(f"{self.label}: the trainer's answer is not a JSON object; see {self.log}")
+            records.append(record)
+        return records
+
+
+def last_words(log: Path) -> str:
+    """The last line of a log, without the program's name."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - 8192))
+            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+    except OSError:
+        return ""
+    return lines[-1].removeprefix("cloak: ")[:300] if lines else ""
+
+
+# --- training --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a run's events have told so far."""
+
+    step: int = 0
+    steps: int = 0
+    loss: float | None = None
+    success: float | None = None
+    """Share of the last images without a detection, a running mean, 0 to 1."""
+    seconds: float = 0.0
+    """Of training, as the trainer counts them."""
+    seconds_per_step: float | None = None
+    broken_lines: int = 0
+
+    @property
+    def fraction(self) -> float:
+        return min(1.0, self.step / self.steps) if self.steps else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        if self.seconds_per_step is None or not self.steps:
+            return None
+        return max(0, self.steps - self.step) * self.seconds_per_step
+
+    def describe(self) -> str:
+        """Loss, success and time left, as far as they are known."""
+        parts = [f"{self.step}/{self.steps or '?'}"]
+        if self.loss is not None:
+            parts.append(f"loss {self.loss:.3f}")
+        if self.success is not None:
+            parts.append(f"success {self.success:.0%}")
+        if self.seconds_left is not None and self.step < self.steps:
+            parts.append(f"{duration(self.seconds_left)} left")
+        return "  ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """1 h 05 min, 3 min, 40 s."""
+    if seconds >= 3600:
+        return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
+    return f"{math.ceil(seconds / 60)} min" if seconds >= 90 else f"{math.ceil(seconds)} s"
+
+
+def take_event(progress: Progress, line: bytes) -> Progress:
+    """Progress after one more line of events.jsonl; a line that is no event is counted and passed over."""
+    try:
+        event = json.loads(line)
+        kind = event["type"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return replace(progress, broken_lines=progress.broken_lines + 1)
+    step, seconds = _number(event.get("step")), _number(event.get("time"))
+    if kind == "start" and _number(event.get("steps")) is not None:
+        progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
+    if kind != "step" or step is None:
+        return progress
+    success = _number(event.get("success"))
+    if success is not None and progress.success is not None:
+        success = 0.95 * progress.success + 0.05 * success  # one batch says little
+    pace = progress.seconds_per_step
+    if seconds is not None and step > progress.step:
+        latest = max(0.0, seconds - progress.seconds) / (step - progress.step)
+        pace = latest if pace is None else 0.9 * pace + 0.1 * latest
+    return replace(
+        progress,
+        step=int(step),
+        loss=_number(event.get("loss")),
+        success=progress.success if success is None else success,
+        seconds=progress.seconds if seconds is None else seconds,
+        seconds_per_step=pace,
+    )
+
+
+def _number(value: object) -> float | None:
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if usable else None
+
+
+class TrainingJob(Job):
+    """One `cloak train` and its run folder."""
+
+    def __init__(
+        self, command: list[str], run: Path, folder: Path, on_done: Callable[[Job], None] = lambda job: None
+    ) -> None:
+        self.run = run
+        self.progress = Progress()
+        self._ended = threading.Event()
+        super().__init__("Training", [command], folder, "train", on_done)
+        self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
+        self._reader.start()
+
+    @property
+    def fraction(self) -> float:
+        return self.progress.fraction
+
+    def describe(self) -> str:
+        if not self.running:
+            return self.message
+        if self._cancelled:
+            return "Stopping after this step..."
+        return self.progress.describe() if self.progress.steps else "Preparing..."
+
+    def poll(self) -> bool:
+        if self.running and self._cancelled:
+            self._ask_to_stop()  # again: a trainer that is just opening its run folder sweeps old requests away
+        return super().poll()
+
+    def cancel(self) -> None:
+        self._cancelled = True
+        if self.running:
+            self._ask_to_stop()
+
+    def abandon(self) -> None:
+        super().abandon()
+        if self.running:
+            self._terminate()
+        self._ended.set()
+
+    def _ask_to_stop(self) -> None:
+        if not self.run.is_dir():
+            self._terminate()  # nothing to save yet
+            return
+        with contextlib.suppress(OSError):
+            (self.run / "cancel").touch()
+
+    def _finish(self, state: str, message: str) -> None:
+        self._ended.set()
+        self._reader.join(timeout=5)
+        if state == "done":
+            message = f"Training done: {self.progress.describe()}"
+        elif state == "stopped":
+            message = f"Stopped at step {self.progress.step}: Resume goes on from there"
+        elif self.progress.step:
+            message += "; Resume goes on from the last checkpoint"
+        super()._finish(state, message)
+
+    def _read_events(self) -> None:
+        """Follow events.jsonl from its start. The thread only replaces `progress`, a frozen record."""
+        path, position, pending = self.run / "events.jsonl", 0, b""
+        while True:
+            last_round = self._ended.is_set()
+            with contextlib.suppress(OSError), path.open("rb") as file:
+                if path.stat().st_size < position:  # a resumed run rewinds its log
+                    position, pending = 0, b""
+                file.seek(position)
+                chunk = file.read()
+                position += len(chunk)
+                *lines, pending = (pending + chunk).split(b"\n")
+                for line in lines:
+                    self.progress = take_event(self.progress, line)
+                if len(pending) > MAX_LINE:
+                    pending = b""
+            if last_round:
+                return
+            self._ended.wait(READ_SECONDS)
+
+
+# --- the one job of this Blender -------------------------------------------------------------------------------------
+
+current: Job | None = None
+"""The running job, or the last one, whose message the panel still shows."""
+on_tick: list[Callable[[Job], None]] = []
+"""Called with the job on every tick: redraw, live colours."""
+
+
+def busy() -> str:
+    """Why no job may start now; "" when one may."""
+    if current is not None and current.running:
+        return f"{current.label} is running: wait for it, or cancel it"
+    return ""
+
+
+def require_idle() -> None:
+    """Raise `InputError` while a job runs."""
+    if busy():
+        raise InputError(busy())
+
+
+def launch(job: Job) -> Job:
+    """Make `job` the current one and let the timer look after it."""
+    global current
+    current = job
+    if not bpy.app.background and not bpy.app.timers.is_registered(tick):
+        bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
+    return job
+
+
+def tick() -> float | None:
+    """The timer's function: seconds until it wants to be called again, None when the job has ended."""
+    job = current
+    if job is None:
+        return None
+    more = job.poll()
+    for listener in on_tick:
+        listener(job)
+    # The job's end may have launched the next one.
+    return TICK_SECONDS if more or (current is not None and current.running) else None
+
+
+def shut_down() -> None:
+    """The add-on is going (or Blender is closing): end the job in order and forget it."""
+    global current
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if current is not None and current.running:
+        current.abandon()
+    current = None
+    on_tick.clear()

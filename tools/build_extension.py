@@ -1,0 +1,87 @@
+"""Build the Blender extension with Blender's own builder: `python tools/build_extension.py [--out dist]`.
+
+The builder wants `__init__.py` beside the manifest, so the add-on, the manifest and the one shared module are staged in
+a temporary folder first. The builder comes with the `bpy` package, or with a `blender` on the path.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT / "cloak_core" / "scene" / "exchange.py"
+BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"
+
+
+def main() -> int:
+    """Stage, validate and build; prints the path of the zip."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zip (default: dist)")
+    options = parser.parse_args()
+    builder = find_builder()
+    if builder is None:
+        print(
+            "Blender's extension builder is missing: `tools/setup_blender.sh` brings it (the bpy package), "
+            "or put a Blender on the path",
+            file=sys.stderr,
+        )
+        return 2
+    with tempfile.TemporaryDirectory() as temporary:
+        source = Path(temporary) / "cloak"
+        stage(source)
+        package = options.out / package_name()
+        options.out.mkdir(parents=True, exist_ok=True)
+        package.unlink(missing_ok=True)
+        for command in (
+            ["validate", str(source)],
+            ["build", "--source-dir", str(source), "--output-filepath", str(package)],
+            ["validate", str(package)],
+        ):
+            done = subprocess.run([*builder, *command], stdout=sys.stderr, check=False)
+            if done.returncode:
+                return 1
+    print(package)
+    return 0
+
+
+def package_name() -> str:
+    """The zip's name, from the manifest."""
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text("utf-8"))
+    return f"{manifest['id']}-{manifest['version']}.zip"
+
+
+def stage(folder: Path) -> None:
+    """The extension as Blender wants it: the add-on's Python files, the manifest, the shared formats; no more."""
+    source = ROOT / "blender_addon"
+    for path in source.rglob("*.py"):
+        target = folder / path.relative_to(source)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # The shared module is a link in the checkout, which some systems check out as a text file.
+        shutil.copyfile(SHARED if path.name == SHARED.name else path, target)
+    shutil.copyfile(ROOT / "blender_manifest.toml", folder / "blender_manifest.toml")
+
+
+def find_builder() -> list[str] | None:
+    """The command line of Blender's extension builder."""
+    packages = []
+    spec = importlib.util.find_spec("bpy")
+    if spec is not None and spec.submodule_search_locations:
+        packages += [Path(place) for place in spec.submodule_search_locations]
+    packages += (ROOT / ".venv-blender").glob("lib/python*/site-packages/bpy")
+    for package in packages:
+        for script in sorted(package.glob(f"*/{BUILDER}")):
+            return [sys.executable, str(script)]
+    blender = os.environ.get("BLENDER") or shutil.which("blender")
+    return [blender, "--command", "extension"] if blender else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
