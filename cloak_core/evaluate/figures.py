@@ -1,0 +1,142 @@
+"""One look for every figure: colours safe for colour-blind eyes and in grey, one font, one set of sizes."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+
+
+@dataclass(frozen=True)
+class Series:
+    """How one series is drawn: in grey, marker and dash still tell it apart."""
+
+    label: str
+    color: str
+    marker: str
+    dash: str | tuple
+
+
+# Colours by Okabe and Ito (2008), ordered so that their greys differ too.
+SERIES = {
+    "logo": Series("trained colours", "#0072b2", "o", "-"),
+    "clothing": Series("own clothing", "#d55e00", "s", "--"),
+    "grey": Series("grey", "#7a7a7a", "D", ":"),
+    "random": Series("random colours", "#cc79a7", "^", "-."),
+    "stripes": Series("stripes", "#009e73", "v", (0, (5, 1, 1, 1, 1, 1))),
+    "checks": Series("checks", "#b8860b", "P", (0, (1, 1))),
+}
+"""Of the logo and its controls."""
+CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a7a")
+MARKERS = "osD^vPX"
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+INK, FAINT = "#1f2328", "#d5d9de"
+WIDTH = 6.4
+"""Of a full-width figure, inches."""
+
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "lines.markersize": 4.5,
+    "figure.dpi": 100,
+    "savefig.dpi": 200,
+    "svg.hashsalt": "cloak",
+}
+
+
+@contextmanager
+def style(**changes: object) -> Iterator[None]:
+    """Figures made inside have the project's look, whatever the caller's matplotlib is set to."""
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "agg", **_STYLE, **changes}):
+        yield
+
+
+def new_figure(width: float = WIDTH, height: float = 2.9, columns: int = 1, **axes: object) -> tuple[Figure, list]:
+    """A figure of this size in inches and its axes, in one row. Make it inside `style`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, list(figure.subplots(1, columns, squeeze=False, **axes)[0])
+
+
+def percent_axis(axis: object, label: str = "attack success") -> None:
+    """A y axis from 0 to 100 %."""
+    axis.set_ylim(-0.03, 1.03)
+    axis.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    axis.set_ylabel(label)
+
+
+def degree_ticks(axis: object) -> None:
+    """Whole degrees on the x axis, at steps people count in."""
+    low, high = axis.get_xlim()
+    steps = (1, 2, 5, 10, 15, 30, 45, 60, 90)
+    axis.xaxis.set_major_locator(MultipleLocator(next((s for s in steps if (high - low) / s <= 13), 90)))
+    axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "\u2212"))
+
+
+def legend_above(figure: Figure) -> None:
+    """One legend for the figure, in a row above its axes."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), handlelength=2.6, columnspacing=1.6)
+
+
+def save_figure(figure: Figure, path: Path) -> list[Path]:
+    """Write PATH.png and PATH.svg, white behind, the same bytes for the same figure."""
+    written = []
+    for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+        target = path.with_name(f"{path.name}.{suffix}")
+        figure.savefig(target, metadata=metadata, facecolor="white")
+        written.append(target)
+    return written
+
+
+def inline_svg(figure: Figure) -> str:
+    """The figure as an <svg> element for a page: text stays text in the page's font, colours follow the page's theme.
+
+    Every colour of the style becomes a CSS variable (--ink, --faint, --c0 ...), so the page decides light and dark.
+    """
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r'<svg ([^>]*?)width="[^"]*" ([^>]*?)height="[^"]*"', r"<svg \1\2", svg, count=1)
+    svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.S)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
+    svg = re.sub(r"'DejaVu Sans'(, '[^']*')*(, sans-serif)?", "var(--font)", svg)
+    for color, variable in css_colors().items():
+        svg = svg.replace(color, f"var({variable})")
+    return svg
+
+
+def css_colors() -> dict[str, str]:
+    """The style's colours and the CSS variables that stand for them."""
+    named = {INK: "--ink", FAINT: "--faint"}
+    colors = dict.fromkeys([*(s.color for s in SERIES.values()), *CYCLE])
+    return named | {color: f"--c{i}" for i, color in enumerate(colors)}

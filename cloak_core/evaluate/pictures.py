@@ -1,0 +1,103 @@
+"""The pictures an evaluation keeps: which images are shown is decided by rule, before anyone has seen a score."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import max_person_score, person_boxes
+from cloak_core.evaluate.controls import CLOTHING, LOGO
+from cloak_core.evaluate.measurement import Measurement, Trials
+from cloak_core.evaluate.stage import Stage
+
+BODIES = 3
+ANGLES = 5
+FAILURES = 6
+SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
+"""Azimuths of the flat views; left and right are the body's own."""
+
+
+@torch.no_grad()
+def write_pictures(
+    folder: Path, stage: Stage, measurement: Measurement, detectors: dict[str, Detector], threshold: float
+) -> dict:
+    """Write the pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
+
+    `gallery`: the first image drawn of up to 3 bodies at up to 5 evenly spaced angles, in own clothing and cloaked;
+    `failures`: per detector, the cloaked images with the highest scores above the threshold; `controls`: one image
+    under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
+    """
+    shoot = lambda trial, control: _shoot(folder, stage, int(trial), control, detectors, threshold)
+    pair = lambda trial: _label(stage, int(trial)) | {c: shoot(trial, c) for c in (CLOTHING, LOGO)}
+    shown = gallery_trials(stage.trials)
+    middle = shown[len(shown) // (2 * len(np.unique(stage.trials.pose[shown])))]
+    return {
+        "gallery": [pair(trial) for trial in shown],
+        "failures": {
+            spec: [pair(trial) for trial in failure_trials(measurement, d, threshold)]
+            for d, spec in enumerate(measurement.specs)
+        },
+        "controls": _label(stage, middle) | {"images": {c: shoot(middle, c) for c in measurement.controls}},
+        "flat": {side: _flat(folder, stage, side, azimuth) for side, azimuth in SIDES.items()},
+    }
+
+
+def gallery_trials(trials: Trials) -> list[int]:
+    """The first image of each shown body (the first three) at each shown angle (five, evenly spaced), in that order."""
+    angles = np.unique(trials.angle)
+    angles = angles[np.unique(np.linspace(0, len(angles) - 1, min(ANGLES, len(angles))).round().astype(int))]
+    bodies = np.unique(trials.pose)[:BODIES]
+    first = lambda p, a: int(np.flatnonzero((trials.pose == p) & (trials.angle == a))[0])
+    return [first(p, a) for p in bodies for a in angles]
+
+
+def failure_trials(measurement: Measurement, detector: int, threshold: float) -> list[int]:
+    """Cloaked images in which the detector still reports a person, the surest first."""
+    score = measurement.score[detector, 0]
+    worst = np.argsort(-score, kind="stable")[:FAILURES]
+    return [int(i) for i in worst if score[i] > threshold]
+
+
+def _label(stage: Stage, trial: int) -> dict:
+    trials = stage.trials
+    return {
+        "trial": trial,
+        "body": stage.bodies.names[int(trials.pose[trial])],
+        "angle": float(trials.angle[trial]),
+        "distance": round(float(trials.distance[trial]), 4),
+        "background": stage.background_names[int(trials.background[trial])],
+    }
+
+
+def _shoot(
+    folder: Path, stage: Stage, trial: int, control: str, detectors: dict[str, Detector], threshold: float
+) -> dict:
+    """Render one trial, write it, and record what each detector sees in it."""
+    image = stage.images([trial], control)
+    name = f"{trial:05d}-{control}.jpg"
+    to_pil(image[0]).save(folder / name, quality=92, subsampling=0)
+    boxes, scores = {}, {}
+    for spec, detector in detectors.items():
+        detections = detector(image)
+        scores[spec] = round(float(max_person_score(detections)[0]), 4)
+        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(detections, threshold)[0].tolist()]
+    return {"file": name, "boxes": boxes, "scores": scores}
+
+
+def _flat(folder: Path, stage: Stage, side: str, azimuth: float) -> str:
+    """The first body with the trained colours, evenly lit, cut out of its background."""
+    rgba = stage.flat_view(azimuth)
+    name = f"flat-{side}.png"
+    Image.fromarray((rgba * 255).round().byte().cpu().numpy(), "RGBA").save(folder / name, optimize=True)
+    return name
+
+
+def to_pil(image: Float[Tensor, "3 H W"]) -> Image.Image:
+    """An image in [0, 1] as a picture."""
+    return Image.fromarray((image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy())

@@ -1,0 +1,103 @@
+"""Renders the images of an evaluation: the same view, background, shift and outfit under every control."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from cloak_core.evaluate.controls import control_colors, random_colors
+from cloak_core.evaluate.measurement import Trials
+from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.logo import Logo
+
+
+class Stage:
+    """Trained colours, bodies and backgrounds, ready to render any trial under any control.
+
+    Nothing but the shift of the trial moves an image: no contrast, brightness or noise is added.
+    """
+
+    def __init__(
+        self,
+        colors: Float32[np.ndarray, "L 3"],
+        logo: Logo,
+        bodies: Bodies,
+        backgrounds: Backgrounds,
+        trials: Trials,
+        *,
+        camera: Camera,
+        seed: int = 0,
+        bank: ViewBank,
+    ) -> None:
+        self.trials = trials
+        self.bodies = bodies
+        self._colors = colors
+        self._logo = logo
+        self._backgrounds = backgrounds
+        self._camera = camera
+        self._seed = seed
+        self._bank = bank
+        self._device = torch.device(bank.device)
+        self._controls: dict[str, Tensor] = {}
+
+    def images(self, indices: Sequence[int], control: str) -> Float[Tensor, "B 3 H W"]:
+        """The images of these trials, in [0, 1], with the logo's faces coloured as `control` says."""
+        return self.compose(self.views(indices), indices, control)
+
+    def views(self, indices: Sequence[int]) -> list:
+        """The dressed view of each of these trials."""
+        dress = lambda i: self._bank.dress(
+            int(self.trials.pose[i]), self.camera(i), self._logo.face_ids, outfit=int(self.trials.outfit[i])
+        )
+        return [dress(int(i)) for i in indices]
+
+    def compose(self, views: list, indices: Sequence[int], control: str) -> Float[Tensor, "B 3 H W"]:
+        """`images` on views that are there already."""
+        return compose(
+            views, self._logo_colors(indices, control), self.backgrounds(indices), self.shifts(indices), None
+        )
+
+    def boxes(self, views: list, indices: Sequence[int]) -> Float[Tensor, "B 4"]:
+        """Where the rendered bodies are: xyxy pixels, clipped to the image."""
+        return true_boxes(views, self.shifts(indices)).to(self._device, torch.float32)
+
+    def camera(self, index: int) -> Camera:
+        """The camera of a trial."""
+        distance, azimuth = float(self.trials.distance[index]), float(self.trials.angle[index])
+        return replace(self._camera, distance=distance, azimuth=azimuth)
+
+    @property
+    def background_names(self) -> tuple[str, ...]:
+        """Names of the backgrounds, by index."""
+        return tuple(self._backgrounds.names)
+
+    def bare(self, backgrounds: Sequence[int]) -> Float[Tensor, "B 3 H W"]:
+        """Backgrounds by their own index, with nobody in front."""
+        numbers = [int(i) for i in backgrounds]
+        return self._backgrounds.batch(numbers, self._camera.height, self._camera.width).to(self._device)
+
+    def backgrounds(self, indices: Sequence[int]) -> Float[Tensor, "B 3 H W"]:
+        """What is behind the bodies of these trials."""
+        return self.bare([int(self.trials.background[i]) for i in indices])
+
+    def shifts(self, indices: Sequence[int]) -> Tensor:
+        """[B, 2] pixels right and down."""
+        return torch.from_numpy(self.trials.shift[np.asarray(indices, np.int64)])
+
+    def _logo_colors(self, indices: Sequence[int], control: str) -> Float[Tensor, "B L 3"]:
+        if control == "random":
+            drawn = [random_colors(self._seed, int(i), len(self._colors)) for i in indices]
+            return torch.from_numpy(np.stack(drawn)).to(self._device)
+        if control not in self._controls:
+            colors = control_colors(control, self._colors, self.bodies, self._logo.face_ids)
+            self._controls[control] = torch.from_numpy(np.ascontiguousarray(colors)).to(self._device)
+        return self._controls[control][torch.from_numpy(self.trials.outfit[np.asarray(indices, np.int64)])]
