@@ -151,7 +151,7 @@ _BOUNDS: dict[str, tuple[float, float, str]] = {
     "elevation": (-90, 90, "[]"),
     "elevation_jitter": (0, 22.5, "[]"),
     "field_of_view": (0, 180, "()"),
-    "size": (16, 8192, "[]"),
+    "size": (16, 4096, "[]"),
     "translation": (0, 4096, "[]"),
     "noise": (0, 1, "[]"),
     "tv_weight": (0, _INF, "[)"),
