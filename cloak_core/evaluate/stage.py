@@ -10,14 +10,18 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from cloak_core.evaluate.controls import control_colors, random_colors
+from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.measurement import Trials
 from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
 from cloak_core.scene.logo import Logo
+
+Indices = Sequence[int] | np.ndarray
+"""Which trials, by number."""
 
 
 class Stage:
@@ -49,26 +53,42 @@ class Stage:
         self._device = torch.device(bank.device)
         self._controls: dict[str, Tensor] = {}
 
-    def images(self, indices: Sequence[int], control: str) -> Float[Tensor, "B 3 H W"]:
+    def images(self, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
         """The images of these trials, in [0, 1], with the logo's faces coloured as `control` says."""
         return self.compose(self.views(indices), indices, control)
 
-    def views(self, indices: Sequence[int]) -> list:
+    def views(self, indices: Indices) -> list:
         """The dressed view of each of these trials."""
         dress = lambda i: self._bank.dress(
             int(self.trials.pose[i]), self.camera(i), self._logo.face_ids, outfit=int(self.trials.outfit[i])
         )
         return [dress(int(i)) for i in indices]
 
-    def compose(self, views: list, indices: Sequence[int], control: str) -> Float[Tensor, "B 3 H W"]:
+    def compose(self, views: list, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
         """`images` on views that are there already."""
         return compose(
             views, self._logo_colors(indices, control), self.backgrounds(indices), self.shifts(indices), None
         )
 
-    def boxes(self, views: list, indices: Sequence[int]) -> Float[Tensor, "B 4"]:
+    def boxes(self, views: list, indices: Indices) -> Float[Tensor, "B 4"]:
         """Where the rendered bodies are: xyxy pixels, clipped to the image."""
         return true_boxes(views, self.shifts(indices)).to(self._device, torch.float32)
+
+    def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
+        """The first body with the trained colours under even light, RGBA in [0, 1], cut to the body."""
+        flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
+        bank = ViewBank(self.bodies.select_poses([0]), flat, device=self._device)
+        camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
+        view = bank.dress(0, camera, self._logo.face_ids)
+        white = torch.ones(1, 3, side, side, device=self._device)
+        image = compose([view], self._colors_of(LOGO)[0], white, None, None)[0]
+        alpha = torch.zeros(side * side, device=self._device)
+        alpha[view.pixels] = view.coverage
+        alpha = alpha.view(1, side, side)
+        # Take the white behind the silhouette's pixels out again.
+        color = ((image - (1 - alpha)) / alpha.clamp(min=1e-3)).clamp(0, 1)
+        x0, y0, x1, y1 = view.box
+        return torch.cat([color, alpha])[:, y0:y1, x0:x1].permute(1, 2, 0)
 
     def camera(self, index: int) -> Camera:
         """The camera of a trial."""
@@ -80,24 +100,28 @@ class Stage:
         """Names of the backgrounds, by index."""
         return tuple(self._backgrounds.names)
 
-    def bare(self, backgrounds: Sequence[int]) -> Float[Tensor, "B 3 H W"]:
+    def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds by their own index, with nobody in front."""
         numbers = [int(i) for i in backgrounds]
         return self._backgrounds.batch(numbers, self._camera.height, self._camera.width).to(self._device)
 
-    def backgrounds(self, indices: Sequence[int]) -> Float[Tensor, "B 3 H W"]:
+    def backgrounds(self, indices: Indices) -> Float[Tensor, "B 3 H W"]:
         """What is behind the bodies of these trials."""
         return self.bare([int(self.trials.background[i]) for i in indices])
 
-    def shifts(self, indices: Sequence[int]) -> Tensor:
+    def shifts(self, indices: Indices) -> Tensor:
         """[B, 2] pixels right and down."""
-        return torch.from_numpy(self.trials.shift[np.asarray(indices, np.int64)])
+        return torch.from_numpy(self.trials.shift[np.asarray(indices, np.int64)]).to(self._device)
 
-    def _logo_colors(self, indices: Sequence[int], control: str) -> Float[Tensor, "B L 3"]:
+    def _logo_colors(self, indices: Indices, control: str) -> Float[Tensor, "B L 3"]:
         if control == "random":
             drawn = [random_colors(self._seed, int(i), len(self._colors)) for i in indices]
             return torch.from_numpy(np.stack(drawn)).to(self._device)
+        outfits = self.trials.outfit[np.asarray(indices, np.int64)]
+        return self._colors_of(control)[torch.from_numpy(outfits).to(self._device)]
+
+    def _colors_of(self, control: str) -> Float[Tensor, "K L 3"]:
         if control not in self._controls:
             colors = control_colors(control, self._colors, self.bodies, self._logo.face_ids)
             self._controls[control] = torch.from_numpy(np.ascontiguousarray(colors)).to(self._device)
-        return self._controls[control][torch.from_numpy(self.trials.outfit[np.asarray(indices, np.int64)])]
+        return self._controls[control]
