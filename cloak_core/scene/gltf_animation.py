@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
-
-class Accessors(Protocol):
-    """What reading an animation needs of a glTF document."""
-
-    def list(self, name: str) -> list: ...
-
-    def accessor(self, index: int) -> np.ndarray: ...
+from cloak_core.scene.gltf_document import Document
 
 
-def sample_animation(document: Accessors, time: float) -> dict[int, dict[str, np.ndarray]]:
+def sample_animation(document: Document, time: float) -> dict[int, dict[str, np.ndarray]]:
     """Node -> what the first animation sets of it at `time` seconds: translation, rotation, scale, weights."""
     animation = document.list("animations")[0]
     moved: dict[int, dict[str, np.ndarray]] = {}

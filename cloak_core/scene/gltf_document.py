@@ -119,7 +119,8 @@ class Document:
         if not animations:
             raise InputError(f"{self.path}: it has no animation to take {frames} frames from")
         ends = [self.accessor(sampler["input"]) for sampler in animations[0]["samplers"]]
-        return list(np.linspace(min(e.min() for e in ends), max(e.max() for e in ends), frames))
+        first, last = min(end.min() for end in ends), max(end.max() for end in ends)
+        return np.linspace(float(first), float(last), frames).tolist()
 
     def picture(self, texture: int) -> np.ndarray | None:
         """Pixels [H, W, 3] uint8 of a texture, row 0 at v = 0 of glTF (the top); None where it cannot be read."""

@@ -100,7 +100,7 @@ def region_mask(bodies: Bodies, term: str) -> Bool[np.ndarray, " faces"]:
     return region & (front_faces(bodies) if facet == "front" else ~front_faces(bodies))
 
 
-def select_box(bodies: Bodies, box: Sequence[float], facing: Facing = "any") -> Int64[np.ndarray, " logo"]:
+def select_box(bodies: Bodies, box: Sequence[float | int], facing: Facing = "any") -> Int64[np.ndarray, " logo"]:
     """Face ids whose centre lies in a box (x0, x1, y0, y1, z0, z1; metres, first pose) and whose normal points the
     way `facing` says (within 90 degrees; left and right are the body's own)."""
     limits: Float[np.ndarray, "3 2"] = np.asarray(box, float).reshape(3, 2)

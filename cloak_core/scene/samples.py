@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -16,17 +15,16 @@ from cloak_core.scene.exchange import Bodies, read_npz
 from cloak_core.scene.polygons import triangulate
 
 DATA = Path(__file__).parent / "data" / "bodies.npz"
-Split = Literal["all", "train", "unseen"]
 
 
-def sample_bodies(split: Split = "all") -> Bodies:
+def sample_bodies(split: str = "all") -> Bodies:
     """The sample bodies: 24 to train on, 6 "unseen" ones of other shapes and poses to test on, or "all" 30.
 
     All have one topology (13,486 quads), stand on y = 0, and share twelve outfits and the regions of
     `scene.logo.select_region`. A pose's name begins with its motion: standing, walking, running or waving.
     """
     if split not in ("all", "train", "unseen"):
-        raise InputError(f"sample bodies: no split '{split}' (all, train, unseen)")
+        raise InputError(f"sample bodies: there is no split '{split}' (all, train, unseen)")
     bodies, unseen = load()
     return bodies if split == "all" else bodies.select_poses(np.flatnonzero(unseen == (split == "unseen")))
 
