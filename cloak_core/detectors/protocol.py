@@ -1,7 +1,7 @@
 """The one call every detector answers, and the hash that shows a run left it untouched."""
 
 import hashlib
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,13 +22,18 @@ class Detections(NamedTuple):
     """Probability of any object, 0..1; None where the family has none."""
     is_person: Bool[Tensor, "B N"] | None = None
     """Person is the likeliest class of this box; None where there is no objectness."""
+    proposal_scores: Float[Tensor, "B N"] | None = None
+    """Two-stage families: the first stage's probability that the proposal behind this box is an object, differentiable.
+    A cloak that lowers it kills the proposal itself."""
 
 
 class Detector(nn.Module):
     """A frozen person detector: eval mode, no parameter gradients, deterministic.
 
-    Families derive from it and implement `forward`; `differentiable` is False for black boxes (ONNX), whose
-    detections carry no gradient.
+    Families derive from it and implement `detect`; `differentiable` is False for black boxes (ONNX), whose
+    detections carry no gradient. `precision` "bfloat16" runs it under autocast: about twice as fast on hardware made
+    for it, with scores within 0.01 but gradients at a cosine of 0.8 to 0.95 to the exact ones; so it is off unless
+    asked for.
     """
 
     name: str
@@ -36,6 +41,7 @@ class Detector(nn.Module):
     spec: str
     """What `load_detector` was given; loading it again gives the same detector."""
     differentiable: bool = True
+    precision: Literal["float32", "bfloat16"] = "float32"
 
     def __init__(self, name: str, spec: str) -> None:
         super().__init__()
@@ -44,6 +50,14 @@ class Detector(nn.Module):
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         """RGB images in [0, 1], of any size, on the detector's device."""
+        if self.precision == "float32":
+            return self.detect(images)
+        with torch.autocast(images.device.type, torch.bfloat16):
+            found = self.detect(images)
+        return Detections(*(part if part is None or not part.is_floating_point() else part.float() for part in found))
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        """The family's own work behind `forward`."""
         raise NotImplementedError
 
     def freeze(self) -> "Detector":

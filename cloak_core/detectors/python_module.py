@@ -29,7 +29,7 @@ class PythonDetector(Detector):
         super().__init__(name, spec)
         self.module, self.input_size, self.letterbox = module, input_size, letterbox
 
-    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         inputs, placement = images, Placement()
         if self.input_size is not None:
             inputs, placement = fit(images, self.input_size, self.letterbox)

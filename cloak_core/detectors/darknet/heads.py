@@ -50,6 +50,7 @@ class Head(nn.Module):
 
     def decode(self, raw: Float[Tensor, "B C h w"], input_size: tuple[int, int]) -> HeadBoxes:
         """Boxes and probabilities of a raw map; `input_size` (height, width) is the network input it came from."""
+        raw = raw.float() if raw.dtype == torch.bfloat16 else raw  # eight bits do not hold a coordinate
         xy, wh, objectness, classes = self._parts(raw)
         h, w = raw.shape[-2:]
         rows = torch.arange(h, device=raw.device, dtype=raw.dtype)[:, None]

@@ -10,10 +10,11 @@ Earlier = dict[int, Tensor]
 
 NORMALIZATION_EPSILON = 1e-4
 
+# In place where the gradient needs only the result: every caller hands over a tensor nobody else reads.
 ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
     "linear": lambda x: x,
-    "leaky": lambda x: F.leaky_relu(x, 0.1),
-    "relu": F.relu,
+    "leaky": lambda x: F.leaky_relu_(x, 0.1),
+    "relu": F.relu_,
     "relu6": F.relu6,
     "logistic": torch.sigmoid,
     "mish": F.mish,
@@ -136,7 +137,7 @@ class Shortcut(nn.Module):
         total = x if self.alpha == 1.0 else self.alpha * x
         for index in self.sources:
             other = earlier[index] if self.beta == 1.0 else self.beta * earlier[index]
-            total = total + _match_channels(other, total.shape[1])
+            total = total + _match_channels(other, total.shape[1])  # a new tensor: x itself may be needed again
         return ACTIVATIONS[self.activation](total)
 
 
