@@ -1,0 +1,127 @@
+"""`cloak bench views`: what visibility, a whole new view and a cached render of a logo cost, per view."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+
+from cloak_core.errors import InputError
+from cloak_core.render.compositing import compose
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies, read_scene
+
+
+def run_bench_views(
+    scene: str | os.PathLike | Bodies,
+    samples: int = 1,
+    threads: int = 2,
+    repeats: int = 20,
+    device: str = "cpu",
+    camera: Camera | None = None,
+) -> dict:
+    """Milliseconds per view, one view at a time: median and least of `repeats` runs.
+
+    Visibility is project, cover and depth; a new view is everything a cached render needs, from vertices in memory;
+    cached is a render of a chest-and-thighs logo onto a ready background together with its gradient.
+    """
+    if repeats < 1 or threads < 1:
+        raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
+    bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
+    camera = camera or Camera(azimuth=-10.0)
+    with torch_threads(threads):
+        bank = ViewBank(bodies, samples=samples, device=device)
+        key = [(0, camera)]
+        result = {
+            "visibility_ms": timed(lambda: bank.visibility(key, bank.screen(key)), repeats, device),
+            "new_view_ms": timed(lambda: bank.build(key), repeats, device),
+            "cached_ms": timed(_cached_render(bank, camera), repeats, device),
+        }
+    return result | {"samples": samples, "threads": threads, "machine": machine(device)}
+
+
+def _cached_render(bank: ViewBank, camera: Camera) -> Callable[[], None]:
+    faces = chest_and_thighs(bank.bodies)
+    view = bank.dress(0, camera, faces)
+    generator = torch.Generator().manual_seed(0)
+    shape = (1, 3, camera.height, camera.width)
+    background, upstream = (torch.rand(shape, generator=generator).to(bank.device) for _ in range(2))
+    colors = torch.full((len(faces), 3), 0.5, device=bank.device, requires_grad=True)
+
+    def render() -> None:
+        colors.grad = None
+        compose([view], colors, background).backward(upstream)
+
+    return render
+
+
+def chest_and_thighs(bodies: Bodies) -> np.ndarray:
+    """Faces [L] of the logo to measure with: the named region where there is one, else its height on a standing body.
+
+    An upright body carries its chest at 0.66 to 0.82 of its height and its thighs at 0.3 to 0.48; the front is what
+    faces +z.
+    """
+    if "chest_thighs" in bodies.regions:
+        return np.nonzero(bodies.regions["chest_thighs"])[0]
+    vertices, triangles = bodies.vertices[0].astype(np.float64), bodies.triangles
+    corner = vertices[triangles]
+    low, high = vertices[:, 1].min(), vertices[:, 1].max()
+    level = (corner[..., 1].mean(1) - low) / max(high - low, 1e-9)
+    front = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0
+    chosen = front & (((level > 0.66) & (level < 0.82)) | ((level > 0.3) & (level < 0.48)))
+    if not chosen.any():
+        chosen[:] = True
+    return np.unique(bodies.triangle_face[chosen]).astype(np.int64)
+
+
+def timed(work: Callable[[], object], repeats: int, device: str = "cpu", warm_up: int = 3) -> dict[str, float]:
+    """Median and least milliseconds of `repeats` runs of `work`, after some that do not count."""
+    wait = torch.cuda.synchronize if str(device).startswith("cuda") else lambda: None
+    times = []
+    for run in range(warm_up + repeats):
+        wait()
+        start = time.perf_counter()
+        work()
+        wait()
+        if run >= warm_up:
+            times.append((time.perf_counter() - start) * 1e3)
+    return {"median": float(np.median(times)), "min": float(min(times))}
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Within, torch uses this many threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def machine(device: str = "cpu") -> dict[str, str]:
+    """What the figures were measured on."""
+    name = torch.cuda.get_device_name() if str(device).startswith("cuda") else _processor()
+    return {
+        "device": name,
+        "cores": str(os.cpu_count()),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

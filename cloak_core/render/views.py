@@ -1,0 +1,323 @@
+"""Views as sparse matrices, built once and kept.
+
+A view is one pose seen by one camera: for each covered pixel, how much of which face's colour it shows. Dressing a
+view for a logo folds everything that is not the logo into a constant base image; rendering a dressed view is a sparse
+product (see compositing.py).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, Int64
+from torch import Tensor
+
+from cloak_core.errors import InputError
+from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
+from cloak_core.render.projection import Screen, project
+from cloak_core.render.rasterizer import Visibility, Window, bounding_window, rasterize
+from cloak_core.render.shading import Light, NormalOperator
+from cloak_core.render.sparse import csr, offsets
+from cloak_core.scene.bodies import is_closed, is_outward
+from cloak_core.scene.cameras import Camera, Vector
+from cloak_core.scene.exchange import Bodies
+
+DEFAULT_SAMPLES = 16
+GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
+"""Samples per pixel, and how many of them stand along a pixel's side."""
+BATCH_SAMPLES = 1 << 24
+"""Samples held at once while views are built (8 bytes each)."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pose seen by one camera: N covered pixels, E fragments, as a sparse matrix pixels x faces (CSR)."""
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    """Flat index y * W + x, ascending."""
+    coverage: Float32[Tensor, " N"]
+    """Share of the pixel that the body covers, in (0, 1]."""
+    specular: Float32[Tensor, " N"]
+    """Highlight, the same in all channels."""
+    crow: Int64[Tensor, " N1"]
+    """N + 1 row offsets."""
+    face: Int64[Tensor, " E"]
+    weight: Float32[Tensor, " E"]
+    """What a face's colour is multiplied by: its share of the pixel times its light."""
+
+    @cached_property
+    def box(self) -> tuple[int, int, int, int]:
+        """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
+        return _box(self.pixels, self.coverage, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class DressedView:
+    """A view with everything but the logo's colours filled in: N covered pixels, M of them touched by the logo."""
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    coverage: Float32[Tensor, " N"]
+    base: Float32[Tensor, "N 3"]
+    """The other faces and the highlight, in the light's colour; not clamped."""
+    logo_rows: Int64[Tensor, " M"]
+    """Rows of `pixels` that the logo touches."""
+    logo_crow: Int64[Tensor, " M1"]
+    """M + 1 row offsets."""
+    logo_face: Int64[Tensor, " E"]
+    """Position in the list of logo faces, 0 .. L - 1."""
+    logo_weight: Float32[Tensor, " E"]
+    logo_count: int
+    """L."""
+    light_color: Vector
+    box: tuple[int, int, int, int]
+
+    @cached_property
+    def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:
+        """The logo's matrix the other way round, faces x logo rows: row offsets, logo row, weight."""
+        row = torch.repeat_interleave(self.logo_crow.diff(), output_size=len(self.logo_face))
+        order = torch.argsort(self.logo_face, stable=True)
+        crow = offsets(self.logo_face, self.logo_count)
+        return crow, row.index_select(0, order), self.logo_weight.index_select(0, order)
+
+
+class ViewBank:
+    """Builds views of bodies and keeps the latest ones, up to a budget of memory.
+
+    bodies: the scene; light: see `Light`; samples: per pixel, 1, 4, 16 or 64; memory_bytes: for kept views.
+    Raises `InputError` for another number of samples, and for a pose or an outfit that the scene does not have.
+    """
+
+    def __init__(
+        self,
+        bodies: Bodies,
+        light: Light | None = None,
+        samples: int = DEFAULT_SAMPLES,
+        device: str | torch.device = "cpu",
+        memory_bytes: int = 2 << 30,
+    ) -> None:
+        if samples not in GRIDS:
+            raise InputError(f"samples: {samples} per pixel; there are {', '.join(map(str, GRIDS))}")
+        self.bodies, self.light, self.samples = bodies, light or Light(), samples
+        self.device = torch.device(device)
+        put = lambda array, dtype: torch.from_numpy(np.ascontiguousarray(array)).to(self.device, dtype)
+        self._triangles = put(bodies.triangles.T, torch.int64)
+        self._triangle_face = put(bodies.triangle_face, torch.int64)
+        self._colors = put(bodies.face_colors, torch.float32)
+        self._normals = NormalOperator(self._triangles, bodies.vertex_count)
+        self._split_faces = not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
+        outward = is_outward(bodies) if is_closed(bodies.triangles) else np.zeros(bodies.pose_count, bool)
+        self._outward = put(outward, torch.bool)
+        self._kept = _Kept(memory_bytes)
+
+    def view(self, pose: int, camera: Camera) -> View:
+        """The view, from memory where it was built before."""
+        return self.views([(pose, camera)])[0]
+
+    def views(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
+        """Many views; those not in memory are built together, image size by image size."""
+        found = {key: self._kept.get(("view", *key)) for key in wanted}
+        missing = [key for key, view in found.items() if view is None]
+        for size in dict.fromkeys((camera.width, camera.height) for _, camera in missing):
+            group = [key for key in missing if (key[1].width, key[1].height) == size]
+            count = max(1, BATCH_SAMPLES // (size[0] * size[1] * self.samples))
+            for start in range(0, len(group), count):
+                part = group[start : start + count]
+                for key, view in zip(part, self.build(part), strict=True):
+                    found[key] = self._kept.put(("view", *key), view)
+        return [found[key] for key in wanted]
+
+    def dress(self, pose: int, camera: Camera, logo_faces: object, outfit: int = 0) -> DressedView:
+        """The view with everything but the logo's colours (faces [L], int64) filled in from one of the outfits."""
+        faces = np.ascontiguousarray(logo_faces, np.int64)
+        key = ("dressed", pose, camera, outfit, faces.tobytes())
+        dressed = self._kept.get(key)
+        if dressed is None:
+            if not 0 <= outfit < self.bodies.outfit_count:
+                raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
+            view = self.view(pose, camera)
+            logo = torch.from_numpy(faces).to(self.device)
+            dressed = self._kept.put(key, dress(view, logo, self._colors[outfit], self.light.color))
+        return dressed
+
+    def build(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
+        """Rasterize and light views of one image size, all at once, without keeping them."""
+        screen = self.screen(wanted)
+        fragments = self._fragments(wanted, screen)
+        normals, lights = self._view_space_light(wanted)
+        weight, highlight = light_fragments(fragments, screen, self._triangles, normals, lights, self.light)
+        face = self._triangle_face.index_select(0, fragments.triangle)
+        return _assemble(fragments, face, weight, highlight, screen, self._split_faces)
+
+    def screen(self, wanted: Sequence[tuple[int, Camera]]) -> Screen:
+        """The views' vertices on the screen."""
+        poses = [self._pose(pose) for pose, _ in wanted]
+        vertices = torch.stack([pose.vertices for pose in poses])
+        pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
+        return project(vertices, [camera for _, camera in wanted], pivots)
+
+    def visibility(
+        self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
+    ) -> Visibility:
+        """The nearest triangle at every sample. Bodies whose closed surface faces outwards drop their back faces,
+        except in views where the near plane cuts them open."""
+        outward = self._outward[[pose for pose, _ in wanted]]
+        cull = outward & (screen.view[2] >= screen.near).all(1)
+        return rasterize(screen, self._triangles, GRIDS[self.samples], cull, window)
+
+    def _fragments(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Fragments:
+        window = bounding_window(screen)
+        per_row = max(1, (window.x1 - window.x0) * self.samples * len(screen.x))
+        rows = max(1, BATCH_SAMPLES // per_row)
+        if rows >= window.y1 - window.y0 or len(screen.x) > 1:
+            return merge_samples(self.visibility(wanted, screen, window))
+        bands = [
+            replace(window, y0=y, y1=min(y + rows, window.y1)) for y in range(window.y0, window.y1, rows)
+        ]  # one large view, band by band
+        return Fragments.join([merge_samples(self.visibility(wanted, screen, band)) for band in bands])
+
+    def _view_space_light(self, wanted: Sequence[tuple[int, Camera]]) -> tuple[Tensor, Tensor]:
+        """Vertex normals [3, B, V] and light positions [3, B], both turned into each view's space, float32."""
+        normals, lights = [], []
+        for pose_index, camera in wanted:
+            pose = self._pose(pose_index)
+            right, up, back = camera.axes
+            axes = (right, up, tuple(-b for b in back))
+            position = camera.position(camera.pivot or pose.center)
+            offset = [a - b for a, b in zip(self.light.position, position, strict=True)]
+            lights.append([sum(a * o for a, o in zip(axis, offset, strict=True)) for axis in axes])
+            rotation = torch.tensor(axes, dtype=torch.float32).to(self.device)
+            normals.append(rotation @ pose.normals)
+        return torch.stack(normals, 1), torch.tensor(lights, dtype=torch.float32).to(self.device).T
+
+    def _pose(self, index: int) -> _Pose:
+        pose = self._kept.get(("pose", index))
+        if pose is None:
+            if not 0 <= index < self.bodies.pose_count:
+                raise InputError(f"pose {index}: the scene has {self.bodies.pose_count}")
+            vertices = torch.from_numpy(self.bodies.vertices[index].T.astype(np.float64)).to(self.device).contiguous()
+            low, high = (
+                self.bodies.vertices[index].min(0, initial=np.inf),
+                self.bodies.vertices[index].max(0, initial=-np.inf),
+            )
+            center = tuple(((low.astype(np.float64) + high) / 2).tolist()) if vertices.shape[1] else (0.0, 0.0, 0.0)
+            pose = self._kept.put(("pose", index), _Pose(vertices, self._normals(vertices), center))
+        return pose
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    vertices: Float64[Tensor, "3 V"]
+    normals: Float32[Tensor, "3 V"]
+    center: Vector
+    """Of the bounding box."""
+
+
+class _Kept:
+    """Objects of tensors by key, the least recently used dropped first once they exceed a number of bytes."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.bytes = limit, 0
+        self._items: OrderedDict[object, tuple[object, int]] = OrderedDict()
+
+    def get(self, key: object) -> object | None:
+        if key not in self._items:
+            return None
+        self._items.move_to_end(key)
+        return self._items[key][0]
+
+    def put(self, key: object, item: object) -> object:
+        tensors = [value for value in vars(item).values() if isinstance(value, Tensor)]
+        size = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+        self._items[key] = (item, size)
+        self.bytes += size
+        while self.bytes > self.limit and len(self._items) > 1:
+            _, (_, freed) = self._items.popitem(last=False)
+            self.bytes -= freed
+        return item
+
+
+def dress(view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector) -> DressedView:
+    """Fold all faces but the logo's, in their colours, and the highlight into a base image."""
+    position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
+    position[logo] = torch.arange(len(logo), device=logo.device)
+    place = position.index_select(0, view.face)
+    is_logo = place >= 0
+    rest = torch.where(is_logo, 0, view.weight)
+    size = (len(view.pixels), len(colors))
+    matrix = csr(view.crow, view.face, rest, size)
+    tint = torch.tensor(light_color, device=logo.device)
+    base = (matrix @ colors + view.specular.unsqueeze(1)) * tint
+    entry = is_logo.nonzero().view(-1)
+    row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face)).index_select(0, entry)
+    per_row = torch.bincount(row, minlength=len(view.pixels))
+    logo_rows = per_row.nonzero().view(-1)
+    logo_crow = row.new_zeros(len(logo_rows) + 1)
+    logo_crow[1:] = per_row.index_select(0, logo_rows).cumsum(0)
+    return DressedView(
+        view.height,
+        view.width,
+        view.pixels,
+        view.coverage,
+        base,
+        logo_rows,
+        logo_crow,
+        place.index_select(0, entry),
+        view.weight.index_select(0, entry),
+        len(logo),
+        light_color,
+        view.box,
+    )
+
+
+def _assemble(
+    fragments: Fragments, face: Tensor, weight: Tensor, highlight: Tensor, screen: Screen, split_faces: bool
+) -> list[View]:
+    """Cut the fragments of a batch into its views' matrices."""
+    batch, total = len(screen.x), screen.width * screen.height
+    place = fragments.view * total + fragments.pixel
+    places, row = torch.unique_consecutive(place, return_inverse=True)
+    fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
+    coverage, highlight = fold(fragments.area), fold(highlight)
+    if split_faces:
+        row, face, weight = _merge_faces(row, face, weight)
+    crow = offsets(row, len(places))
+    first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
+    row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
+    views = []
+    for index in range(batch):
+        rows = slice(row_ends[index], row_ends[index + 1])
+        entries = slice(entry_ends[index], entry_ends[index + 1])
+        pixels = places[rows] - index * total
+        own_crow = crow[rows.start : rows.stop + 1] - entries.start
+        parts = (t.clone() for t in (coverage[rows], highlight[rows]))
+        views.append(
+            View(screen.height, screen.width, pixels, *parts, own_crow, face[entries].clone(), weight[entries].clone())
+        )
+    return views
+
+
+def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sum the weights of a polygon's triangles within each pixel."""
+    count = int(face.max()) + 1 if len(face) else 1
+    entry, inverse = torch.unique(row * count + face, return_inverse=True)
+    row = torch.div(entry, count, rounding_mode="floor")
+    return row, entry - row * count, weight.new_zeros(len(entry)).index_add_(0, inverse, weight)
+
+
+def _box(pixels: Tensor, coverage: Tensor, width: int) -> tuple[int, int, int, int]:
+    inside = pixels[coverage >= 0.5]
+    if not len(inside):
+        return 0, 0, 0, 0
+    y = torch.div(inside, width, rounding_mode="floor")
+    x = inside - y * width
+    x0, x1, y0, y1 = torch.stack([x.min(), x.max(), y.min(), y.max()]).tolist()
+    return x0, y0, x1 + 1, y1 + 1
