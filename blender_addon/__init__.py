@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import overlay, panel, preferences, properties, training_job
-from .operators import body, logo, result, train
+from . import operators, overlay, panel, preferences, properties, training_job
 
-CLASSES = (*preferences.CLASSES, *body.CLASSES, *logo.CLASSES, *train.CLASSES, *result.CLASSES, *panel.CLASSES)
+CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
 
 def register() -> None:

@@ -130,11 +130,16 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
     hidden = bm.faces.layers.bool.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
     for face in bm.faces:
         face[hidden] = face.hide
-    corners = set(bm.verts)
+    corner = bm.verts.layers.bool.new("cloak_corner")
+    for vert in bm.verts:
+        vert[corner] = True
     has_ngons = any(len(f.verts) > 4 for f in bm.faces)
-    bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)
+    middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
+    for element in middles:
+        if isinstance(element, bmesh.types.BMVert):
+            element[corner] = False  # new vertices take over the flags of the old
     if has_ngons:
-        _split_ngons(bm, corners, keep_quads)
+        _split_ngons(bm, keep_quads)
     if not keep_quads:
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
     flags = [face[hidden] for face in bm.faces]
@@ -142,16 +147,18 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
         if face.hide != flag:
             face.hide_set(flag)
     bm.faces.layers.bool.remove(bm.faces.layers.bool["cloak_hidden"])
+    bm.verts.layers.bool.remove(bm.verts.layers.bool["cloak_corner"])
 
 
-def _split_ngons(bm: bmesh.types.BMesh, corners: set[bmesh.types.BMVert], keep_quads: bool) -> None:
+def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
     """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
+    corner = bm.verts.layers.bool["cloak_corner"]
     for face in [f for f in bm.faces if len(f.verts) > 4]:
         ring = list(face.verts)
         (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]
-        _average(bm, center, [v for v in ring if v in corners])
+        _average(bm, center, [v for v in ring if v[corner]])
         if keep_quads:
-            spokes = [e for e in center.link_edges if e.other_vert(center) in corners]
+            spokes = [e for e in center.link_edges if e.other_vert(center)[corner]]
             bmesh.ops.dissolve_edges(bm, edges=spokes, use_verts=False)
 
 

@@ -37,9 +37,12 @@ print(json.dumps({"cloak": cloak_core.__version__, "torch": torch.__version__, "
 
 
 def clean_environment() -> dict[str, str]:
-    """The environment for the trainer: without what would point its Python at Blender's libraries."""
+    """The environment for the trainer: without what would point its Python at Blender's libraries.
+
+    PYTHONSAFEPATH: nothing that happens to lie in the current folder is imported.
+    """
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")}
-    return environment | {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1"}
+    return environment | {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
 
 
 def candidates() -> list[str]:

@@ -1,0 +1,93 @@
+"""One Blender per process, the extension installed into a private folder, torch forbidden."""
+
+import importlib
+import importlib.abc
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+
+class NoTorch(importlib.abc.MetaPathFinder):
+    """Fails whoever imports torch in Blender's process: it crashes Blender at exit."""
+
+    asked: list[str] = []  # noqa: RUF012
+
+    def find_spec(self, name: str, path: object, target: object = None) -> None:
+        if name.split(".")[0] in ("torch", "torchvision"):
+            self.asked.append(name)
+            raise AssertionError(f"{name} imported inside Blender")
+
+
+sys.meta_path.insert(0, NoTorch())
+
+import bpy  # noqa: E402
+
+EXTENSION = Path(os.environ["CLOAK_EXTENSION"])
+ROOT = Path(os.environ["CLOAK_ROOT"])
+MODULE = "bl_ext.user_default.cloak"
+STUB = Path(__file__).parent / "stub"
+
+
+def pytest_configure() -> None:
+    # The repository's own packages must not be found: what is tested is what was installed.
+    sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != ROOT]
+    bpy.ops.extensions.package_install_files(filepath=str(EXTENSION), repo="user_default", enable_on_install=True)
+    sys.modules["cloak"] = importlib.import_module(MODULE)
+    for room in ("body", "faces", "colors", "runs", "stamp", "poses", "steps", "trainer", "training_job", "exchange"):
+        sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
+    for room in ("scene_export", "render_check", "preferences", "properties", "overlay"):
+        sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
+
+
+@pytest.fixture(autouse=True)
+def fresh_file():
+    """An empty scene before each test, no torch and no running job after it."""
+    from cloak import training_job
+
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    yield
+    training_job.shut_down()
+    assert not NoTorch.asked
+    assert not [name for name in sys.modules if name.split(".")[0] == "torch"]
+
+
+def make_launcher(folder: Path, path: list[Path], python: str = sys.executable) -> Path:
+    """A "Python" that has a trainer: this interpreter with `path` in front of its modules."""
+    folder.mkdir(parents=True, exist_ok=True)
+    launcher = folder / "python"
+    places = os.pathsep.join(map(str, path))
+    launcher.write_text(f'#!/bin/sh\nPYTHONPATH="{places}" exec "{python}" "$@"\n')
+    launcher.chmod(0o755)
+    return launcher
+
+
+@pytest.fixture
+def stub(tmp_path: Path) -> Path:
+    """The stub trainer's Python, under a path with spaces and letters beyond ASCII; chosen in the preferences."""
+    from cloak.preferences import preferences
+
+    launcher = make_launcher(tmp_path / "Bücher & Straße 素材", [STUB])
+    preferences().python = str(launcher)
+    yield launcher
+    preferences().python = ""
+
+
+@pytest.fixture(scope="session")
+def real_trainer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The project's own trainer."""
+    return make_launcher(tmp_path_factory.mktemp("real"), [ROOT], os.environ["CLOAK_TRAINER"])
+
+
+def run_job(seconds: float = 60):
+    """Let the current job end, as Blender's timer would."""
+    import time
+
+    from cloak import training_job
+
+    until = time.monotonic() + seconds
+    while training_job.tick() is not None:
+        assert time.monotonic() < until, training_job.current.describe()
+        time.sleep(0.02)
+    return training_job.current

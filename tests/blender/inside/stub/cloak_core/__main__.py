@@ -1,0 +1,134 @@
+"""`python -m cloak_core ...` of the stub: the contracts' files and exit codes, no training.
+
+CLOAK_STUB in the environment, a comma list, makes it misbehave: "slow" (0.1 s a step), "broken" (torn and senseless
+event lines), "die" (kills itself at step 5), "refuse" (exit code 2), "crash" (exit code 1).
+"""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+HOW = os.environ.get("CLOAK_STUB", "").split(",")
+assert "" not in sys.path and os.getcwd() not in sys.path, "the current folder must not be on the trainer's path"
+assert not {"PYTHONHOME"} & set(os.environ)
+
+
+def main() -> None:
+    if sys.argv[1:3] == ["scene", "sample"]:
+        sample(Path(sys.argv[sys.argv.index("--out") + 1]))
+    elif sys.argv[1:3] == ["logo", "heatmap"]:
+        heatmap(Path(sys.argv[sys.argv.index("--scene") + 1]), Path(sys.argv[sys.argv.index("--out") + 1]))
+    elif sys.argv[1:3] == ["detectors", "check"]:
+        check(sys.argv[3], Path(sys.argv[sys.argv.index("--image") + 1]))
+    elif sys.argv[1] == "report":
+        Path(sys.argv[2], "report.html").write_text("<p>report</p>")
+        print(json.dumps({"report": "report.html"}))
+    else:
+        train(sys.argv[1:])
+
+
+def sample(out: Path) -> None:
+    """A triangle pyramid in two poses."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 2, 0]], np.float32)
+    triangles = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]], np.int32)
+    out.mkdir(parents=True)
+    np.savez(
+        out / "bodies.npz",
+        vertices=np.stack([vertices, vertices * [1, 1.1, 1]]).astype(np.float32),
+        triangles=triangles,
+        face_colors=np.full((1, 4, 3), 0.25, np.float32),
+        region_chest=np.array([True, False, True, False]),
+        names=np.array(["Ann", "Bob"]),
+    )
+    record = {"format": "cloak scene", "version": 1, "name": "Sample"}
+    (out / "scene.json").write_text(json.dumps(record))
+    print(json.dumps({"out": str(out)}))
+
+
+def heatmap(scene: Path, out: Path) -> None:
+    """Heat rises with the face's index."""
+    with np.load(scene / "bodies.npz") as arrays:
+        count = len(arrays["loop_total"])
+    np.save(out, np.arange(count, dtype=np.float32))
+    print(json.dumps({"heat": str(out), "seen": count - 1, "faces": count}))
+
+
+def check(spec: str, image: Path) -> None:
+    """Somebody is seen wherever there is no cloak."""
+    assert image.read_bytes().startswith(b"\x89PNG"), image
+    found = 0.1 if image.name.startswith("cloak") else 0.9
+    print(json.dumps({"max_person": found, "boxes": []}))
+
+
+def train(words: list[str]) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("command", choices=["train"])
+    for name in ("scene", "logo", "detector", "backgrounds", "angles", "preset", "device", "out"):
+        parser.add_argument(f"--{name}")
+    parser.add_argument("--steps", type=int, default=20)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--resume", action="store_true")
+    options = parser.parse_args(words)
+    run = Path(options.out)
+    if run.exists() and not options.resume:
+        refuse(f"{run}: exists already")
+    if "refuse" in HOW:
+        refuse("--detector builtin: no such thing here")
+    if "crash" in HOW:
+        raise RuntimeError("a defect")
+    ids = np.load(options.logo)
+    run.mkdir(exist_ok=True)
+    np.save(run / "logo.npy", ids)
+    (run / "logo.json").write_text(Path(options.logo).with_suffix(".json").read_text())
+    (run / "cancel").unlink(missing_ok=True)
+    memory = run / "step.txt"
+    first = int(memory.read_text()) if options.resume and memory.exists() else 0
+    stopped = None
+    with (run / "events.jsonl").open("a") as events:
+        tell(events, {"type": "start", "step": first, "time": 0.0, "steps": options.steps})
+        for step in range(first + 1, options.steps + 1):
+            write_red(run, len(ids))
+            memory.write_text(str(step))
+            tell(events, {"type": "step", "step": step, "time": 0.1 * step, "loss": 1 / step, "success": step / 100})
+            misbehave(events, step)
+            if (run / "cancel").exists():
+                stopped = f"stopped at step {step}: cancel file"
+                break
+    print(json.dumps({"out": str(run), "step": step, **({"stopped": stopped} if stopped else {})}))
+    sys.exit(3 if stopped else 0)
+
+
+def refuse(message: str) -> None:
+    print(f"cloak: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+def write_red(run: Path, count: int) -> None:
+    temporary = run / ".colors.npy"
+    np.save(temporary, np.tile(np.float32([1, 0, 0]), (count, 1)))
+    os.replace(temporary, run / "colors.npy")
+
+
+def tell(events, event: dict) -> None:
+    events.write(json.dumps(event) + "\n")
+    events.flush()
+
+
+def misbehave(events, step: int) -> None:
+    if "slow" in HOW:
+        time.sleep(0.1)
+    if "broken" in HOW:
+        events.write('{"type": "step", "step"\n[1, 2]\n\xff\xfe\n{"type": "step", "step": NaN, "loss": "x"}\n')
+        events.write('{"type": "step", "step": 1, "loss": Infinity, "success": true, "time": null}\n')
+        events.flush()
+    if "die" in HOW and step == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+main()

@@ -1,0 +1,194 @@
+"""Step 5: colours on the model, exact to 1/255 in a render, on exactly the right faces, and off again."""
+
+import bpy
+import numpy as np
+import pytest
+from cloak import body, colors, faces, runs, steps
+from cloak.exchange import InputError, write_colors, write_face_list
+from made import add_ngons, make_egg, set_mode
+
+
+def made_run(folder, obj, ids, values, topology=None):
+    run = folder / "run ä"
+    run.mkdir()
+    write_face_list(run / "logo.npy", np.asarray(ids), topology or body.topology(obj))
+    write_colors(run / "colors.npy", values)
+    return run
+
+
+def test_conversion_is_the_standard_and_its_own_inverse():
+    levels = np.arange(256, dtype=np.float32) / 255
+    assert np.abs(colors.linear_to_srgb(colors.srgb_to_linear(levels)) - levels).max() < 1e-6
+    from mathutils import Color
+
+    reference = [Color((v, v, v)).from_srgb_to_scene_linear().r for v in levels.tolist()]
+    assert np.abs(colors.srgb_to_linear(levels) - reference).max() < 1e-5
+
+
+@pytest.mark.parametrize("engine", ["BLENDER_WORKBENCH", "CYCLES"])
+def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
+    """A flat patch of random colours, seen squarely: Workbench as in Solid view; Cycles as emission."""
+    rng = np.random.default_rng(1)
+    side = 16
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=side, y_subdivisions=side, size=2)
+    obj = bpy.context.object
+    wanted = rng.random((side * side, 3)).astype(np.float32)
+    run = made_run(tmp_path, obj, np.arange(side * side), wanted)
+    runs.import_colors(bpy.context, obj, run)
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 2.0, (0, 0, 3)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine = engine
+    scene.render.resolution_x = scene.render.resolution_y = 8 * side
+    scene.render.filepath = str(tmp_path / "patch.png")
+    scene.render.dither_intensity = 0  # it adds noise of half a level
+    colors.use_standard_view(scene)
+    if engine == "CYCLES":
+        scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 4, "CPU", False
+        nodes, links = obj.data.materials["Cloak"].node_tree.nodes, obj.data.materials["Cloak"].node_tree.links
+        glow = nodes.new("ShaderNodeEmission")
+        links.new(next(n for n in nodes if n.type == "VERTEX_COLOR").outputs["Color"], glow.inputs["Color"])
+        links.new(glow.outputs[0], next(n for n in nodes if n.type == "OUTPUT_MATERIAL").inputs["Surface"])
+    else:
+        scene.display.shading.light, scene.display.shading.color_type = "FLAT", "VERTEX"
+        scene.display.render_aa = "OFF"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = np.empty(4 * (8 * side) ** 2, np.float32)
+    image.pixels.foreach_get(pixels)
+    seen = pixels.reshape(8 * side, 8 * side, 4)[4::8, 4::8, :3].reshape(-1, 3)
+    centers = np.array([p.center[:2] for p in obj.data.polygons])
+    order = np.lexsort((centers[:, 0], np.round(centers[:, 1], 3)))
+    assert np.abs(seen - wanted[order]).max() <= 1.001 / 255
+
+
+def test_agx_is_told_and_standard_offered():
+    scene = bpy.context.scene
+    scene.view_settings.view_transform = "AgX"
+    assert "'AgX' does not show the trained colours" in colors.view_transform_reason(scene)
+    bpy.ops.cloak.use_standard_view()
+    assert colors.view_transform_reason(scene) == ""
+    scene.view_settings.exposure = 0.5
+    assert "exposure" in colors.view_transform_reason(scene)
+
+
+def dressed_body(folder, ids=(3, 4, 50)):
+    obj = make_egg()
+    material = bpy.data.materials.new("Skin")
+    obj.data.materials.append(material)
+    values = np.tile(np.float32([1, 0, 0]), (len(ids), 1))
+    run = made_run(folder, obj, list(ids), values)
+    obj.cloak.run = str(run)
+    return obj, run
+
+
+def test_colours_reach_exactly_the_logos_faces(tmp_path):
+    obj, _ = dressed_body(tmp_path)
+    own = colors.own_face_colors(obj)
+    bpy.ops.cloak.result_load()
+    shown = colors.read_face_colors(obj, "Cloak")
+    attribute = obj.data.color_attributes["Cloak"]
+    assert (attribute.domain, attribute.data_type) == ("CORNER", "FLOAT_COLOR")
+    assert obj.data.color_attributes.active_color == attribute
+    assert np.allclose(shown[[3, 4, 50]], [1, 0, 0], atol=1e-6)
+    rest = np.setdiff1d(np.arange(len(shown)), [3, 4, 50])
+    assert np.allclose(shown[rest], own[rest], atol=1e-5)
+    slots = [obj.material_slots[p.material_index].material.name for p in obj.data.polygons]
+    assert [i for i, name in enumerate(slots) if name == "Cloak"] == [3, 4, 50]
+
+
+def test_toggle_returns_the_original_materials(tmp_path):
+    obj, _ = dressed_body(tmp_path)
+    two = bpy.data.materials.new("Shirt")
+    obj.data.materials.append(two)
+    before = np.arange(len(obj.data.polygons), dtype=np.int32) % 2
+    obj.data.polygons.foreach_set("material_index", before)
+    bpy.ops.cloak.result_toggle()
+    assert colors.is_dressed(obj)
+    bpy.ops.cloak.result_load()  # twice is as good as once
+    bpy.ops.cloak.result_toggle()
+    assert not colors.is_dressed(obj)
+    after = np.empty_like(before)
+    obj.data.polygons.foreach_get("material_index", after)
+    assert np.array_equal(after, before)
+    bpy.ops.cloak.result_toggle()
+    assert colors.is_dressed(obj)
+
+
+def test_a_body_without_materials_stays_plain_beside_its_logo(tmp_path):
+    obj = make_egg()
+    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, [7], np.float32([[0, 0, 1]])))
+    assert obj.material_slots[0].material is None and obj.data.polygons[7].material_index == 1
+    assert np.allclose(colors.own_face_colors(obj), 0.5)  # the cloak is not part of the body's own colours
+
+
+def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
+    obj, run = dressed_body(tmp_path)
+    body.subdivide(obj)
+    with pytest.raises(RuntimeError, match="changed since export: its faces are .*undo the change, or export and train"):
+        bpy.ops.cloak.result_load()
+    assert "Cloak" not in obj.data.color_attributes and not colors.is_dressed(obj)
+    np.save(run / "colors.npy", np.float32([[2, 0, 0]]))
+    with pytest.raises(InputError, match=r"colors\.npy"):
+        runs.read_run(run)
+    (run / "colors.npy").unlink()
+    with pytest.raises(InputError, match="no colours yet"):
+        runs.read_run(run)
+    assert steps.result_reason(bpy.context) == "No colours yet"
+
+
+def test_edit_mode_is_said(tmp_path):
+    _, _ = dressed_body(tmp_path)
+    set_mode("EDIT")
+    for name in ("result_load", "result_toggle"):
+        with pytest.raises(RuntimeError, match="Leave Edit Mode"):
+            getattr(bpy.ops.cloak, name)()
+
+
+def test_the_cloak_is_saved_with_the_file(tmp_path):
+    _obj, run = dressed_body(tmp_path)
+    bpy.ops.cloak.result_load()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "cloaked.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
+    obj = bpy.data.objects["Body"]
+    assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 4, 50]], [1, 0, 0], atol=1e-6)
+    assert colors.is_dressed(obj) and obj.cloak.run == str(run)
+
+
+def test_ngons_take_their_colour_on_every_corner(tmp_path):
+    obj = make_egg()
+    add_ngons(obj)
+    big = [p.index for p in obj.data.polygons if len(p.vertices) > 4]
+    values = np.random.default_rng(0).random((len(big), 3)).astype(np.float32)
+    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, big, values))
+    data = obj.data.color_attributes["Cloak"].data
+    for polygon, value in zip((obj.data.polygons[i] for i in big), values, strict=True):
+        for loop in polygon.loop_indices:
+            assert np.allclose(data[loop].color[:3], colors.srgb_to_linear(value), atol=1e-6)
+
+
+def test_live_colours_update_only_when_there_is_something_new(tmp_path):
+    import os
+
+    obj, run = dressed_body(tmp_path)
+    live = runs.LiveColors(obj, run, body.topology(obj))
+    obj.name = "Renamed"
+    assert live.update(bpy.context) and not live.update(bpy.context)
+    write_colors(run / "colors.npy", np.tile(np.float32([0, 1, 0]), (3, 1)))
+    os.utime(run / "colors.npy", ns=(1, 1))
+    set_mode("EDIT")
+    assert not live.update(bpy.context)
+    set_mode("OBJECT")
+    assert live.update(bpy.context)
+    assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 4, 50]], [0, 1, 0], atol=1e-6)
+    faces.new_logo(obj, "more", np.arange(len(obj.data.polygons)) < 2)  # a logo more is no change of the mesh
+    os.utime(run / "colors.npy", ns=(2, 2))
+    assert live.update(bpy.context)
+    body.subdivide(obj)
+    os.utime(run / "colors.npy", ns=(3, 3))
+    with pytest.raises(InputError, match="changed since export"):
+        live.update(bpy.context)
+    bpy.data.objects.remove(obj)
+    assert not live.update(bpy.context)

@@ -1,0 +1,240 @@
+"""Step 2: logos in both modes, their figures, face lists."""
+
+import json
+import time
+
+import bpy
+import numpy as np
+import pytest
+from cloak import body, faces, steps
+from cloak.exchange import InputError, read_face_list, write_face_list
+from made import add_ngons, centers, make_egg, make_grid, select_only, set_mode
+
+
+def test_a_logo_lives_through_edit_mode_saving_and_renaming(tmp_path):
+    obj = make_egg()
+    select_only(obj, range(100, 140))
+    bpy.ops.cloak.logo_new(name="Brüstung")
+    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "Brüstung")), np.arange(100, 140))
+    set_mode("OBJECT")
+    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "Brüstung")), np.arange(100, 140))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "body.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "body.blend"))
+    obj = bpy.data.objects["Body"]
+    assert faces.logo_names(obj.data) == ["Brüstung"] and obj.cloak.logo == "Brüstung"
+    assert faces.read_faces(obj, "Brüstung").sum() == 40
+    obj.data.attributes["Brüstung"].name = "chest"
+    assert faces.logo_names(obj.data)[0] == "chest"
+    assert obj.data.attributes[obj.cloak.logo_index].name == "chest"  # the only logo is the active one
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_assign_remove_select(mode):
+    obj = make_egg()
+    select_only(obj, range(10))
+    set_mode(mode)
+    bpy.ops.cloak.logo_new(name="a")
+    select_only(obj, range(5, 20))
+    set_mode(mode)
+    bpy.ops.cloak.logo_assign()
+    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "a")), np.arange(20))
+    select_only(obj, range(3))
+    set_mode(mode)
+    bpy.ops.cloak.logo_unassign()
+    bpy.ops.cloak.logo_select()
+    assert np.array_equal(np.flatnonzero(faces.read_selection(obj)), np.arange(3, 20))
+    bpy.ops.cloak.logo_remove()
+    assert not faces.logo_names(obj.data)
+
+
+def test_names_stay_apart_and_blenders_own_attributes_are_no_logos():
+    obj = make_egg()
+    mask = np.zeros(len(obj.data.polygons), bool)
+    mask[:4] = True
+    if "sharp_face" not in obj.data.attributes:
+        obj.data.attributes.new("sharp_face", "BOOLEAN", "FACE")
+    obj.data.attributes.new("seam", "BOOLEAN", "EDGE")
+    assert [faces.new_logo(obj, name, mask) for name in ("x", "x", " ", ".y")] == ["x", "x.001", "Logo", "y"]
+    assert faces.new_logo(obj, "seam", mask) == "seam.001"
+    assert faces.logo_names(obj.data) == ["x", "x.001", "Logo", "y", "seam.001"]
+
+
+def test_the_list_shows_the_active_logo_by_name_whatever_its_place():
+    obj = make_egg()
+    mask = np.ones(len(obj.data.polygons), bool)
+    for name in ("one", "two"):
+        faces.new_logo(obj, name, mask)
+    obj.cloak.logo = "two"
+    obj.data.attributes.new("a float", "FLOAT", "FACE")
+    obj.data.attributes.new("a point", "FLOAT", "POINT")
+    assert obj.data.attributes[obj.cloak.logo_index].name == "two"
+    obj.cloak.logo_index = [a.name for a in obj.data.attributes].index("one")
+    assert obj.cloak.logo == "one"
+    obj.cloak.logo_index = [a.name for a in obj.data.attributes].index("a float")  # no logo: nothing happens
+    assert obj.cloak.logo == "one"
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_mirror(mode):
+    obj = make_egg()
+    add_ngons(obj, every=10_000)
+    side = centers(obj)[:, 0]
+    picked = np.flatnonzero((side > 0.05) & (centers(obj)[:, 2] > 1))
+    faces.new_logo(obj, "half", np.isin(np.arange(len(side)), picked))
+    set_mode(mode)
+    bpy.ops.cloak.logo_mirror(extend=False)
+    set_mode("OBJECT")
+    mirrored = np.flatnonzero(faces.read_faces(obj, "half"))
+    assert len(mirrored) == len(picked) and (side[mirrored] < -0.05).all()
+    expected = sorted(map(tuple, np.round(centers(obj)[picked] * [-1, 1, 1], 4)))
+    assert np.allclose(sorted(map(tuple, np.round(centers(obj)[mirrored], 4))), expected, atol=2e-4)
+    bpy.ops.cloak.logo_mirror(extend=True)
+    assert faces.read_faces(obj, "half").sum() == 2 * len(picked)
+
+
+def test_mirror_says_when_there_is_no_other_side():
+    obj = make_egg()
+    for vertex in obj.data.vertices:
+        vertex.co.x += 3
+    faces.new_logo(obj, "a", np.ones(len(obj.data.polygons), bool))
+    with pytest.raises(RuntimeError, match="not symmetric, or its origin is off"):
+        bpy.ops.cloak.logo_mirror()
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_grow_is_blenders_select_more_and_shrink_its_reverse(mode):
+    obj = make_egg()
+    start = np.flatnonzero(np.abs(centers(obj)[:, 2] - 0.9) < 0.1)
+    faces.new_logo(obj, "belt", np.isin(np.arange(len(obj.data.polygons)), start))
+    select_only(obj, start)
+    bpy.ops.mesh.select_more()
+    more = faces.read_selection(obj)
+    bpy.ops.mesh.select_more()
+    set_mode(mode)
+    bpy.ops.cloak.logo_grow()
+    assert np.array_equal(faces.read_faces(obj, "belt"), more)
+    bpy.ops.cloak.logo_shrink()
+    assert np.array_equal(np.flatnonzero(faces.read_faces(obj, "belt")), start)
+    faces.write_faces(obj, "belt", np.arange(len(more)) == 300)
+    with pytest.raises(RuntimeError, match="too small to shrink"):
+        bpy.ops.cloak.logo_shrink()
+    assert faces.read_faces(obj, "belt").sum() == 1
+
+
+def test_figures():
+    obj = make_grid(5000)
+    obj.scale = (2, 2, 2)
+    bpy.context.view_layer.update()
+    mask = centers(obj)[:, 0] < 0
+    stats = faces.logo_stats(obj, mask)
+    assert stats.faces == mask.sum() and stats.hidden == 0
+    assert stats.area_share == pytest.approx(mask.mean(), abs=0.01)
+    assert stats.projected_area == pytest.approx(16 * mask.mean(), rel=0.01)  # 4 m x 4 m, seen squarely
+    assert stats.projected_share == pytest.approx(mask.mean(), abs=0.01)
+
+
+def test_hidden_faces_are_said_not_taken():
+    obj = make_egg()
+    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 30)
+    hidden = np.arange(len(obj.data.polygons)) < 10
+    obj.data.polygons.foreach_set("hide", hidden)
+    assert faces.logo_stats(obj, faces.read_faces(obj, "a")).hidden == 10
+    assert faces.select_faces(obj, faces.read_faces(obj, "a")) == 10
+    assert faces.read_selection(obj).sum() == 20
+
+
+def test_empty_and_foreign_logos_are_refused_by_name():
+    other = make_egg(name="Other")
+    faces.new_logo(other, "chest", np.ones(len(other.data.polygons), bool))
+    obj = make_egg()
+    with pytest.raises(InputError, match="Logo 'chest' is on 'Other', not on 'Body': make 'Other' the active object"):
+        faces.require_logo(obj, "chest")
+    assert "'Other' has one" in steps.logo_reason(bpy.context)
+    with pytest.raises(InputError, match="has no logo 'x'"):
+        faces.require_logo(obj, "x")
+    with pytest.raises(RuntimeError, match="No faces selected"):
+        faces.select_faces(obj, np.zeros(len(obj.data.polygons), bool))
+        bpy.ops.cloak.logo_new()
+    faces.write_faces(obj, "void", np.zeros(len(obj.data.polygons), bool))
+    with pytest.raises(InputError, match="'void' is empty"):
+        faces.require_logo(obj, "void")
+    faces.write_faces(obj, "two", np.arange(len(obj.data.polygons)) < 2)
+    assert faces.require_logo(obj, "two+void").sum() == 2
+
+
+# --- face lists ------------------------------------------------------------------------------------------------------
+
+
+def test_export_and_import_of_a_face_list(tmp_path):
+    obj = make_egg()
+    path = tmp_path / "Gesichter ä.npy"
+    select_only(obj, [5, 3, 99])
+    bpy.ops.cloak.logo_new(name="few")
+    bpy.ops.cloak.logo_export(filepath=str(path))
+    ids = np.load(path)
+    assert ids.dtype == np.int64 and ids.tolist() == [3, 5, 99]
+    sidecar = json.loads(path.with_suffix(".json").read_text())
+    assert sidecar["topology"] == body.topology(obj) and sidecar["index_of"] == "polygon"
+    bpy.ops.cloak.logo_import(filepath=str(path))
+    assert np.flatnonzero(faces.read_faces(obj, obj.cloak.logo)).tolist() == [3, 5, 99]
+
+
+def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
+    stranger = make_egg(rings=10, name="Stranger")
+    write_face_list(tmp_path / "list.npy", np.array([1]), body.topology(stranger))
+    obj = make_egg()
+    with pytest.raises(InputError) as caught:
+        faces.import_face_list(obj, tmp_path / "list.npy")
+    assert body.topology(obj) in str(caught.value) and body.topology(stranger) in str(caught.value)
+    np.save(tmp_path / "bare.npy", np.array([10**6]))
+    with pytest.raises(InputError, match="beyond the"):
+        faces.import_face_list(obj, tmp_path / "bare.npy")
+    np.arange(3, dtype=np.int32).tofile(tmp_path / "noise.npy")
+    with pytest.raises(InputError, match="not a readable"):
+        faces.import_face_list(obj, tmp_path / "noise.npy")
+    assert not faces.logo_names(obj.data)
+
+
+def test_nothing_is_written_where_nothing_may_be(tmp_path):
+    obj = make_egg()
+    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 3)
+    with pytest.raises(RuntimeError, match="cannot be written"):
+        bpy.ops.cloak.logo_export(filepath="/proc/list.npy")
+    assert not list(tmp_path.iterdir())
+
+
+def test_export_from_edit_mode_is_fast(tmp_path):
+    """Not the measurement (tools in real/ do that), only a guard against something quadratic."""
+    obj = make_grid(55_000)
+    select_only(obj, range(0, 55_000, 2))
+    start = time.perf_counter()
+    bpy.ops.cloak.logo_new(name="half")
+    bpy.ops.cloak.logo_export(filepath=str(tmp_path / "half.npy"))
+    assert time.perf_counter() - start < 2
+    assert len(read_face_list(tmp_path / "half.npy").ids) == 27_500
+
+
+# --- heat map --------------------------------------------------------------------------------------------------------
+
+
+def test_pick_takes_the_hottest_faces_up_to_a_share_of_the_area():
+    heat, areas = np.array([0.0, 3, 1, 2]), np.array([1.0, 1, 1, 1])
+    assert faces.pick(heat, areas, 0.5).tolist() == [False, True, False, True]
+    assert faces.pick(heat, areas, 1.0).tolist() == [False, True, True, True]
+    assert faces.pick(heat, np.array([1.0, 5, 1, 1]), 0.1).tolist() == [False, True, False, False]
+
+
+def test_heatmap_and_the_logo_taken_from_it(stub):
+    from conftest import run_job
+
+    obj = make_egg()
+    bpy.ops.cloak.heatmap()
+    job = run_job()
+    assert job.state == "done", job.message
+    assert "Cloak Heatmap" in obj.data.color_attributes
+    bpy.context.scene.cloak.heat_share = 0.1
+    bpy.ops.cloak.logo_from_heat()
+    mask = faces.read_faces(obj, "Heat")
+    areas = faces.face_areas(obj)
+    assert 0.08 < areas[mask].sum() / areas.sum() <= 0.1
+    assert mask[-1] and not mask[0]

@@ -1,0 +1,91 @@
+"""What the zip holds, what it puts into Blender, and that it leaves nothing behind."""
+
+import ast
+import threading
+import zipfile
+
+import bpy
+import cloak
+import pytest
+from cloak import training_job
+from conftest import EXTENSION, MODULE, ROOT
+
+ROOMS = {path.relative_to(ROOT / "blender_addon").as_posix() for path in (ROOT / "blender_addon").rglob("*.py")}
+
+
+def test_zip_holds_the_add_on_and_the_shared_module_and_no_more():
+    with zipfile.ZipFile(EXTENSION) as archive:
+        names = {name for name in archive.namelist() if not name.endswith("/")}
+        assert names == ROOMS | {"exchange.py", "blender_manifest.toml"}
+        assert archive.read("exchange.py") == (ROOT / "cloak_core" / "scene" / "exchange.py").read_bytes()
+
+
+def test_nothing_in_the_zip_imports_the_trainer_or_the_network():
+    forbidden = {"torch", "torchvision", "cloak_core", "socket", "urllib", "http", "requests", "pickle"}
+    with zipfile.ZipFile(EXTENSION) as archive:
+        for name in archive.namelist():
+            if not name.endswith(".py"):
+                continue
+            for node in ast.walk(ast.parse(archive.read(name))):
+                names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+                names += [node.module] if isinstance(node, ast.ImportFrom) and not node.level else []
+                assert not {n.split(".")[0] for n in names} & forbidden, name
+
+
+def test_every_file_names_its_licence():
+    with zipfile.ZipFile(EXTENSION) as archive:
+        for name in archive.namelist():
+            if name.endswith(".py") and name != "exchange.py":
+                assert archive.read(name).startswith(b"# SPDX-License-Identifier: GPL-3.0-or-later"), name
+
+
+def test_every_operator_and_property_has_a_description():
+    for cls in (*cloak.CLASSES, *cloak.properties.CLASSES):
+        rna = cls.bl_rna
+        if issubclass(cls, bpy.types.Operator):
+            rna = getattr(bpy.ops.cloak, cls.bl_idname.removeprefix("cloak.")).get_rna_type()
+            assert len(rna.description) > 10 and rna.name and "Base" not in rna.description, cls
+        for key in getattr(cls, "__annotations__", {}):
+            assert rna.properties[key].description or rna.properties[key].is_hidden, (cls, key)
+
+
+def leftovers() -> dict:
+    """Everything an add-on could leave behind."""
+    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers) if name.endswith("_p" "ost")}
+    return {
+        "types": sorted(name for name in dir(bpy.types) if "cloak" in name.lower()),
+        "operators": [name for name in dir(bpy.ops.cloak)],
+        "object": [key for key in bpy.types.Object.bl_rna.properties.keys() if "cloak" in key],
+        "scene": [key for key in bpy.types.Scene.bl_rna.properties.keys() if "cloak" in key],
+        "handlers": handlers,
+        "timer": bpy.app.timers.is_registered(training_job.tick),
+        "threads": [thread.name for thread in threading.enumerate()],
+        "ticks": list(training_job.on_tick),
+    }
+
+
+def test_ten_cycles_of_register_and_unregister_leave_nothing():
+    disable = lambda: bpy.ops.preferences.addon_disable(module=MODULE)
+    enable = lambda: bpy.ops.preferences.addon_enable(module=MODULE)
+    enabled = leftovers()
+    assert enabled["types"] and enabled["object"] == ["cloak"]
+    disable()
+    empty = leftovers()
+    assert not empty["types"] and not empty["operators"] and not empty["object"] and not empty["scene"]
+    for _ in range(10):
+        enable()
+        assert leftovers()["types"] == enabled["types"]
+        disable()
+        assert leftovers() == empty
+    enable()
+    assert {k: v for k, v in leftovers().items() if k != "handlers"} == {
+        k: v for k, v in enabled.items() if k != "handlers"
+    }
+
+
+def test_no_operator_runs_without_a_body():
+    for name in dir(bpy.ops.cloak):
+        if name.startswith(("logo_", "subdivide", "train_start", "train_resume", "heatmap", "result_", "render_check")):
+            arguments = {"filepath": "/nonexistent/x.npy"} if name in ("logo_export", "logo_import") else {}
+            with pytest.raises(RuntimeError, match="No active object: click the character's mesh"):
+                getattr(bpy.ops.cloak, name)(**arguments)

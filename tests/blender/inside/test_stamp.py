@@ -1,0 +1,113 @@
+"""Stamps: text, pictures and the smiley, from the front and from a view."""
+
+import bpy
+import numpy as np
+import pytest
+from cloak import faces, stamp
+from cloak.exchange import InputError
+from made import centers, make_egg, make_grid
+from mathutils import Matrix, Vector
+
+
+def test_a_letter_has_its_shape():
+    ink = stamp.text_stamp("L")
+    height, width = ink.shape
+    assert height == stamp.RESOLUTION and 0.3 < width / height < 1
+    assert ink[: height // 2, : width // 8].mean() > 0.5  # the stem
+    assert ink[-height // 12 :, width // 2 :].mean() > 0.9  # the foot
+    assert not ink[: height // 2, width // 2 :].any()  # nothing above it
+
+
+def test_the_smiley_is_a_smiley():
+    ink = stamp.smiley_stamp()
+    assert np.array_equal(ink, ink[:, ::-1])
+    at = lambda x, y: ink[int((1 - y) / 2 * len(ink)), int((x + 1) / 2 * len(ink))]
+    assert at(0.32, 0.25) and at(0, -0.5) and at(0, 0.9) and not at(0, 0) and not at(0.95, 0.95)
+
+
+def test_a_picture_gives_its_dark_opaque_pixels():
+    image = bpy.data.images.new("picture", 4, 2, alpha=True)
+    pixels = np.ones((2, 4, 4), np.float32)
+    pixels[0, 0, :3] = 0  # bottom left: black
+    pixels[1, 3] = (0, 0, 0, 0)  # top right: black, but transparent
+    image.pixels.foreach_set(pixels.ravel())
+    ink = stamp.image_stamp(image)
+    assert ink.tolist() == [[False] * 4, [True, False, False, False]]
+    image.pixels.foreach_set(np.ones(32, np.float32))
+    with pytest.raises(InputError, match="no dark, opaque pixels"):
+        stamp.image_stamp(image)
+    with pytest.raises(InputError, match="No picture chosen"):
+        stamp.image_stamp(None)
+    with pytest.raises(InputError, match="text is empty"):
+        stamp.text_stamp(" ")
+
+
+def test_a_letter_on_a_wall_reads_the_right_way_round():
+    obj = make_grid(20_000)  # 2 m wide, 2 m tall, seen from the front
+    settings = bpy.context.scene.cloak
+    settings.stamp_text, settings.stamp_size, settings.stamp_center = "L", 0.5, 0.5
+    bpy.ops.cloak.logo_stamp(target="NEW")
+    points = centers(obj)[faces.read_faces(obj, "L")]
+    assert points[:, 2].min() == pytest.approx(0.5, abs=0.02) and points[:, 2].max() == pytest.approx(1.5, abs=0.02)
+    low, high = points[points[:, 2] < 0.6], points[points[:, 2] > 1]
+    # From the front, x runs to the right: the foot of an L points right.
+    assert low[:, 0].max() > high[:, 0].max() + 0.2
+    assert abs(points[:, 0].min() + points[:, 0].max()) < 0.04
+
+
+def test_only_faces_that_are_seen_are_taken():
+    obj = make_egg()
+    wall = np.ones((8, 8), bool)
+    projection = stamp.front_projection(obj, 0.5, 0.5, 0.0, 1.0)
+    mask = stamp.covered_faces(bpy.context, obj, wall, projection)
+    assert mask.any() and (centers(obj)[mask][:, 1] < 0).all()
+    hidden = np.zeros(len(mask), bool)
+    hidden[np.flatnonzero(mask)[:7]] = True
+    obj.data.polygons.foreach_set("hide", hidden)
+    assert (stamp.covered_faces(bpy.context, obj, wall, projection) == mask & ~hidden).all()
+
+
+def test_a_front_part_hides_what_lies_behind_it():
+    obj = make_grid(800)
+    bpy.ops.object.select_all(action="DESELECT")
+    front = make_grid(800, "Front")
+    for vertex in front.data.vertices:
+        vertex.co.y -= 0.5
+        vertex.co.x *= 0.5
+    with bpy.context.temp_override(active_object=obj, selected_editable_objects=[obj, front]):
+        bpy.ops.object.join()
+    wall = np.ones((8, 8), bool)
+    mask = stamp.covered_faces(bpy.context, obj, wall, stamp.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
+    taken = centers(obj)[mask]
+    assert (np.abs(taken[taken[:, 1] > -0.25][:, 0]) > 0.45).all() and (taken[:, 1] < -0.25).any()
+
+
+def test_from_a_perspective_view():
+    obj = make_egg()
+
+    class Region:
+        width, height = 800, 400
+
+    class View:
+        is_perspective = True
+        view_matrix = (Matrix.Translation((0, -4, 0.9)) @ Matrix.Rotation(np.pi / 2, 4, "X")).inverted()
+
+    near, far, tangent = 0.1, 100, 0.3
+    window = Matrix.Diagonal((1 / (2 * tangent), 1 / tangent, -(far + near) / (far - near), 0))
+    window[2][3], window[3][2], window[3][3] = -2 * far * near / (far - near), -1, 0
+    View.perspective_matrix = window @ View.view_matrix
+    projection = stamp.view_projection(Region, View, 0.25, 1.0)
+    assert projection.eye == Vector((0, -4, 0.9)) and (projection.direction - Vector((0, 1, 0))).length < 1e-6
+    mask = stamp.covered_faces(bpy.context, obj, np.ones((4, 4), bool), projection)
+    points = centers(obj)[mask]
+    # A quarter of the view's height at 3.75 m: 0.25 * 2 * 3.75 * 0.3 = 0.56 m, centred on the eye's height.
+    assert np.ptp(points[:, 2]) == pytest.approx(0.56, abs=0.1) and points[:, 2].mean() == pytest.approx(0.9, abs=0.03)
+    assert (points[:, 1] < 0).all()
+
+
+def test_a_stamp_beside_the_body_is_said():
+    make_egg()
+    settings = bpy.context.scene.cloak
+    settings.stamp_kind, settings.stamp_size, settings.stamp_offset = "SMILEY", 0.05, 0.5
+    with pytest.raises(RuntimeError, match="covers no visible face: change its size or place"):
+        bpy.ops.cloak.logo_stamp()

@@ -1,0 +1,68 @@
+"""Runs the add-on's own tests (inside/) against the built and installed extension, under every Blender there is.
+
+Blender as a Python package and torch cannot live in one process (it crashes at exit), so each file of inside/ gets a
+process of its own, under a Python that has bpy: this one when it has, those in .venv-blender* (tools/setup_blender.sh
+makes them), and those named in CLOAK_BPY_PYTHONS. This Python is the one that trains.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+INSIDE = Path(__file__).parent / "inside"
+FILES = sorted(path.name for path in INSIDE.glob("test_*.py"))
+_PROBE = "import importlib.util as u, sys; sys.exit(not all(u.find_spec(m) for m in ('bpy', 'pytest')))"
+
+
+def bpy_pythons() -> list[str]:
+    """Every Python here that has bpy and pytest."""
+    places = [sys.executable, *map(str, sorted(ROOT.glob(".venv-blender*/bin/python")))]
+    places += filter(None, os.environ.get("CLOAK_BPY_PYTHONS", "").split(os.pathsep))
+    return [place for place in dict.fromkeys(places) if _has_bpy(place)]
+
+
+def _has_bpy(python: str) -> bool:
+    if not os.access(python, os.X_OK):
+        return False
+    return subprocess.run([python, "-c", _PROBE], capture_output=True, check=False).returncode == 0
+
+
+PYTHONS = bpy_pythons()
+
+
+@pytest.fixture(scope="session")
+def extension(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The extension as `make extension` builds it, validated by Blender's own tool."""
+    out = tmp_path_factory.mktemp("dist")
+    command = [PYTHONS[0], str(ROOT / "tools" / "build_extension.py"), "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return Path(done.stdout.strip().splitlines()[-1])
+
+
+def test_a_blender_is_there() -> None:
+    assert PYTHONS, "no Python with bpy: run tools/setup_blender.sh, or name some in CLOAK_BPY_PYTHONS"
+
+
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("python", PYTHONS, ids=lambda python: Path(python).parents[1].name)
+def test_add_on(python: str, file: str, extension: Path, tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST"))}
+    environment |= {
+        "CLOAK_EXTENSION": str(extension),
+        "CLOAK_TRAINER": sys.executable,
+        "CLOAK_ROOT": str(ROOT),
+        "BLENDER_USER_RESOURCES": str(tmp_path / "blender"),
+        "OMP_NUM_THREADS": "1",
+        "LC_ALL": "C.UTF-8",
+    }
+    command = [python, "-m", "pytest", "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
+    command += ["-p", "no:cacheprovider", "-q", str(INSIDE / file), f"--basetemp={tmp_path / 'tmp'}"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=550, check=False)
+    summary = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
+    assert done.returncode == 0, f"{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
+    assert "skipped" not in summary, summary
