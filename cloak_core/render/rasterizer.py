@@ -312,7 +312,7 @@ def _narrow(low: Tensor, high: Tensor, edge: Tensor, across: Tensor, down: Tenso
     """
     if edge.dtype == torch.float64:
         left = torch.where(across == 0, down, across) > 0
-        level = torch.where(left, _TINY, -_TINY)
+        level = torch.full_like(edge, _TINY).copysign_(down)
         bound = -torch.floor(edge / torch.where(across == 0, level, across))
     else:
         level = across == 0

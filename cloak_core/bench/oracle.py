@@ -1,0 +1,157 @@
+"""The rasterizer's plain twin: every triangle against every sample, in integers, nothing skipped and nothing clever.
+
+Slow and obviously right; the tests and `cloak bench stability` hold the rasterizer against it. Edge functions of
+snapped coordinates stay below 2^62, so int64 is exact. The depth of a covered sample is worked out in Python floats,
+one operation after the other, by the formula that `render.rasterizer` documents.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloak_core.render.clipping import clip
+from cloak_core.render.projection import GRID, Screen
+from cloak_core.render.rasterizer import DEPTH_BITS
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A snapped corner: x and y in grid units, nearness as the rasterizer sees it."""
+
+    x: int
+    y: int
+    nearness: float
+
+
+@dataclass
+class Piece:
+    """A triangle, or the part of one that clipping left, in one view."""
+
+    view: int
+    triangle: int
+    corners: tuple[Corner, Corner, Corner]
+
+    @property
+    def area(self) -> int:
+        """Twice the area, positive where clockwise on a screen with y down."""
+        a, b, c = self.corners
+        return (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x)
+
+
+def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
+    """All triangles [3, T] of all views, cut where they must be."""
+    x, y, nearness, safe = (t.tolist() for t in (screen.x, screen.y, screen.nearness, screen.safe))
+    result = []
+    for view in range(len(x)):
+        for triangle, vertices in enumerate(triangles.T.tolist()):
+            if all(safe[view][v] for v in vertices):
+                corners = tuple(Corner(x[view][v], y[view][v], nearness[view][v]) for v in vertices)
+                result.append(Piece(view, triangle, corners))
+                continue
+            view_space = screen.view[:, view, vertices].T.unsqueeze(-1)
+            soup, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
+            for part in zip(soup.x.T.tolist(), soup.y.T.tolist(), soup.nearness.T.tolist(), strict=True):
+                result.append(Piece(view, triangle, tuple(Corner(*c) for c in zip(*part, strict=True))))
+    return result
+
+
+def covered(piece: Piece, sample_x: np.ndarray, sample_y: np.ndarray) -> np.ndarray:
+    """Which samples, at these snapped positions (int64), the piece covers under the top-left rule."""
+    if piece.area == 0:
+        return np.zeros(sample_x.shape, bool)
+    a, b, c = piece.corners if piece.area > 0 else piece.corners[::-1]
+    inside = np.ones(sample_x.shape, bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        dx, dy = end.x - start.x, end.y - start.y
+        edge = dx * (sample_y - start.y) - dy * (sample_x - start.x)
+        # Clockwise with y down: a left edge goes up, a top edge goes right.
+        inside &= (edge >= 0) if dy < 0 or (dy == 0 and dx > 0) else (edge > 0)
+    return inside
+
+
+def depth(piece: Piece, x: int, y: int) -> int:
+    """The depth number of a covered sample, as documented: smaller is nearer."""
+    first = min(range(3), key=lambda i: (piece.corners[i].x, piece.corners[i].y))
+    c0, c1, c2 = (piece.corners[(first + i) % 3] for i in range(3))
+    area = abs(piece.area)
+    sign = 1 if piece.area > 0 else -1
+    e1 = sign * ((c2.y - c0.y) * (x - c0.x) - (c2.x - c0.x) * (y - c0.y))
+    e2 = sign * ((c1.x - c0.x) * (y - c0.y) - (c1.y - c0.y) * (x - c0.x))
+    slope1, slope2 = (c1.nearness - c0.nearness) / float(area), (c2.nearness - c0.nearness) / float(area)
+    nearness = c0.nearness + (float(e1) * slope1 + float(e2) * slope2)
+    limit = (1 << DEPTH_BITS) - 1
+    return limit - min(max(int(nearness * (1 << DEPTH_BITS)), 0), limit)
+
+
+def exact_nearness(piece: Piece, x: int, y: int) -> Fraction:
+    """Nearness at a position on the snapped triangle, without any rounding."""
+    a, b, c = piece.corners
+    weight_b = Fraction((c.y - a.y) * (x - a.x) - (c.x - a.x) * (y - a.y), piece.area)
+    weight_c = Fraction((b.x - a.x) * (y - a.y) - (b.y - a.y) * (x - a.x), piece.area)
+    near = [Fraction(corner.nearness) for corner in piece.corners]
+    return near[0] + weight_b * (near[1] - near[0]) + weight_c * (near[2] - near[0])
+
+
+def sample_positions(width: int, height: int, grid: int) -> tuple[np.ndarray, np.ndarray]:
+    """Snapped x and y [H, W, S] of the samples, S = grid * grid row by row."""
+    step = GRID // grid
+    along = lambda count: np.arange(count * grid, dtype=np.int64) * step + step // 2
+    y, x = np.meshgrid(along(height), along(width), indexing="ij")
+    split = lambda a: a.reshape(height, grid, width, grid).transpose(0, 2, 1, 3).reshape(height, width, grid * grid)
+    return split(x), split(y)
+
+
+def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None = None) -> np.ndarray:
+    """Triangle ids int32 [B, H, W, S] as `rasterize(...).triangles()` must give them; -1 = none."""
+    sample_x, sample_y = sample_positions(screen.width, screen.height, grid)
+    ids = np.full((len(screen.x), *sample_x.shape), -1, np.int32)
+    best = np.full(ids.shape, np.iinfo(np.int64).max)
+    for piece in pieces(screen, triangles):
+        if cull is not None and bool(cull[piece.view]) and piece.area > 0:
+            continue
+        for index in np.argwhere(covered(piece, sample_x, sample_y)):
+            place = (piece.view, *index)
+            number = depth(piece, int(sample_x[tuple(index)]), int(sample_y[tuple(index)]))
+            if (number, piece.triangle) < (best[place], ids[place]) or ids[place] < 0:
+                best[place], ids[place] = number, piece.triangle
+    return ids
+
+
+def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = False) -> np.ndarray:
+    """How many triangles cover each sample, int64 [B, H, W, S]."""
+    sample_x, sample_y = sample_positions(screen.width, screen.height, grid)
+    count = np.zeros((len(screen.x), *sample_x.shape), np.int64)
+    for piece in pieces(screen, triangles):
+        if not (front_only and piece.area > 0):
+            count[piece.view] += covered(piece, sample_x, sample_y)
+    return count
+
+
+def screen_of(x: np.ndarray, y: np.ndarray, nearness: np.ndarray, width: int, height: int, near: float = 1.0) -> Screen:
+    """A one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
+    row = lambda a, dtype: torch.as_tensor(np.asarray(a)).to(dtype).reshape(1, -1)
+    z = near / row(nearness, torch.float64)
+    focal = torch.full((1, 1), float(height), dtype=torch.float64)
+    snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
+    view = torch.stack([
+        (snapped_x / GRID - width / 2) * z / focal,
+        (height / 2 - snapped_y / GRID) * z / focal,
+        z,
+    ])  # fmt: skip
+    safe = torch.ones_like(snapped_x, dtype=torch.bool)
+    return Screen(
+        width,
+        height,
+        view,
+        snapped_x,
+        snapped_y,
+        row(nearness, torch.float64),
+        safe,
+        focal,
+        torch.full_like(focal, near),
+    )
