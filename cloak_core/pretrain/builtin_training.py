@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -57,6 +58,8 @@ class BuiltinSettings:
     """Decay of the running average of the weights, which is what gets stored."""
     checkpoint_seconds: float = 180.0
     """Between two stores of the weights."""
+    judged: int = 384
+    """Images with and as many without a person that calibrate each stored state."""
     seed: int = 0
 
 
@@ -92,7 +95,10 @@ def train_builtin(
         if step % 50 == 0:
             on_event({"type": "step", "step": step, **losses, "hard": len(trainer.hard)})
         if step == settings.steps or time.monotonic() - stored > settings.checkpoint_seconds:
-            result = {"step": step, **store(trainer.averaged, judging, cfg, out, step * settings.batch)}
+            result = {
+                "step": step,
+                **store(trainer.averaged, judging, cfg, out, step * settings.batch, settings.judged),
+            }
             on_event({"type": "stored", **result})
             stored = time.monotonic()
     return result
@@ -130,9 +136,8 @@ class Trainer:
         self.optimizer = torch.optim.AdamW(
             [{"params": decayed, "weight_decay": 0.02}, {"params": rest, "weight_decay": 0.0}], settings.learning_rate
         )
-        warm = min(200, settings.steps // 5 + 1)
-        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self.optimizer, settings.learning_rate, max(2, settings.steps), pct_start=warm / max(2, settings.steps)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(
+            self.optimizer, lambda done: learning_curve(done, settings.steps)
         )
         self.mining_rng, self.data_rng = (np.random.default_rng([settings.seed, i]) for i in (2, 3))
         self.hard: deque[Tensor] = deque(maxlen=600)
@@ -185,6 +190,14 @@ class Trainer:
                 value.copy_(theirs[name])
 
 
+def learning_curve(done: int, steps: int) -> float:
+    """Share of the learning rate: up over 200 steps (a fifth of a short run), then half a cosine down."""
+    warm = min(200, steps // 5)
+    if done < warm:
+        return (done + 1) / (warm + 1)
+    return 0.5 + 0.5 * math.cos(math.pi * (done - warm) / max(1, steps - warm))
+
+
 @torch.no_grad()
 def best_logits(network: Network, images: Float[Tensor, "B 3 S S"]) -> Float[Tensor, B]:
     """The largest objectness logit of each image."""
@@ -209,7 +222,7 @@ def person_logits(network: Network, data: ExampleMaker, rng: np.random.Generator
     return torch.stack(found[:count])
 
 
-def store(network: Network, judging: ExampleMaker, cfg: str, out: Path, seen: int, count: int = 384) -> dict:
+def store(network: Network, judging: ExampleMaker, cfg: str, out: Path, seen: int, count: int) -> dict:
     """Calibrate a copy of the network on held-back images and write it to `out`; returns recall and false alarms."""
     calibrated = copy.deepcopy(network).eval()
     rng = np.random.default_rng(3)

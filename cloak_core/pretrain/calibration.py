@@ -12,6 +12,9 @@ from cloak_core.detectors.darknet.layers import Convolution
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.scoring import THRESHOLD
 
+FALSE_ALARM_WEIGHT = 3.0
+"""How many missed people one false alarm is worth."""
+
 
 class Calibration(NamedTuple):
     """logit' = scale * logit + shift, and what that gives on the images it was fitted to."""
@@ -22,7 +25,9 @@ class Calibration(NamedTuple):
     false_alarms: float
 
 
-def calibrate(people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = 1.0) -> Calibration:
+def calibrate(
+    people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = FALSE_ALARM_WEIGHT
+) -> Calibration:
     """From the best logit on each image with a person and on each without.
 
     The slope is that of a logistic regression of "is there a person" (so that scores read as probabilities); the
@@ -50,7 +55,9 @@ def calibrate(people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_we
     return Calibration(scale, shift, float((people > cut).float().mean()), float((places > cut).float().mean()))
 
 
-def best_cut(people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = 1.0) -> float:
+def best_cut(
+    people: Float[Tensor, P], places: Float[Tensor, N], false_alarm_weight: float = FALSE_ALARM_WEIGHT
+) -> float:
     """The threshold with the fewest misses plus weighted false alarms; the middle where several do equally well."""
     edges = torch.cat([people, places]).sort().values
     cuts = (edges[1:] + edges[:-1]) / 2

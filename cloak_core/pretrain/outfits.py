@@ -6,6 +6,8 @@ per-face random colours on arbitrary patches are among them: a patch alone must 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -13,9 +15,10 @@ from cloak_core.scene.exchange import Bodies
 
 Rng = np.random.Generator
 Colors = Float[np.ndarray, "F 3"]
+Pattern = Callable[[Rng, Colors], Colors]
 
 GARMENTS = ("shirt", "trousers", "feet", "hands")
-PATCHES = ("chest", "belly", "back", "thighs", "shins", "arms", "forearms", "shirt", "trousers")
+PATCHED = ("chest", "belly", "back", "thighs", "shins", "arms", "forearms", "shirt", "trousers")
 
 
 class Wardrobe:
@@ -32,23 +35,21 @@ class Wardrobe:
         self.normal = (self.normal / np.linalg.norm(self.normal, axis=1, keepdims=True).clip(1e-12)).astype(np.float32)
         self.base = bodies.face_colors
         self.garments = [bodies.regions[n] for n in GARMENTS if n in bodies.regions]
-        self.patches = [bodies.regions[n] for n in PATCHES if n in bodies.regions]
+        self.patches = [bodies.regions[n] for n in PATCHED if n in bodies.regions]
 
     def draw(self, rng: Rng) -> Colors:
         """One outfit: sRGB in [0, 1]."""
         colors = self.base[rng.integers(len(self.base))] * rng.uniform(0.6, 1.25) * rng.uniform(0.9, 1.1, 3)
         colors = colors.clip(0, 1).astype(np.float32)
         if rng.random() < 0.04:
-            return self._pattern(rng)
+            return np.array(self._pattern(rng, CLOTHS))
         for garment in self.garments:
             if rng.random() < 0.7:
-                self._fill(rng, colors, garment)
+                colors[garment] = self._pattern(rng, CLOTHS)[garment]
         for _ in range(rng.choice([0, 1, 2, 3], p=[0.35, 0.35, 0.2, 0.1])):
-            self._fill(rng, colors, self._patch(rng))
+            patch = self._patch(rng)
+            colors[patch] = self._pattern(rng, PATCHES)[patch]
         return colors
-
-    def _fill(self, rng: Rng, colors: Colors, faces: Bool[np.ndarray, F]) -> None:
-        colors[faces] = self._pattern(rng)[faces]
 
     def _patch(self, rng: Rng) -> Bool[np.ndarray, F]:
         """A named region or two, perhaps its front only, or a slab of the body seen from some side."""
@@ -64,11 +65,10 @@ class Wardrobe:
             faces &= self.normal @ np.array([np.cos(angle), 0, np.sin(angle)], np.float32) > 0
         return faces
 
-    def _pattern(self, rng: Rng) -> Colors:
+    def _pattern(self, rng: Rng, kinds: dict[Pattern, float]) -> Colors:
         """One of the patterns, over the whole body."""
-        kinds = (_plain, _grey, _stripes, _checks, _confetti, _face_noise, _smooth, _blocks)
-        weights = np.array([3, 2, 1.5, 1, 1, 1.5, 1.5, 1])
-        return kinds[rng.choice(len(kinds), p=weights / weights.sum())](rng, self.centre)
+        weights = np.array(list(kinds.values()))
+        return list(kinds)[rng.choice(len(kinds), p=weights / weights.sum())](rng, self.centre)
 
 
 def _sum_by(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
@@ -90,7 +90,7 @@ def _grey(rng: Rng, centre: Colors) -> Colors:
     return np.full(centre.shape, level, np.float32)
 
 
-def _wave(rng: Rng, centre: Colors, low: float, high: float) -> Float[np.ndarray, F]:
+def _wave(rng: Rng, centre: Colors, low: float | int, high: float | int) -> Float[np.ndarray, F]:
     """A sine along a random direction, `low` to `high` periods a metre."""
     direction = rng.standard_normal(3)
     if rng.random() < 0.6:
@@ -133,3 +133,18 @@ def _blocks(rng: Rng, centre: Colors) -> Colors:
     code = (cells * np.array([73856093, 19349663, 83492791])).sum(1) % 1009
     palette = np.stack([_color(rng) for _ in range(rng.integers(2, 7))])
     return palette[rng.integers(0, len(palette), 1009)[code]]
+
+
+CLOTHS = {
+    _plain: 5.0,
+    _grey: 1.5,
+    _stripes: 1.0,
+    _checks: 0.7,
+    _confetti: 0.6,
+    _face_noise: 0.8,
+    _smooth: 0.6,
+    _blocks: 0.5,
+}
+"""How often a garment has which pattern."""
+PATCHES = {_plain: 1.0, _grey: 2.0, _confetti: 0.5, _face_noise: 2.0}
+"""What a patch on the clothes is filled with: mostly what the controls of an evaluation show."""

@@ -1,0 +1,78 @@
+"""Training the built-in detector end to end in miniature, and the weights that come with Cloak."""
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core.detectors.builtin import CFG, WEIGHTS, load_builtin
+from cloak_core.detectors.darknet.cfg import read_cfg_text
+from cloak_core.detectors.darknet.detector import load_darknet
+from cloak_core.detectors.darknet.network import build_network
+from cloak_core.detectors.scoring import is_detected_on, max_person_score
+from cloak_core.errors import InputError
+from cloak_core.pretrain.builtin_training import train_builtin
+from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.backgrounds import open_backgrounds
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.samples import sample_bodies
+
+SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}
+
+
+def test_the_network_is_small():
+    network = build_network(read_cfg_text(CFG))
+    assert sum(p.numel() for p in network.parameters()) <= 1_500_000
+    assert network.heads[0].classes == 1
+
+
+def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    noise = np.random.default_rng(0).integers(0, 255, (7, 40, 50, 3), dtype=np.uint8)
+    for i, image in enumerate(noise):
+        Image.fromarray(image).save(photos / f"{i}.png")
+    events = []
+    result = train_builtin(tmp_path / "out", photos, steps=3, seed=1, on_event=events.append, **SMALL)
+    assert result["step"] == 3 and 0 <= result["recall"] <= 1 and 0 <= result["false_alarms"] <= 1
+    assert events[-1]["type"] == "stored"
+    pair = (tmp_path / "out" / "builtin.cfg", tmp_path / "out" / "builtin.weights")
+    detector = load_darknet(*pair, name="b", spec="b", class_names=("person",))
+    scores = detector(torch.rand(1, 3, 64, 64)).scores
+    assert scores.shape == (1, 192) and torch.isfinite(scores).all()
+
+
+def test_the_same_seed_gives_the_same_weights(tmp_path):
+    for name in ("a", "b"):
+        train_builtin(tmp_path / name, steps=2, seed=5, **SMALL)
+    first, second = ((tmp_path / name / "builtin.weights").read_bytes() for name in ("a", "b"))
+    assert first == second
+
+
+def test_unknown_options_and_empty_folders_are_refused(tmp_path):
+    with pytest.raises(InputError, match="train-builtin"):
+        train_builtin(tmp_path / "out", stepz=3)
+    with pytest.raises(InputError, match="no jpg"):
+        (tmp_path / "none").mkdir()
+        train_builtin(tmp_path / "out", tmp_path / "none", steps=1)
+
+
+@pytest.mark.slow
+def test_the_committed_weights_find_unseen_people_and_no_others():
+    """A handful of renders of bodies never trained on, and of places never trained on (not the figures of record)."""
+    detector, bodies = load_builtin(), sample_bodies("unseen")
+    places = open_backgrounds("procedural:test:24").batch(range(24))
+    assert WEIGHTS.stat().st_size < 6 << 20
+    bank = ViewBank(bodies, samples=4)
+    logo = np.flatnonzero(bodies.regions["chest"])
+    grey = torch.full((len(logo), 3), 0.5)
+    views = [bank.dress(i % bodies.pose_count, Camera(azimuth=10.0 * (i % 3 - 1)), logo, i % 3) for i in range(24)]
+    images = compose(views, grey, places)
+    boxes = true_boxes(views).float()
+    with torch.no_grad():
+        found = detector(images)
+        bare = max_person_score(detector(places))
+    assert (max_person_score(found) > 0.6).float().mean() >= 0.9
+    assert is_detected_on(found, boxes).float().mean() >= 0.8
+    assert (bare > 0.6).float().mean() <= 0.13

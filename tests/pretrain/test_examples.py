@@ -1,0 +1,99 @@
+"""The examples the built-in detector learns from: boxes that fit the people, outfits that colour the body, places."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.pretrain.examples import Example, ExampleMaker, augment
+from cloak_core.pretrain.outfits import Wardrobe
+from cloak_core.pretrain.people import FRAME, bank_views
+from cloak_core.pretrain.scenery import Scenery
+from cloak_core.scene.backgrounds import open_backgrounds
+from cloak_core.scene.samples import sample_bodies
+
+SIZE = 96
+
+
+@pytest.fixture(scope="module")
+def bodies():
+    return sample_bodies("train")
+
+
+@pytest.fixture(scope="module")
+def maker(bodies):
+    views = bank_views(bodies, 8, np.random.default_rng(0))
+    return ExampleMaker(views, Wardrobe(bodies), Scenery(open_backgrounds("procedural:train:3")), SIZE)
+
+
+def test_a_banked_view_is_the_renderers_view(bodies, maker):
+    """Dressed in one of the scene's own outfits, coverage is at most 1 and colours stay below it."""
+    for view in maker.views:
+        patch = view.dress(torch.from_numpy(bodies.face_colors[0]))
+        assert patch.shape == (4, view.height, view.width)
+        assert patch[3].max() <= 1.001 and patch[:3].max() <= 1.001 and patch.min() >= 0
+        assert patch[3].sum() > 100 and (patch[3].amax(0) > 0).all() and (patch[3].amax(1) > 0).all(), "cropped tightly"
+        assert abs(view.origin[0] + view.width / 2) < FRAME / 4, "people stand in the middle of the picture"
+
+
+def test_boxes_fit_the_people_that_are_painted(maker, monkeypatch):
+    """Over a white place everything darker is the person, and the box must lie around just that."""
+    monkeypatch.setattr(maker.scenery, "draw", lambda rng, size: np.full((size, size, 3), 255, np.uint8))
+    checked = 0
+    for seed in range(8):
+        example = maker.example(np.random.default_rng(seed), 1, plain=True)
+        if example.present[0]:
+            changed = (example.image < 0.98).any(0)
+            rows, columns = changed.any(1).nonzero()[:, 0], changed.any(0).nonzero()[:, 0]
+            painted = torch.stack([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]) / SIZE
+            assert (painted - example.boxes[0]).abs().max() <= 4 / SIZE
+            checked += 1
+    assert checked >= 4
+
+
+def test_batches_hold_what_they_say(maker):
+    hard = [maker.place(np.random.default_rng(5))] * 2
+    batch = maker.batch(np.random.default_rng(2), 12, hard)
+    assert batch.images.shape == (12, 3, SIZE, SIZE) and 0 <= batch.images.min() and batch.images.max() <= 1
+    assert not batch.present[-2:].any() and batch.present[:-2].any()
+    assert not (batch.present & batch.ignored).any()
+    real = batch.boxes[batch.present]
+    assert (real[:, 2:] > real[:, :2]).all() and real.min() >= 0 and real.max() <= 1
+    again = maker.batch(np.random.default_rng(2), 12, hard)
+    assert all(torch.equal(a, b) for a, b in zip(batch, again, strict=True)), "the same seed, the same batch"
+
+
+def test_the_hidden_are_ignored(maker):
+    """Of many people in a small picture some end up covered or outside; nobody is both wanted and ignored."""
+    rng = np.random.default_rng(3)
+    examples = [maker.example(rng, 4) for _ in range(12)]
+    present = torch.stack([e.present for e in examples])
+    ignored = torch.stack([e.ignored for e in examples])
+    assert present.any() and ignored.any() and not (present & ignored).any()
+    assert (~present & ~ignored).any()
+
+
+def test_outfits_are_colours_and_vary(bodies):
+    wardrobe, rng = Wardrobe(bodies), np.random.default_rng(4)
+    outfits = np.stack([wardrobe.draw(rng) for _ in range(80)])
+    assert outfits.shape == (80, bodies.face_count, 3) and outfits.dtype == np.float32
+    assert outfits.min() >= 0 and outfits.max() <= 1
+    assert outfits.std(0).mean() > 0.15, "outfits differ from each other"
+    assert np.array_equal(Wardrobe(bodies).draw(np.random.default_rng(9)), wardrobe.draw(np.random.default_rng(9)))
+
+
+def test_places_are_crops_of_one_size_none_like_another():
+    scenery = Scenery(open_backgrounds("procedural:train:4"))
+    rng = np.random.default_rng(6)
+    crops = np.stack([scenery.draw(rng, 48) for _ in range(30)])
+    assert crops.shape == (30, 48, 48, 3) and crops.dtype == np.uint8
+    assert len({c.tobytes() for c in crops}) == 30
+
+
+def test_augmented_images_stay_images():
+    images = augment(np.random.default_rng(7), torch.rand(16, 3, 32, 32))
+    assert images.shape == (16, 3, 32, 32) and images.min() >= 0 and images.max() <= 1
+
+
+def test_example_rows_beyond_the_people_are_empty(maker):
+    example: Example = maker.example(np.random.default_rng(8), 1)
+    assert not example.present[1:].any() and not example.ignored[1:].any() and not example.boxes[1:].any()

@@ -1,0 +1,100 @@
+"""The YOLOv2 loss: its targets must be what the reader decodes."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cloak_core.detectors.builtin import CFG
+from cloak_core.detectors.darknet.cfg import read_cfg_text
+from cloak_core.detectors.darknet.heads import Region
+from cloak_core.detectors.darknet.network import build_network
+from cloak_core.pretrain.region_loss import encode, region_loss
+
+ANCHORS = [(0.9, 2.3), (1.8, 4.6), (3.4, 7.0)]
+GRID = (8, 8)
+
+
+def _raw_from(targets):
+    """A raw map that says exactly what the targets ask for."""
+    raw = torch.zeros(*targets.assigned.shape[:2], 6, *GRID)
+    raw[:, :, :2] = torch.logit(targets.boxes[:, :, :2].clamp(1e-3, 1 - 1e-3))
+    raw[:, :, 2:4] = targets.boxes[:, :, 2:]
+    raw[:, :, 4] = torch.where(targets.assigned, 12.0, -12.0)
+    return raw.flatten(1, 2)
+
+
+box = st.tuples(st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(0.03, 0.9), st.floats(0.03, 0.9))
+
+
+@settings(max_examples=60, deadline=None)
+@given(box)
+def test_targets_round_trip_through_the_readers_decode(values):
+    x, y, w, h = values
+    boxes = torch.tensor([[[x - w / 2, y - h / 2, x + w / 2, y + h / 2]]])
+    head = Region(ANCHORS, 1, True)
+    targets = encode(boxes, torch.ones(1, 1, dtype=torch.bool), head.anchors, GRID)
+    assert int(targets.assigned.sum()) == 1
+    decoded = head.decode(_raw_from(targets), (256, 256))
+    best = decoded.objectness[0].argmax()
+    assert decoded.objectness[0, best] > 0.99 and (decoded.objectness[0] > 0.5).sum() == 1
+    torch.testing.assert_close(decoded.boxes[0, best], boxes[0, 0], atol=3e-4, rtol=0)
+    assert torch.all(decoded.classes == 1), "with one class, the score is the objectness"
+
+
+def test_perfect_answers_cost_next_to_nothing_and_wrong_ones_a_lot():
+    head = Region(ANCHORS, 1, True)
+    boxes = torch.tensor([[[0.1, 0.1, 0.3, 0.7], [0.6, 0.2, 0.9, 0.95]], [[0.4, 0.4, 0.5, 0.7], [0, 0, 0, 0]]])
+    present = torch.tensor([[True, True], [True, False]])
+    nobody = torch.zeros_like(present)
+    targets = encode(boxes, present, head.anchors, GRID)
+    assert int(targets.assigned.sum()) == 3
+    raw = _raw_from(targets)
+    right = region_loss(raw, head, boxes, present, nobody)
+    assert right.objectness < 0.01
+    missed = region_loss(raw, head, boxes, nobody, nobody)
+    assert missed.objectness > 5, "claims where nobody stands"
+    blind = raw.clone().unflatten(1, (3, 6))
+    blind[:, :, 4] = -12
+    assert region_loss(blind.flatten(1, 2), head, boxes, present, nobody).objectness > 10, "three people missed"
+
+
+def test_nothing_is_said_about_ignored_people():
+    """A claim on an ignored person costs nothing, neither on its box nor in any cell of it."""
+    head = Region(ANCHORS, 1, True)
+    boxes = torch.tensor([[[0.2, 0.1, 0.5, 0.9]]])
+    yes, no = torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 1, dtype=torch.bool)
+    raw = _raw_from(encode(boxes, yes, head.anchors, GRID))
+    assert region_loss(raw, head, boxes, no, yes).objectness < 0.01
+    assert region_loss(raw, head, boxes, no, no).objectness > 5
+
+
+def test_gradients_lower_the_loss_on_one_batch():
+    """Twenty steps on a batch that never changes: the loss must fall well below its start."""
+    torch.manual_seed(0)
+    network = build_network(read_cfg_text(CFG), input_size=(128, 128), seed=1)
+    images = torch.rand(4, 3, 128, 128)
+    boxes = torch.tensor([[[0.1, 0.1, 0.4, 0.9]], [[0.5, 0.2, 0.8, 0.9]], [[0.3, 0.3, 0.5, 0.8]], [[0, 0, 0, 0]]])
+    present = torch.tensor([[True], [True], [True], [False]])
+    optimizer = torch.optim.AdamW(network.parameters(), 3e-3)
+    history = []
+    for _ in range(20):
+        losses = region_loss(network(images)[0], network.heads[0], boxes, present, torch.zeros_like(present))
+        optimizer.zero_grad()
+        losses.total.backward()
+        optimizer.step()
+        history.append(float(losses.total.detach()))
+    assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None)
+    assert min(history[-3:]) < 0.2 * history[0], history
+
+
+@pytest.mark.parametrize("present", [True, False])
+def test_loss_takes_batches_without_people(present):
+    head = Region(ANCHORS, 1, True)
+    raw = torch.randn(2, 18, *GRID, requires_grad=True)
+    boxes, mask = torch.zeros(2, 1, 4), torch.zeros(2, 1, dtype=torch.bool)
+    if present:
+        boxes, mask = torch.tensor([[[0.0, 0.0, 1.0, 1.0]]]).expand(2, 1, 4), ~mask
+    loss = region_loss(raw, head, boxes, mask, torch.zeros_like(mask)).total
+    loss.backward()
+    assert torch.isfinite(loss) and torch.isfinite(raw.grad).all()
