@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -69,11 +70,14 @@ def bank_views(
 ) -> list[BankedView]:
     """`count` views of the poses in turn: two thirds under the default light, the rest under random ones."""
     lights = [Light()] * 8 + [random_light(rng) for _ in range(4)]
-    banks = [ViewBank(bodies, light, samples=4, memory_bytes=1) for light in lights]
+    bank = ViewBank(bodies, samples=4)
+    banks = [copy.copy(bank) for _ in lights]  # one geometry under many lights
+    for lit, light in zip(banks, lights, strict=True):
+        lit.light = light
     views = []
     for i in range(count):
         camera = random_camera(rng)
-        view = banks[rng.integers(len(banks))].view(i % bodies.pose_count, camera)
+        (view,) = banks[rng.integers(len(banks))].build([(i % bodies.pose_count, camera)])
         views.append(_cropped(view, camera.distance, bodies.face_count))
         on_view(i + 1)
     return views
