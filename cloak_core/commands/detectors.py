@@ -40,7 +40,7 @@ class Check(Command):
 
             if self.out is not None:
                 require_new(self.out)
-            return check_image(load_detector(self.spec, device=self.device), self.image, self.out)
+            return check_image(load_detector(self.spec, device=self.device), self.image, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.attack.settings import parse_angles
