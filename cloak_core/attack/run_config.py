@@ -1,0 +1,55 @@
+"""The record of what a run was started with."""
+
+import platform
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from cloak_core import __version__
+from cloak_core.attack.settings import TrainSettings, settings_record
+from cloak_core.detectors.protocol import Detector
+from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.exchange import FORMAT_VERSION, Bodies, sha256_arrays
+from cloak_core.scene.logo import Logo
+
+
+def run_config(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    detectors: Sequence[Detector],
+    states: Sequence[str],
+    backgrounds: Backgrounds,
+    inputs: Mapping[str, str],
+) -> dict:
+    """config.json: what decides the result (settings, scene, logo, detectors, backgrounds), and where it ran."""
+    return {
+        "format": "cloak run",
+        "version": FORMAT_VERSION,
+        "cloak": __version__,
+        "topology": bodies.topology,
+        "settings": settings_record(settings),
+        "scene": {
+            "name": bodies.name,
+            "poses": list(bodies.names),
+            "outfits": bodies.outfit_count,
+            "faces": bodies.face_count,
+            "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors),
+        },
+        "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
+        "detectors": [
+            {"spec": detector.spec, "name": detector.name, "sha256": state}
+            for detector, state in zip(detectors, states, strict=True)
+        ],
+        "backgrounds": {"count": len(backgrounds), "sha256": sha256_arrays(np.array(backgrounds.names, np.str_))},
+        "inputs": dict(inputs),
+        "environment": {
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+            "platform": platform.platform(),
+            "threads": torch.get_num_threads(),
+            "device": torch.cuda.get_device_name(settings.device) if settings.device.startswith("cuda") else "cpu",
+        },
+    }

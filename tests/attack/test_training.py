@@ -1,0 +1,311 @@
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.attack.events import read_events
+from cloak_core.attack.settings import make_settings
+from cloak_core.attack.training import TrainingError, train
+from cloak_core.detectors.protocol import state_hash
+from cloak_core.errors import InputError
+from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.exchange import read_colors, read_face_list
+from tests.attack.fakes import (
+    BrokenDetector,
+    RedDetector,
+    TinyDetector,
+    back_logo,
+    box_bodies,
+    front_logo,
+    noise_backgrounds,
+)
+from tests.attack.fakes import tiny_settings as settings
+
+
+def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, **changes):
+    bodies = box_bodies()
+    return train(
+        settings(**changes),
+        bodies,
+        logo or front_logo(bodies),
+        detectors or [TinyDetector()],
+        noise_backgrounds(),
+        out,
+        resume=resume,
+        on_event=on_event,
+    )
+
+
+def files(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_run_folder_is_complete(tmp_path):
+    heard = []
+    detector = TinyDetector()
+    before = state_hash(detector)
+    result = run(tmp_path / "run", [detector], on_event=heard.append)
+    assert state_hash(detector) == before
+    assert (result.step, result.steps, result.stopped) == (6, 6, "")
+    folder = tmp_path / "run"
+    assert files(folder) == {
+        ".lock", "config.json", "logo.npy", "logo.json", "events.jsonl", "colors.npy",
+        "checkpoint/step-00000004/state.json", "checkpoint/step-00000004/state.safetensors",
+        "checkpoint/step-00000006/state.json", "checkpoint/step-00000006/state.safetensors",
+        "previews/step-00000003.png", "previews/step-00000006.png",
+    }  # fmt: skip
+    bodies = box_bodies()
+    config = json.loads((folder / "config.json").read_text())
+    assert config["topology"] == bodies.topology
+    assert config["detectors"] == [{"spec": "tiny:0", "name": "tiny", "sha256": before}]
+    assert config["settings"]["steps"] == 6
+    assert (read_face_list(folder / "logo.npy", bodies).ids == front_logo(bodies).face_ids).all()
+    assert np.array_equal(read_colors(folder / "colors.npy", 16), result.colors)
+    assert read_events(folder / "events.jsonl") == heard
+    assert [e["type"] for e in heard][:2] == ["start", "step"] and heard[-1]["outcome"] == "done"
+    steps = [e for e in heard if e["type"] == "step"]
+    assert [e["step"] for e in steps] == [1, 2, 3, 4, 5, 6]
+    for event in steps:
+        assert event["loss"] == pytest.approx(event["disappearance"] + 2.5 * event["tv"], abs=1e-6)
+        assert 0 <= event["success"] <= 1
+    times = [e["time"] for e in heard]
+    assert times == sorted(times)
+    assert result.record()["loss"] == steps[-1]["loss"] and "stopped" not in result.record()
+
+
+@pytest.mark.parametrize("preset", ["paper", "reference", "best"])
+def test_training_lowers_the_loss(tmp_path, preset):
+    chosen = make_settings(
+        preset, steps=60, batch=4, size=64, translation=5, samples=1, angles="0", lr=0.3, tv_weight=0
+    )
+    heard = []
+    bodies = box_bodies()
+    night = Backgrounds(["night"], lambda index, height, width: np.zeros((height, width, 3), np.uint8))
+    train(chosen, bodies, front_logo(bodies), [RedDetector()], night, tmp_path / "run", on_event=heard.append)
+    losses = [e["loss"] for e in heard if e["type"] == "step"]
+    assert np.mean(losses[-10:]) < 0.9 * np.mean(losses[:10])
+
+
+def test_equal_seeds_give_equal_colours(tmp_path):
+    first, second, other = (run(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
+    assert np.array_equal(first.colors, second.colors)
+    assert not np.array_equal(first.colors, other.colors)
+
+
+def test_several_detectors_share_the_loss(tmp_path):
+    heard = {}
+    for name, seeds in (("one", [0]), ("other", [1]), ("both", [0, 1])):
+        events = heard.setdefault(name, [])
+        run(tmp_path / name, [TinyDetector(seed) for seed in seeds], on_event=events.append, steps=1)
+    value = {name: next(e for e in events if e["type"] == "step")["disappearance"] for name, events in heard.items()}
+    assert value["both"] == pytest.approx((value["one"] + value["other"]) / 2)
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_written_before_a_run_can_begin(tmp_path):
+    bodies = box_bodies()
+    out = tmp_path / "run"
+    with pytest.raises(InputError, match="none of its 16 faces is seen from the training angles -10,10"):
+        run(out, logo=back_logo(bodies))
+    with pytest.raises(InputError, match="--detector"):
+        train(settings(), bodies, front_logo(bodies), [], noise_backgrounds(), out)
+    black_box = TinyDetector()
+    black_box.differentiable = False
+    with pytest.raises(InputError, match="tiny:0: gives no gradients"):
+        run(out, [black_box])
+    foreign = dataclasses.replace(front_logo(bodies), topology="0" * 64)
+    with pytest.raises(InputError, match="topology 0000"):
+        run(out, logo=foreign)
+    with pytest.raises(InputError, match="--device"):
+        run(out, device="gpu")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_folder_is_left_alone(tmp_path):
+    run(tmp_path / "run", steps=1)
+    before = {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
+    with pytest.raises(InputError, match="exists already"):
+        run(tmp_path / "run")
+    (tmp_path / "other").mkdir()
+    for resume in (False, True):
+        with pytest.raises(InputError, match=r"other: (exists already|not a run folder)"):
+            run(tmp_path / "other", resume=resume)
+    assert list((tmp_path / "other").iterdir()) == []
+    assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
+
+
+@pytest.mark.parametrize("in_gradient", [False, True])
+def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_gradient):
+    with pytest.raises(TrainingError, match=r"step 3: .*not finite") as raised:
+        run(tmp_path / "run", [BrokenDetector(4, in_gradient)], checkpoint_every=1)
+    if not in_gradient:
+        assert "output of tiny:0" in str(raised.value)
+    sound = run(tmp_path / "sound", steps=3, schedule="constant")
+    broken = read_colors(tmp_path / "run" / "colors.npy")
+    assert np.isfinite(broken).all() and broken.shape == sound.colors.shape
+    assert read_events(tmp_path / "run" / "events.jsonl")[-1]["type"] == "error"
+    resumed = run(tmp_path / "run", resume=True, checkpoint_every=1)
+    assert np.array_equal(resumed.colors, run(tmp_path / "whole").colors)
+
+
+# --- stopping and going on -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["file", "budget", "signal"])
+def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
+    whole = run(tmp_path / "whole", steps=7)
+
+    def stop(event):
+        if event["type"] == "step" and event["step"] == 3:
+            if how == "file":
+                (tmp_path / "run" / "cancel").touch()
+            elif how == "signal":
+                os.kill(os.getpid(), signal.SIGTERM)
+
+    changes = {"max_seconds": 1e-6} if how == "budget" else {}
+    part = run(tmp_path / "run", steps=7, on_event=stop, **changes)
+    assert part.step == (1 if how == "budget" else 3)
+    assert part.stopped == {"file": "cancel file", "budget": "time budget", "signal": "SIGTERM"}[how]
+    assert part.record()["stopped"].startswith("stopped at step")
+    assert np.array_equal(read_colors(tmp_path / "run" / "colors.npy"), part.colors)
+    rest = run(tmp_path / "run", steps=7, resume=True)
+    assert (rest.step, rest.stopped) == (7, "")
+    assert np.array_equal(rest.colors, whole.colors)
+    events = [e for e in read_events(tmp_path / "run" / "events.jsonl") if e["type"] == "step"]
+    assert [e["step"] for e in events] == [1, 2, 3, 4, 5, 6, 7]
+    assert [e["time"] for e in events] == sorted(e["time"] for e in events)
+    drop_time = lambda es: [{k: v for k, v in e.items() if k != "time"} for e in es if e["type"] == "step"]
+    assert drop_time(events) == drop_time(read_events(tmp_path / "whole" / "events.jsonl"))
+
+
+def test_resuming_a_finished_run_changes_nothing(tmp_path):
+    done = run(tmp_path / "run")
+    again = run(tmp_path / "run", resume=True)
+    assert np.array_equal(done.colors, again.colors) and again.figures is None and again.stopped == ""
+
+
+def test_resuming_what_does_not_exist_starts_it(tmp_path):
+    assert np.array_equal(run(tmp_path / "a", resume=True).colors, run(tmp_path / "b").colors)
+
+
+def test_a_damaged_checkpoint_costs_its_steps_only(tmp_path):
+    whole = run(tmp_path / "whole", steps=7)
+    run(tmp_path / "run", steps=7)
+    for latest in sorted((tmp_path / "run" / "checkpoint").iterdir())[1:]:
+        (latest / "state.safetensors").write_bytes(b"torn")
+    heard = []
+    rest = run(tmp_path / "run", steps=7, resume=True, on_event=heard.append)
+    assert heard[0]["type"] == "resume" and heard[0]["step"] == 6 and "torn or changed" in heard[0]["damaged"][0]
+    assert np.array_equal(rest.colors, whole.colors)
+
+
+def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
+    run(tmp_path / "run")
+    with pytest.raises(InputError, match=r"settings\.seed = 0, not 1"):
+        run(tmp_path / "run", resume=True, seed=1)
+    with pytest.raises(InputError, match="detectors"):
+        run(tmp_path / "run", [TinyDetector(1)], resume=True)
+    run(tmp_path / "run", resume=True, checkpoint_every=5)
+
+
+def test_two_runs_in_one_folder(tmp_path):
+    refused = []
+
+    def second(event):
+        if event["type"] == "step" and event["step"] == 1:
+            thread = threading.Thread(target=attempt)
+            thread.start()
+            thread.join()
+
+    def attempt():
+        try:
+            run(tmp_path / "run", resume=True)
+        except InputError as error:
+            refused.append(str(error))
+
+    run(tmp_path / "run", on_event=second)
+    assert len(refused) == 1 and "another process is training" in refused[0]
+    assert [e["step"] for e in read_events(tmp_path / "run" / "events.jsonl") if e["type"] == "step"] == [
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+    ]
+
+
+CHILD = """
+import sys
+sys.path.insert(0, {root!r})
+from tests.attack.test_training import run
+from pathlib import Path
+def say(event):
+    if event["type"] == "step":
+        print(event["step"], flush=True)
+run(Path(sys.argv[1]), steps=40, resume=True, checkpoint_every=3, on_event=say)
+"""
+
+
+def test_killed_runs_go_on_to_the_same_bits(tmp_path):
+    whole = run(tmp_path / "whole", steps=40, checkpoint_every=3)
+    for kill_at in (4, 9, 27):
+        process = subprocess.Popen(
+            [sys.executable, "-c", CHILD.format(root=str(Path(__file__).parents[2])), str(tmp_path / "run")],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for line in process.stdout:
+            if int(line) >= kill_at:
+                break
+        process.kill()
+        process.wait()
+    rest = run(tmp_path / "run", steps=40, checkpoint_every=3, resume=True)
+    assert np.array_equal(rest.colors, whole.colors)
+
+
+# --- the whole chain -------------------------------------------------------------------------------------------------
+
+
+def test_gradient_of_the_whole_chain_against_finite_differences():
+    """Colours -> compositing with all augmentations -> detector -> loss, on the real step's objective."""
+    from cloak_core.attack.batches import Batcher
+    from cloak_core.attack.losses import disappearance, total_variation
+    from cloak_core.attack.sampling import Sampler
+    from cloak_core.render.views import ViewBank
+
+    bodies, chosen = box_bodies(), settings(batch=2)
+    logo = front_logo(bodies)
+    backgrounds = noise_backgrounds()
+    sampler = Sampler(chosen, bodies.pose_count, bodies.outfit_count, len(backgrounds))
+    batch = Batcher(
+        chosen, sampler, ViewBank(bodies, samples=1), logo.face_ids, backgrounds, torch.device("cpu")
+    ).batch(0)
+    detector = TinyDetector()
+    edges, lengths = torch.from_numpy(logo.edges), torch.from_numpy(logo.edge_lengths).float()
+
+    def objective(colors):
+        return disappearance(detector(batch.images(colors)), "score", "logsumexp") + 0.1 * total_variation(
+            colors, edges, lengths
+        )
+
+    generator = torch.Generator().manual_seed(0)
+    colors = (0.3 + 0.4 * torch.rand(16, 3, generator=generator)).requires_grad_()
+    objective(colors).backward()
+    assert (colors.grad != 0).all()
+    for _ in range(5):
+        direction = torch.randn(16, 3, generator=generator)
+        with torch.no_grad():
+            ends = [objective(colors + sign * 3e-3 * direction).double() for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / 6e-3
+        assert numeric.item() == pytest.approx((colors.grad * direction).sum().item(), rel=0.03, abs=2e-4)
