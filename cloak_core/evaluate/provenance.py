@@ -16,17 +16,18 @@ def training_record(run: Path) -> dict:
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
     """`unseen` of the summary ({"bodies": bool or None, "backgrounds": bool or None}) and one warning per overlap.
 
-    `config` is a run's config.json. Poses are compared by their geometry, backgrounds by name. None means that the
-    configuration does not tell.
+    `config` is a run's config.json. Poses are compared by their geometry, backgrounds by their content. None means
+    that the configuration does not tell.
     """
     config = config or {}
     scene, pictures = _part(config, "scene"), _part(config, "backgrounds")
     shared_bodies = _shared_bodies(scene, bodies)
-    trained_names = pictures.get("names")
+    trained = pictures.get("identities")
     shared_backgrounds = None
-    if isinstance(trained_names, list):
-        known = set(map(str, trained_names))
-        shared_backgrounds = [name for name in backgrounds.names if name in known]
+    if isinstance(trained, list):
+        known = set(map(str, trained))
+        pairs = zip(backgrounds.names, backgrounds.identities(), strict=True)
+        shared_backgrounds = [name for name, identity in pairs if identity in known]
     warnings = []
     for kind, shared in (("bodies", shared_bodies), ("backgrounds", shared_backgrounds)):
         if shared:

@@ -5,6 +5,7 @@ Images are kept in memory as uint8 at the size they were asked for, up to a boun
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 from collections import OrderedDict
@@ -58,9 +59,16 @@ class Backgrounds:
     `draw(index, height, width)` makes image `index` of the source as uint8 [H, W, 3]. Subsets share one cache.
     """
 
-    def __init__(self, names: Sequence[str], draw: Draw, memory_bytes: int = MEMORY_BYTES) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        draw: Draw,
+        memory_bytes: int = MEMORY_BYTES,
+        identify: Callable[[int], str] | None = None,
+    ) -> None:
         self.names = tuple(names)
         self._draw = draw
+        self._identify = identify or self.names.__getitem__
         self._indices = tuple(range(len(self.names)))
         self._cache = _Cache(memory_bytes)
 
@@ -85,9 +93,13 @@ class Backgrounds:
         """The images at `indices`, in that order."""
         part = Backgrounds.__new__(Backgrounds)
         part.names = tuple(self.names[i] for i in indices)
-        part._draw, part._cache = self._draw, self._cache
+        part._draw, part._cache, part._identify = self._draw, self._cache, self._identify
         part._indices = tuple(self._indices[i] for i in indices)
         return part
+
+    def identities(self) -> list[str]:
+        """What tells an image from every other, whatever it is called: a file's SHA-256, a procedural scene's name."""
+        return [self._identify(i) for i in self._indices]
 
     def split(self, every: int = 2, offset: int = 0) -> Backgrounds:
         """Image `offset` and every `every`-th after it: `split(2, 0)` the first, third, ..., `split(2, 1)` the rest."""
@@ -149,7 +161,12 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
                     ready.append(image)
     if not good:
         raise InputError(f"{folder}: none of its {len(files)} images can be read")
-    backgrounds = Backgrounds([p.name for p in good], lambda i, h, w: _read(good[i], h, w), memory_bytes)
+    backgrounds = Backgrounds(
+        [p.name for p in good],
+        lambda i, h, w: _read(good[i], h, w),
+        memory_bytes,
+        lambda i: hashlib.sha256(good[i].read_bytes()).hexdigest(),
+    )
     for i, image in enumerate(ready):
         backgrounds._cache.put((i, *size), torch.from_numpy(image.transpose(2, 0, 1).copy()))
     return backgrounds

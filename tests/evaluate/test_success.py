@@ -159,7 +159,7 @@ def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Pat
 
 
 def test_overlap_with_training_is_said(bodies: Bodies, logo: Logo, caplog: pytest.LogCaptureFixture) -> None:
-    config = {"scene": {"pose_sha256": pose_hashes(bodies)[:1]}, "backgrounds": {"names": ["other"]}}
+    config = {"scene": {"pose_sha256": pose_hashes(bodies)[:1]}, "backgrounds": {"identities": ["other"]}}
     with caplog.at_level(logging.WARNING, "cloak"):
         result = evaluate(
             green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL, training=config
