@@ -36,13 +36,14 @@ def run_config(
             "outfits": bodies.outfit_count,
             "faces": bodies.face_count,
             "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors),
+            "pose_sha256": [sha256_arrays(vertices) for vertices in bodies.vertices],
         },
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [
             {"spec": detector.spec, "name": detector.name, "sha256": state}
             for detector, state in zip(detectors, states, strict=True)
         ],
-        "backgrounds": {"count": len(backgrounds), "sha256": sha256_arrays(np.array(backgrounds.names, np.str_))},
+        "backgrounds": {"count": len(backgrounds), "identities": backgrounds.identities()},
         "inputs": dict(inputs),
         "environment": {
             "python": platform.python_version(),
