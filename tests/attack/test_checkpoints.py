@@ -122,12 +122,12 @@ for step in range(1, 100000):
 
 def test_killed_while_writing_there_is_always_a_whole_one(tmp_path):
     """SIGKILL at moments spread over the write: what is found is whole and at most one behind what was announced."""
-    for attempt in range(6):
+    for attempt in range(4):
         folder = tmp_path / str(attempt)
         folder.mkdir()
         process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
         announced = [process.stdout.readline() for _ in range(3)]
-        time.sleep(0.0037 * attempt)
+        time.sleep(0.0053 * attempt)
         process.send_signal(signal.SIGKILL)
         announced += process.stdout.readlines()
         process.wait()
