@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import shutil
 import signal
 import sys
 import time
@@ -75,6 +76,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--preset", default="", help="best, paper or reference")
     add("--steps", type=int, help="updates of the colours")
     add("--device", default="", help="cpu or cuda")
+    add("--config", default="", help="TOML file with further settings of cloak train")
     add("--python", default="", help="Python that has cloak_core (default: found)")
     add("--resume", action="store_true", help="go on with the run in --out")
     joined: list[str] = []
@@ -99,6 +101,22 @@ def choice_of(options: argparse.Namespace, scene: bpy.types.Scene) -> PoseChoice
     except ValueError:
         raise InputError(f"--frames {options.frames}: A:B:STEP in whole frames is needed") from None
     return PoseChoice("RANGE", first, last, step)
+
+
+def request_of(options: argparse.Namespace) -> TrainRequest:
+    """What goes on to the trainer; paths are made absolute, because it works in a folder of its own."""
+    config = options.config and str(Path(options.config).absolute())
+    backgrounds = options.backgrounds
+    if backgrounds and Path(backgrounds).is_dir():
+        backgrounds = str(Path(backgrounds).absolute())
+    detector = ":".join(_absolute_file(part) for part in options.detector.split(":"))
+    return TrainRequest(detector, backgrounds, options.angles, options.preset, options.steps, options.device, config)
+
+
+def _absolute_file(part: str) -> str:
+    """A part of a detector's name, absolute when it is a file (yolo.weights, yolo.weights@224)."""
+    path, at, size = part.partition("@")
+    return str(Path(path).absolute()) + at + size if Path(path).is_file() else part
 
 
 def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
@@ -171,9 +189,7 @@ def main(arguments: list[str]) -> None:
     logo = options.logo
     if logo.endswith(".npy"):
         logo = import_face_list(obj, Path(logo))
-    request = TrainRequest(
-        options.detector, options.backgrounds, options.angles, options.preset, options.steps, options.device
-    )
+    request = request_of(options)
     train(options, obj, logo, python, request, run)
     obj.cloak.run = str(run)
     finish(options, obj, run)
@@ -246,6 +262,17 @@ def run_as_script(arguments: list[str]) -> int:
     return 0
 
 
+def leave(code: int) -> None:
+    """End this process with an exit code."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if bpy.app.binary_path:
+        sys.exit(code)
+    # The bpy package may wait for ever in its own destructors at a regular exit (a condition variable still in use).
+    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    os._exit(code)
+
+
 if __name__ == "__main__":
-    words = sys.argv[1:] if bpy.app.binary_path == "" else []
-    sys.exit(run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else words))
+    given = sys.argv[1:] if bpy.app.binary_path == "" else []
+    leave(run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))

@@ -155,6 +155,8 @@ class TrainRequest:
     preset: str = ""
     steps: int | None = None
     device: str = ""
+    config: str = ""
+    """TOML file with further settings of the trainer."""
 
     def options(self) -> list[str]:
         """As command line options."""
@@ -164,6 +166,7 @@ class TrainRequest:
             "--preset": self.preset,
             "--steps": "" if self.steps is None else str(self.steps),
             "--device": self.device,
+            "--config": self.config,
         }
         # --angles=-10:10:5 in one word: a value that starts with a minus looks like an option otherwise.
         return [f"--angles={self.angles}"] + [word for pair in given.items() if pair[1] for word in pair]

@@ -234,6 +234,8 @@ def take_event(progress: Progress, line: bytes) -> Progress:
         progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
     if kind != "step" or step is None:
         return progress
+    if step < progress.step:
+        return replace(progress, broken_lines=progress.broken_lines + 1)
     success = _number(event.get("success"))
     if success is not None and progress.success is not None:
         success = 0.95 * progress.success + 0.05 * success  # one batch says little

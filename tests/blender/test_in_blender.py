@@ -15,6 +15,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
 FILES = sorted(path.name for path in INSIDE.glob("test_*.py"))
+RUN_PYTEST = "import os, pytest, sys; code = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(code)"
+"""The bpy package may wait for ever at a regular exit."""
 _PROBE = "import importlib.util as u, sys; sys.exit(not all(u.find_spec(m) for m in ('bpy', 'pytest')))"
 
 
@@ -60,7 +62,7 @@ def test_add_on(python: str, file: str, extension: Path, tmp_path: Path) -> None
         "OMP_NUM_THREADS": "1",
         "LC_ALL": "C.UTF-8",
     }
-    command = [python, "-m", "pytest", "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
+    command = [python, "-c", RUN_PYTEST, "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
     command += ["-p", "no:cacheprovider", "-q", str(INSIDE / file), f"--basetemp={tmp_path / 'tmp'}"]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=550, check=False)
     summary = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""

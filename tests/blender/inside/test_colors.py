@@ -127,7 +127,9 @@ def test_a_body_without_materials_stays_plain_beside_its_logo(tmp_path):
 def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     obj, run = dressed_body(tmp_path)
     body.subdivide(obj)
-    with pytest.raises(RuntimeError, match="changed since export: its faces are .*undo the change, or export and train"):
+    with pytest.raises(
+        RuntimeError, match="changed since export: its faces are .*undo the change, or export and train"
+    ):
         bpy.ops.cloak.result_load()
     assert "Cloak" not in obj.data.color_attributes and not colors.is_dressed(obj)
     np.save(run / "colors.npy", np.float32([[2, 0, 0]]))

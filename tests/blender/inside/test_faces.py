@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cloak import body, faces, steps
 from cloak.exchange import InputError, read_face_list, write_face_list
-from made import add_ngons, centers, make_egg, make_grid, select_only, set_mode
+from made import centers, make_egg, make_grid, select_only, set_mode
 
 
 def test_a_logo_lives_through_edit_mode_saving_and_renaming(tmp_path):
@@ -77,7 +77,6 @@ def test_the_list_shows_the_active_logo_by_name_whatever_its_place():
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 def test_mirror(mode):
     obj = make_egg()
-    add_ngons(obj, every=10_000)
     side = centers(obj)[:, 0]
     picked = np.flatnonzero((side > 0.05) & (centers(obj)[:, 2] > 1))
     faces.new_logo(obj, "half", np.isin(np.arange(len(side)), picked))

@@ -51,7 +51,7 @@ def test_every_operator_and_property_has_a_description():
 
 def leftovers() -> dict:
     """Everything an add-on could leave behind."""
-    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers) if name.endswith("_p" "ost")}
+    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers) if name.endswith("_post")}
     return {
         "types": sorted(name for name in dir(bpy.types) if "cloak" in name.lower()),
         "operators": [name for name in dir(bpy.ops.cloak)],

@@ -1,0 +1,169 @@
+"""`train.py` without a window, as users run it: exit codes, files, and the round trip with the real trainer."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from cloak import body, colors, faces, stamp
+from conftest import ROOT
+from made import add_ngons, make_egg
+
+SCRIPT = ROOT / "blender_addon" / "train.py"
+RED = Path(__file__).with_name("red_detector.py")
+
+
+def train(folder: Path, *arguments: object, python: object = None) -> subprocess.CompletedProcess:
+    words = [sys.executable, str(SCRIPT), "--", *map(str, arguments)]
+    words += ["--python", str(python)] if python else []
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+
+
+def save_body(folder: Path, ids, name: str = "chest") -> Path:
+    obj = make_egg()
+    faces.new_logo(obj, name, np.isin(np.arange(len(obj.data.polygons)), ids))
+    path = folder / "körper 1.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def reds(obj) -> np.ndarray:
+    return (np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1 / 255).all(1)
+
+
+def test_from_blend_to_blend(tmp_path, stub):
+    blend = save_body(tmp_path, [4, 5, 6])
+    frames = ("--frames", "1:60:10", "--angles", "-10:10:5", "--steps", 3, "--detector", "builtin")
+    done = train(
+        tmp_path, "--blend", blend, "--logo", "chest", *frames, "--out", "RUN", "--save", "cloaked.blend", python=stub
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "exported 6 poses" in done.stdout and "Training done: 3/3" in done.stdout
+    assert (tmp_path / "RUN" / "previews" / "blender.png").read_bytes().startswith(b"\x89PNG")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
+    obj = bpy.data.objects["Body"]
+    assert np.flatnonzero(reds(obj)).tolist() == [4, 5, 6]
+    assert obj.cloak.run == str(tmp_path / "RUN")  # the panel goes on from here
+    again = train(tmp_path, "--blend", blend, "--logo", "chest", "--out", "RUN", python=stub)
+    assert again.returncode == 2 and "exists already (continue it with --resume" in again.stderr
+
+
+def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch):
+    blend = save_body(tmp_path, [4, 5, 6])
+    some = ("--blend", blend, "--out", "RUN")
+    for words, message in (
+        ((*some,), "required: --logo"),
+        ((*some, "--logo", "x", "--nonsense"), "unrecognized arguments: --nonsense"),
+        ((*some, "--logo", "hat"), "'Body' has no logo 'hat' (it has: chest)"),
+        ((*some, "--logo", "chest", "--object", "Ghost"), "--object Ghost: no such object in the scene (meshes: Body)"),
+        ((*some, "--logo", "chest", "--frames", "one"), "--frames one: A:B:STEP"),
+        ((*some, "--logo", "chest", "--save", "no/where.blend"), "where.blend: the folder"),
+        (("--blend", "none.blend", "--out", "RUN", "--logo", "chest"), "--blend none.blend: no such file"),
+        ((*some, "--logo", "missing.npy"), "missing.npy: No such file"),
+    ):
+        done = train(tmp_path, *words, python=stub)
+        lines = [line for line in done.stderr.splitlines() if line.startswith("cloak: ")]
+        assert done.returncode == 2 and len(lines) == 1 and message in lines[0], (words, done.stderr)
+        assert "Traceback" not in done.stderr
+        assert not list(tmp_path.glob("RUN*"))
+    done = train(tmp_path, *some, "--logo", "chest", python="/nowhere/python")
+    assert done.returncode == 2 and "'/nowhere/python' cannot be run" in done.stderr
+    monkeypatch.setenv("CLOAK_STUB", "refuse")
+    done = train(tmp_path, *some, "--logo", "chest", python=stub)
+    assert done.returncode == 2 and "cloak: --detector builtin: no such thing here" in done.stderr
+    monkeypatch.setenv("CLOAK_STUB", "crash")
+    done = train(tmp_path, "--blend", blend, "--out", "RUN2", "--logo", "chest", python=stub)
+    assert done.returncode == 1 and "a defect" in done.stderr
+
+
+def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
+    import os
+    import signal
+    import time
+
+    blend = save_body(tmp_path, [4, 5, 6])
+    words = ["--blend", str(blend), "--logo", "chest", "--out", "RUN", "--steps", "40", "--python", str(stub)]
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    process = subprocess.Popen([sys.executable, str(SCRIPT), "--", *words], cwd=tmp_path, stderr=subprocess.PIPE)
+    until = time.monotonic() + 60
+    while not (tmp_path / "RUN" / "step.txt").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=30)
+    assert process.returncode == 3 and b"Resume goes on from there" in stderr
+    monkeypatch.setenv("CLOAK_STUB", "")
+    done = train(tmp_path, *words, "--resume", "--save", "cloaked.blend")
+    assert done.returncode == 0 and (tmp_path / "cloaked.blend").exists(), done.stderr
+
+
+def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
+    done = train(tmp_path, "--sample", "--logo", "chest", "--out", "A", "--steps", 2, "--frames", "1:2:1", python=stub)
+    assert done.returncode == 0 and "exported 2 poses, 4 faces" in done.stdout, done.stderr
+    save_body(tmp_path, [4, 5, 6])
+    obj = bpy.data.objects["Body"]
+    faces.new_logo(obj, "back", np.isin(np.arange(len(obj.data.polygons)), [9]))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
+    done = train(tmp_path, "--blend", "two.blend", "--logo", "chest + back", "--out", "B", "--steps", 2, python=stub)
+    assert done.returncode == 0 and np.load(tmp_path / "B" / "logo.npy").tolist() == [4, 5, 6, 9], done.stderr
+    from cloak.exchange import write_face_list
+
+    write_face_list(tmp_path / "list.npy", np.array([7, 8]), body.topology(obj))
+    done = train(tmp_path, "--blend", "two.blend", "--logo", "list.npy", "--out", "C", "--steps", 2, python=stub)
+    assert done.returncode == 0 and np.load(tmp_path / "C" / "logo.npy").tolist() == [7, 8], done.stderr
+
+
+# --- the real trainer ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("subdivisions", [0, 1])
+def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_path, real_trainer, subdivisions):
+    """Quads, triangles and n-gons; stamped before subdivision; through saving and reopening; by the real trainer."""
+    obj = make_egg(rings=40)
+    add_ngons(obj)
+    projection = stamp.front_projection(obj, 0.35, 0.55, 0.0, 1.0)
+    mask = stamp.covered_faces(bpy.context, obj, stamp.text_stamp("G"), projection)
+    faces.new_logo(obj, "G", mask)
+    sizes = {len(obj.data.polygons[i].vertices) for i in np.flatnonzero(mask)}
+    assert {4, 6} <= sizes and mask.sum() > 50
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "body.blend"))
+    words = ["--blend", "body.blend", "--logo", "G", "--out", "RUN", "--save", "red.blend", "--steps", 40]
+    words += ["--detector", f"python:{RED}:load", "--angles", "-10:10:10", "--subdivide", subdivisions]
+    words += ["--backgrounds", "procedural:train:4", "--keep-quads", "--config", "fast.toml"]
+    (tmp_path / "fast.toml").write_text("tv_weight = 0\nlr = 0.05\nschedule = 'constant'\nbatch = 4\n")
+    done = train(tmp_path, *words, python=real_trainer)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "red.blend"))
+    obj = bpy.data.objects["Body"]
+    logo = faces.read_faces(obj, "G")
+    assert logo.sum() >= mask.sum() * 4**subdivisions
+    assert np.array_equal(reds(obj), logo)
+
+
+def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
+    """The add-on's command lines are those the trainer understands."""
+    from cloak import trainer
+    from cloak.exchange import read_npy, read_scene
+    from cloak.training_job import Job
+
+    facts = trainer.about(str(real_trainer))
+    assert facts["torch"][0].isdigit() and facts["device"]
+    job = Job("Sample", [trainer.sample_command(str(real_trainer), tmp_path / "sample")], tmp_path, "sample").wait(120)
+    assert job.state == "done", job.message
+    obj = body.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
+    assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
+    small = read_scene(tmp_path / "sample").select_poses([0])
+    from cloak.exchange import write_scene
+
+    write_scene(tmp_path / "one", small)
+    request = trainer.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")
+    command = trainer.heatmap_command(str(real_trainer), request, tmp_path / "one", tmp_path / "heat.npy")
+    job = Job("Heatmap", [command], tmp_path, "heatmap").wait(120)
+    assert job.state == "done", job.message
+    assert read_npy(tmp_path / "heat.npy").shape == (len(obj.data.polygons),)
+    image = bpy.data.images.new("grey", 32, 32)
+    image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
+    image.save()
+    job = Job("Check", [trainer.check_command(str(real_trainer), request, tmp_path / "grey.png")], tmp_path, "check")
+    assert 0 <= job.wait(120).json_outputs()[0]["max_person"] <= 1

@@ -1,0 +1,87 @@
+"""Render check: a second Blender renders in Cycles from the training cameras; the detector's answers become a line."""
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from cloak import render_check
+from cloak.exchange import InputError
+from conftest import run_job
+from made import make_egg
+from test_colors import made_run
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    image = bpy.data.images.load(str(path), check_existing=False)
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.reshape(image.size[1], image.size[0], 4)
+
+
+def dressed(folder: Path) -> bpy.types.Object:
+    obj = make_egg()
+    count = len(obj.data.polygons)
+    run = made_run(folder, obj, np.arange(count), np.tile(np.float32([1, 0, 0]), (count, 1)))
+    obj.cloak.run = str(run)
+    bpy.ops.cloak.result_load()
+    return obj
+
+
+def test_the_camera_is_the_trainers(tmp_path):
+    """Size and place of the body in the picture follow from distance 2.2, elevation 6, field of view 60."""
+    obj = dressed(tmp_path)
+    obj.location.x = 5  # the camera looks at the body, wherever it stands
+    bpy.context.view_layer.update()
+    path = tmp_path / "view.png"
+    render_check.render_view(obj, path, azimuth=0, size=104, samples=8)
+    picture = pixels_of(path)
+    covered = picture[..., 3] > 0.5
+    rows, columns = np.flatnonzero(covered.any(1)), np.flatnonzero(covered.any(0))
+    focal = 52 / np.tan(np.radians(30))
+    assert abs(columns.mean() - 51.5) <= 1 and abs(len(columns) - 2 * 0.35 / 2.2 * focal) <= 3
+    expected_height = 1.8 * np.cos(np.radians(6)) / 2.2 * focal
+    assert abs(len(rows) - expected_height) < 5
+    red = picture[covered].mean(0)
+    assert red[0] > 0.6 and red[1] < 0.25
+    assert not [s for s in bpy.data.scenes if "render" in s.name] and "cloak camera" not in bpy.data.objects
+
+
+def test_from_the_operator_to_the_verdict(tmp_path, stub):
+    obj = dressed(tmp_path)
+    settings = bpy.context.scene.cloak
+    settings.angle_first, settings.angle_last, settings.angle_step = -10, 10, 20
+    photographs = tmp_path / "photos"
+    photographs.mkdir()
+    photo = bpy.data.images.new("photo", 64, 32)
+    photo.pixels.foreach_set(np.tile(np.float32([0, 0, 1, 1]), 64 * 32))
+    photo.filepath_raw, photo.file_format = str(photographs / "blue.png"), "PNG"
+    photo.save()
+    settings.backgrounds = str(photographs)
+    bpy.ops.cloak.render_check()
+    job = run_job(120)
+    assert job.state == "done", (job.message, job.log.read_text()[-2000:])
+    assert obj.cloak.verdict == job.message
+    assert "detected in 0 of 2 renders with the cloak (highest score 0.10), in 2 without" in job.message
+    folder = Path(obj.cloak.run + ".input", "render check 1")
+    with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
+    assert with_cloak.shape == (416, 416, 4) and (with_cloak[..., 3] == 1).all()
+    assert np.allclose(with_cloak[0, 0], [0, 0, 1, 1], atol=2 / 255)  # the photograph behind
+    middle = (slice(150, 260), slice(180, 230))
+    assert with_cloak[middle][..., 0].mean() > 0.6 > 0.2 > with_cloak[middle][..., 1].mean()
+    assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
+    assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
+
+
+def test_it_wants_the_cloak_on(tmp_path, stub):
+    dressed(tmp_path)
+    bpy.ops.cloak.result_toggle()
+    with pytest.raises(RuntimeError, match="switch the cloak on first"):
+        bpy.ops.cloak.render_check()
+
+
+def test_answers_that_make_no_sense(tmp_path):
+    plan = render_check.Plan("Body", tmp_path, (0,))
+    for answers in (["", ""], ["{}", "{}"], ["[]", "3"]):
+        with pytest.raises(InputError, match="not understood"):
+            render_check.verdict(plan, answers)
