@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-install_import_hook("cloak_core", "beartype.beartype")
+# Not the commands: tyro fills required options with a marker before the user's words replace it.
+ROOMS = ("attack", "bench", "detectors", "evaluate", "output", "pretrain", "render", "scene")
+install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")
 
 
 @pytest.fixture(scope="session")

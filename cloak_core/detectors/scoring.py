@@ -4,13 +4,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cloak_core.detectors import IOU, THRESHOLD
 from cloak_core.detectors.protocol import Detections
 from cloak_core.errors import InputError
-
-THRESHOLD = 0.6
-"""A person is detected when a box's score exceeds this (the paper's value)."""
-IOU = 0.5
-"""A box is on a body when it overlaps the body's true box at least this much."""
 
 
 def max_person_score(detections: Detections) -> Float[Tensor, "B"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cloak_core.detectors.scoring import THRESHOLD
+from cloak_core.detectors import THRESHOLD
 from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import NATURAL, STANDARD
 from cloak_core.evaluate.intervals import RESAMPLES

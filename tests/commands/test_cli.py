@@ -46,7 +46,7 @@ def test_json_alone_on_standard_output(scene):
         (("nonsense",), "unknown command 'nonsense'"),
         (("scene", "nonsense"), "unknown command 'scene nonsense'"),
         (("scene", "info"), "scene info: .*scene"),
-        (("scene", "info", "--nonsense", "x"), "--nonsense"),
+        (("scene", "info", "x", "--nonsense"), "--nonsense"),
         (("scene", "info", "absent"), "absent: no such scene"),
         (("scene", "import", "absent.obj", "--out", "x"), "absent.obj"),
     ],
@@ -77,8 +77,9 @@ def test_help_names_every_command():
 
 
 def test_help_is_quick_because_torch_is_not_imported():
-    code = "import sys; sys.argv=['cloak','--help']\nfrom cloak_core import cli\ntry: cli.main()\nexcept SystemExit: pass\n"
-    done = subprocess.run([sys.executable, "-c", code + "print('torch' in sys.modules)"], capture_output=True, text=True)
+    code = "import sys\nfrom cloak_core import cli\ntry: cli.main(['--help'])\nexcept SystemExit: pass\n"
+    code += "print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "False", done.stderr
 
 
