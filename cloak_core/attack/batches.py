@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from cloak_core.attack.sampling import Draws, Sampler, cameras
-from cloak_core.attack.settings import TrainSettings, parse_angles
+from cloak_core.attack.settings import TrainSettings, parse_angles, parse_range
 from cloak_core.errors import InputError
 from cloak_core.render.compositing import Photometric, compose
 from cloak_core.render.views import DressedView, ViewBank
@@ -23,11 +23,16 @@ class Batch:
     views: list[DressedView]
     backgrounds: Float[Tensor, "B 3 H W"]
     shifts: Int[Tensor, "B 2"]
-    photometric: Photometric | None
+    on_logo: "LogoChange | None"
+    on_render: Photometric | None
 
     def images(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B 3 H W"]:
-        """The images, in [0, 1], differentiable in the colours."""
-        return compose(self.views, colors, self.backgrounds, self.shifts, self.photometric)
+        """The images, in [0, 1], differentiable in the colours; none where a short batch left this process none."""
+        if not self.views:
+            return self.backgrounds + 0 * colors.sum()
+        if self.on_logo is not None:
+            colors = self.on_logo(colors)
+        return compose(self.views, colors, self.backgrounds, self.shifts, self.on_render)
 
 
 class Batcher:
@@ -53,29 +58,60 @@ class Batcher:
             self.bank.dress(int(pose), camera, self.logo_faces, int(outfit))
             for pose, outfit, camera in zip(draws.pose, draws.outfit, cameras(draws, settings), strict=True)
         ]
+        changes = is_photometric(settings)
+        on_logo = settings.photometric_on == "logo"
         return Batch(
             views,
             self.backgrounds.batch(draws.background.tolist(), settings.size, settings.size).to(
                 self.device, non_blocking=True
             ),
             torch.from_numpy(draws.shift).to(self.device, non_blocking=True),
-            photometric(draws, settings, self.device),
+            LogoChange.draw(draws, settings, self.device) if changes and on_logo else None,
+            render_change(draws, settings, self.device) if changes and not on_logo else None,
         )
 
 
-def photometric(draws: Draws, settings: TrainSettings, device: torch.device) -> Photometric | None:
-    """Contrast, brightness and noise of some draws; None where all are off."""
-    plain = (draws.contrast == 1).all() and (draws.brightness == 0).all() and not settings.noise
-    if plain:
-        return None
-    as_tensor = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
-    return Photometric(
-        contrast=as_tensor(draws.contrast),
-        brightness=as_tensor(draws.brightness),
-        noise=settings.noise,
-        seed=int(draws.seed[0]),
-        on=settings.photometric_on,
-    )
+@dataclass(frozen=True)
+class LogoChange:
+    """Contrast, brightness and noise on the logo's colours: colours * factor + summand.
+
+    The noise is drawn image by image from each image's own seed, so that it does not depend on who renders the image.
+    """
+
+    factor: Float[Tensor, "B 1 1"]
+    summand: Float[Tensor, "B 1 1"]
+    noise: float
+    seeds: tuple[int, ...]
+
+    @staticmethod
+    def draw(draws: Draws, settings: TrainSettings, device: torch.device) -> "LogoChange":
+        put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True).view(-1, 1, 1)
+        return LogoChange(put(draws.contrast), put(draws.brightness), settings.noise, tuple(draws.seed.tolist()))
+
+    def __call__(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
+        summand = self.summand
+        if self.noise:
+            generator = torch.Generator(device=colors.device)
+            drawn = colors.new_empty(len(self.seeds), *colors.shape)
+            for image, seed in zip(drawn, self.seeds, strict=True):
+                image.uniform_(-self.noise, self.noise, generator=generator.manual_seed(seed))
+            summand = drawn.add_(summand)
+        return torch.addcmul(summand, colors, self.factor)
+
+
+def is_photometric(settings: TrainSettings) -> bool:
+    """Whether contrast, brightness or noise change anything."""
+    off = parse_range(settings.contrast, "--contrast") == (1, 1) and parse_range(
+        settings.brightness, "--brightness"
+    ) == (0, 0)
+    return bool(settings.noise) or not off
+
+
+def render_change(draws: Draws, settings: TrainSettings, device: torch.device) -> Photometric:
+    """The same on the body's pixels. Its noise has one seed for all images that a process composes together."""
+    put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
+    seed = int(draws.seed[0]) if len(draws) else 0
+    return Photometric(put(draws.contrast), put(draws.brightness), settings.noise, seed, "render")
 
 
 def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: TrainSettings) -> None:

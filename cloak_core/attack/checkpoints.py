@@ -69,6 +69,25 @@ def load_checkpoint(folder: Path) -> tuple[Checkpoint | None, list[str]]:
     return None, damaged
 
 
+def send_checkpoint(checkpoint: Checkpoint | None) -> bytes:
+    """As bytes, for another process; empty for none."""
+    if checkpoint is None:
+        return b""
+    place = {
+        "run.step": torch.tensor(checkpoint.step),
+        "run.time": torch.tensor(checkpoint.time, dtype=torch.float64),
+    }
+    return save({**checkpoint.tensors, **place})
+
+
+def receive_checkpoint(data: bytes) -> Checkpoint | None:
+    """What `send_checkpoint` sent."""
+    if not data:
+        return None
+    tensors = load(data)
+    return Checkpoint(int(tensors.pop("run.step")), float(tensors.pop("run.time")), tensors)
+
+
 def sweep(folder: Path) -> None:
     """Remove what a killed process left unfinished in `folder`."""
     for path in folder.glob(".*"):

@@ -11,6 +11,7 @@ from cloak_core.attack.batches import Batch
 from cloak_core.attack.losses import disappearance, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.world import ALONE, World
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import is_detected
 from cloak_core.scene.logo import Logo
@@ -28,19 +29,18 @@ class Objective:
 
     def __call__(
         self, images: Float[Tensor, "B 3 H W"], colors: Float[Tensor, "L 3"]
-    ) -> tuple[Float[Tensor, "4"], list[Detections]]:
-        """(loss, disappearance, total variation, success), and what each detector said."""
+    ) -> tuple[Tensor, Tensor, Tensor, list[Detections]]:
+        """Disappearance loss, total variation, success (share of images without a person), what each detector said."""
         settings = self.settings
         detections = [detector(images) for detector in self.detectors]
         seen = torch.stack([disappearance(d, settings.loss, settings.reduce) for d in detections]).mean()
-        variation = total_variation(colors, self.edges, self.edge_lengths)
         found = torch.stack([is_detected(d, settings.threshold).to(seen.dtype).mean() for d in detections]).mean()
-        return torch.stack([seen + settings.tv_weight * variation, seen, variation, 1 - found]), detections
+        return seen, total_variation(colors, self.edges, self.edge_lengths), 1 - found, detections
 
 
 @dataclass(frozen=True)
 class StepFigures:
-    """What one step measured, before its update."""
+    """What one step measured, before its update, over the whole batch."""
 
     loss: float
     disappearance: float
@@ -49,16 +49,37 @@ class StepFigures:
     """Share of the batch (over all detectors) in which no person was found."""
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A gradient that is ready to be followed."""
+
+    figures: StepFigures
+    is_finite: bool
+    """Loss and gradient are."""
+    images: Float[Tensor, "B 3 H W"]
+    """This process's share of the batch."""
+    detections: list[Detections]
+    """Of these images, by detector."""
+
+
 def gradient_step(
-    objective: Objective, optimizer: ColorOptimizer, batch: Batch
-) -> tuple[StepFigures, bool, Float[Tensor, "B 3 H W"], list[Detections]]:
-    """Leave the gradient of one batch in `optimizer`: figures, whether all is finite, the images, the detections."""
+    objective: Objective, optimizer: ColorOptimizer, batch: Batch, world: World = ALONE, share: float = 1.0
+) -> Step:
+    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
-    values, detections = objective(images, colors)
-    values[0].backward()
+    seen, variation, success, detections = objective(images, colors)
+    weight = objective.settings.tv_weight
+    (share * seen + weight / world.size * variation).backward()
+    gradient = optimizer.gradient
+    values = torch.stack([share * seen, variation / world.size, share * success]).detach()
+    if world.size > 1:
+        message = world.sum(torch.cat([gradient.view(-1), values]))
+        gradient.copy_(message[:-3].view_as(gradient))
+        values = message[-3:]
+    finite = torch.isfinite(gradient).all() & torch.isfinite(values).all()
     # One transfer for everything the host wants to know.
-    finite = torch.isfinite(values).all() & torch.isfinite(optimizer.gradient).all()
-    *figures, is_finite = torch.cat([values.detach(), finite[None].to(values.dtype)]).tolist()
-    return StepFigures(*figures), bool(is_finite), images, detections
+    seen, variation, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
+    figures = StepFigures(seen + weight * variation, seen, variation, success)
+    return Step(figures, bool(is_finite), images.detach(), detections)

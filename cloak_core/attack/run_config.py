@@ -22,6 +22,7 @@ def run_config(
     states: Sequence[str],
     backgrounds: Backgrounds,
     inputs: Mapping[str, str],
+    processes: int = 1,
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors, backgrounds), and where it ran."""
     return {
@@ -50,6 +51,7 @@ def run_config(
             "torch": torch.__version__,
             "numpy": np.__version__,
             "platform": platform.platform(),
+            "processes": processes,
             "threads": torch.get_num_threads(),
             "device": torch.cuda.get_device_name(settings.device) if settings.device.startswith("cuda") else "cpu",
         },

@@ -71,11 +71,14 @@ class Sampler:
         """Epochs finished before `step` (counted from 0)."""
         return step * self.settings.batch / self.epoch_images
 
+    def images_of(self, step: int) -> int:
+        """How many images `step` has: a batch, or what is left at the end."""
+        return min(self.settings.batch, self.images - step * self.settings.batch)
+
     def draw(self, step: int) -> Draws:
         """The images of `step`, 0 <= step < steps."""
         settings = self.settings
-        first = step * settings.batch
-        images = np.arange(first, min(first + settings.batch, self.images))
+        images = step * settings.batch + np.arange(self.images_of(step))
         background, pose, angle = self._deal(images)
         count = len(images)
         random = np.random.default_rng([settings.seed, _STEP, step])

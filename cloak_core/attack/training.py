@@ -16,9 +16,15 @@ import torch
 from jaxtyping import Float
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
-from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from cloak_core.attack.checkpoints import (
+    Checkpoint,
+    load_checkpoint,
+    receive_checkpoint,
+    save_checkpoint,
+    send_checkpoint,
+)
 from cloak_core.attack.events import EventLog, OnEvent, rewind_events
-from cloak_core.attack.objective import Objective, StepFigures, gradient_step
+from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors, learning_rate
 from cloak_core.attack.previews import save_preview
 from cloak_core.attack.run_config import run_config
@@ -26,7 +32,8 @@ from cloak_core.attack.run_folder import RunFolder, open_run
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest, stop_request
-from cloak_core.detectors.protocol import Detections, Detector, state_hash
+from cloak_core.attack.world import LostProcess, World, join_world, local_device
+from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.errors import InputError
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
@@ -93,16 +100,19 @@ def train(
             raise InputError(f"--detector {detector.spec}: gives no gradients, so nothing can be trained against it")
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
-    device = _device(settings.device)
-    with _threads(settings.threads):
+    device = local_device(settings.device)
+    out = Path(out)
+    with _threads(settings.threads), join_world(device) as world, contextlib.ExitStack() as stack:
+        detectors = [detector.to(device) for detector in detectors]
         bank = ViewBank(bodies, device=device, **({"samples": settings.samples} if settings.samples else {}))
         require_visible_logo(bank, logo.face_ids, bodies.pose_count, settings)
         states = [state_hash(detector) for detector in detectors]
-        config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {})
-        with open_run(Path(out), config, logo, resume) as run, stop_request(run.cancel, settings.max_seconds) as stop:
-            sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-            batcher = Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)
-            result = Trainer(run, batcher, bodies, logo, detectors, on_event).run_to_end(stop)
+        config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size)
+        run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
+        stop = stack.enter_context(stop_request(run.cancel, settings.max_seconds))
+        sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
+        batcher = Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)
+        result = Trainer(run, batcher, bodies, logo, detectors, on_event, world).run_to_end(stop)
         for detector, state in zip(detectors, states, strict=True):
             if state_hash(detector) != state:
                 raise RuntimeError(f"detector {detector.spec} changed during training")
@@ -120,6 +130,7 @@ class Trainer:
         logo: Logo,
         detectors: Sequence[Detector],
         on_event: OnEvent | None,
+        world: World,
     ) -> None:
         self.run, self.batcher, self.detectors = run, batcher, detectors
         self.settings, self.sampler = batcher.settings, batcher.sampler
@@ -127,29 +138,45 @@ class Trainer:
         clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
         self.optimizer = ColorOptimizer(self.settings, initial_colors(self.settings, clothing))
         self.objective = Objective(self.settings, logo, detectors, device)
+        self.world = world
         self.step = 0
         self._earlier = 0.0
         self._started = time.perf_counter()
         self._damaged = self._restore()
-        self.log = EventLog(run.events, on_event)
+        # Rank 0 alone writes; the others only compute.
+        self.log = EventLog(run.events, on_event) if world.is_first else None
 
     def run_to_end(self, stop: StopRequest) -> RunResult:
         """Steps until done or told to stop; a checkpoint and the colours are written either way."""
-        figures, reason = None, ""
         try:
-            self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged)
-            while self.step < self.sampler.steps and not reason:
-                figures = self._one_step()
-                reason = stop.reason(self.seconds)
-                if self.step == self.sampler.steps or reason or self._due(self.settings.checkpoint_every):
-                    self._save()
-            reason = reason if self.step < self.sampler.steps else ""
-            self._tell("end", outcome="stopped" if reason else "done", reason=reason)
+            figures, reason = self._steps(stop)
         finally:
-            self.log.close()
-        return RunResult(
-            self.run.path, self.step, self.sampler.steps, self.seconds, figures, reason, self._colors_array()
-        )
+            if self.log:
+                self.log.close()
+        steps, colors = self.sampler.steps, self._colors_array()
+        return RunResult(self.run.path, self.step, steps, self.seconds, figures, reason, colors)
+
+    def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
+        figures, reason, steps = None, "", self.sampler.steps
+        self._tell("resume" if self.step else "start", steps=steps, damaged=self._damaged)
+        try:
+            while self.step < steps and not reason:
+                figures = self._one_step()
+                reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
+                if self.step == steps or reason or self._due(self.settings.checkpoint_every):
+                    self._save()
+        except LostProcess as lost:
+            self._save()
+            message = f"{self.run.path}: lost another process of this run after step {self.step} ({lost})"
+            raise TrainingError(f"{message}; a checkpoint is written, --resume goes on") from None
+        except InputError:
+            # A background that vanished, a detector gone wrong: keep what was reached, unless the disk is the trouble.
+            with contextlib.suppress(InputError):
+                self._save()
+            raise
+        reason = reason if self.step < steps else ""
+        self._tell("end", outcome="stopped" if reason else "done", reason=reason)
+        return figures, reason
 
     @property
     def seconds(self) -> float:
@@ -158,27 +185,28 @@ class Trainer:
 
     def _one_step(self) -> StepFigures:
         lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
-        batch = self.batcher.batch(self.step)
-        figures, finite, images, detections = gradient_step(self.objective, self.optimizer, batch)
-        if not finite:
-            self._refuse(figures, detections)
+        batch = self.batcher.batch(self.step, self.world.rank, self.world.size)
+        share = len(batch.views) / self.sampler.images_of(self.step)
+        step = gradient_step(self.objective, self.optimizer, batch, self.world, share)
+        if not step.is_finite:
+            self._refuse(step)
         self.optimizer.update(lr)
         self.step += 1
-        self._tell("step", **dataclasses.asdict(figures), lr=lr)
-        if self._due(self.settings.preview_every):
+        self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
+        if self.world.is_first and self._due(self.settings.preview_every):
             path = self.run.previews / f"step-{self.step:08d}.png"
-            save_preview(path, images, detections[0], self.settings.threshold)
+            save_preview(path, step.images, step.detections[0], self.settings.threshold)
             self._tell("preview", path=f"previews/{path.name}")
-        return figures
+        return step.figures
 
-    def _refuse(self, figures: StepFigures, detections: Sequence[Detections]) -> None:
+    def _refuse(self, step: Step) -> None:
         names = [
             detector.spec
-            for detector, said in zip(self.detectors, detections, strict=True)
+            for detector, said in zip(self.detectors, step.detections, strict=True)
             if not (torch.isfinite(said.scores).all() and torch.isfinite(said.boxes).all())
         ]
         blame = f"; not finite: the output of {', '.join(names)}" if names else ""
-        what = "its loss" if not np.isfinite(figures.loss) else "the gradient of its loss"
+        what = "its loss" if not np.isfinite(step.figures.loss) else "the gradient of its loss"
         self._tell("error", message=f"{what} is not finite")
         raise TrainingError(
             f"{self.run.path}: step {self.step}: {what} is not finite{blame}; colours are left as before"
@@ -188,36 +216,31 @@ class Trainer:
         return every > 0 and self.step % every == 0
 
     def _tell(self, kind: str, **more: object) -> None:
-        self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4), **more})
+        if self.log:
+            self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
 
     def _colors_array(self) -> Float[np.ndarray, "L 3"]:
         return self.optimizer.colors().detach().cpu().numpy().astype(np.float32, copy=True)
 
     def _save(self) -> None:
-        write_colors(self.run.colors, self._colors_array())
-        save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, self.optimizer.state()))
-        self._tell("checkpoint")
+        if self.world.is_first:
+            write_colors(self.run.colors, self._colors_array())
+            save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, self.optimizer.state()))
+            self._tell("checkpoint")
 
     def _restore(self) -> list[str]:
-        """Load the last sound checkpoint, if any; returns what was wrong with later ones."""
-        checkpoint, damaged = load_checkpoint(self.run.checkpoint)
+        """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
+        checkpoint, damaged = self.world.first_does(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
+        checkpoint = receive_checkpoint(self.world.spread(send_checkpoint(checkpoint)))
         if checkpoint is not None:
             try:
                 self.optimizer.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
             self.step, self._earlier = checkpoint.step, checkpoint.time
-        rewind_events(self.run.events, self.step)
+        if self.world.is_first:
+            rewind_events(self.run.events, self.step)
         return damaged
-
-
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"--device {name}: {str(error).splitlines()[0]}") from None
-    return device
 
 
 @contextlib.contextmanager

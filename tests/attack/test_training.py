@@ -153,7 +153,7 @@ def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_grad
     sound = run(tmp_path / "sound", steps=3, schedule="constant")
     broken = read_colors(tmp_path / "run" / "colors.npy")
     assert np.isfinite(broken).all() and broken.shape == sound.colors.shape
-    assert read_events(tmp_path / "run" / "events.jsonl")[-1]["type"] == "error"
+    assert [e["type"] for e in read_events(tmp_path / "run" / "events.jsonl")][-2:] == ["error", "checkpoint"]
     resumed = run(tmp_path / "run", resume=True, checkpoint_every=1)
     assert np.array_equal(resumed.colors, run(tmp_path / "whole").colors)
 
@@ -186,6 +186,32 @@ def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
     assert [e["time"] for e in events] == sorted(e["time"] for e in events)
     drop_time = lambda es: [{k: v for k, v in e.items() if k != "time"} for e in es if e["type"] == "step"]
     assert drop_time(events) == drop_time(read_events(tmp_path / "whole" / "events.jsonl"))
+
+
+def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path):
+    """And when it is back, the run goes on as if nothing had happened."""
+    missing = tmp_path / "run" / "missing"
+
+    def draw(index, height, width):
+        if missing.exists():
+            raise InputError("image 3: no such file")
+        return np.full((height, width, 3), 40 * index, np.uint8)
+
+    def open_backgrounds():
+        return Backgrounds([f"image {i}" for i in range(5)], draw, memory_bytes=1)
+
+    def attempt(out, on_event=None, resume=False):
+        bodies = box_bodies()
+        chosen = settings(steps=7, checkpoint_every=5)
+        return train(chosen, bodies, front_logo(bodies), [TinyDetector()], open_backgrounds(), out,
+                     on_event=on_event, resume=resume)  # fmt: skip
+
+    whole = attempt(tmp_path / "whole")
+    with pytest.raises(InputError, match="image 3: no such file"):
+        attempt(tmp_path / "run", lambda e: missing.touch() if (e["type"], e["step"]) == ("step", 3) else None)
+    assert (tmp_path / "run" / "checkpoint" / "step-00000003").exists()
+    missing.unlink()
+    assert np.array_equal(attempt(tmp_path / "run", resume=True).colors, whole.colors)
 
 
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
