@@ -45,17 +45,19 @@ class Piece:
 
 def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
     """All triangles [3, T] of all views, cut where they must be."""
-    x, y, nearness, safe = (t.tolist() for t in (screen.x, screen.y, screen.nearness, screen.safe))
+    x, y, nearness = (t.tolist() for t in (screen.x, screen.y, screen.nearness))
+    safe = screen.safe.tolist() if screen.safe is not None else None
     result = []
     for view in range(len(x)):
         for triangle, vertices in enumerate(triangles.T.tolist()):
-            if all(safe[view][v] for v in vertices):
+            if safe is None or all(safe[view][v] for v in vertices):
                 corners = tuple(Corner(x[view][v], y[view][v], nearness[view][v]) for v in vertices)
                 result.append(Piece(view, triangle, corners))
                 continue
-            view_space = screen.view[:, view, vertices].T.unsqueeze(-1)
+            view_space = torch.stack([axis[view, vertices] for axis in screen.view], -1).unsqueeze(-1)
             soup, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
-            for part in zip(soup.x.T.tolist(), soup.y.T.tolist(), soup.nearness.T.tolist(), strict=True):
+            near = soup.nearness[soup.corner]
+            for part in zip(*(t.T.tolist() for t in (soup.x, soup.y, near)), strict=True):
                 result.append(Piece(view, triangle, tuple(Corner(*c) for c in zip(*part, strict=True))))
     return result
 
@@ -76,14 +78,14 @@ def covered(piece: Piece, sample_x: np.ndarray, sample_y: np.ndarray) -> np.ndar
 
 def depth(piece: Piece, x: int, y: int) -> int:
     """The depth number of a covered sample, as documented: smaller is nearer."""
-    first = min(range(3), key=lambda i: (piece.corners[i].x, piece.corners[i].y))
-    c0, c1, c2 = (piece.corners[(first + i) % 3] for i in range(3))
-    area = abs(piece.area)
-    sign = 1 if piece.area > 0 else -1
-    e1 = sign * ((c2.y - c0.y) * (x - c0.x) - (c2.x - c0.x) * (y - c0.y))
-    e2 = sign * ((c1.x - c0.x) * (y - c0.y) - (c1.y - c0.y) * (x - c0.x))
-    slope1, slope2 = (c1.nearness - c0.nearness) / float(area), (c2.nearness - c0.nearness) / float(area)
-    nearness = c0.nearness + (float(e1) * slope1 + float(e2) * slope2)
+    corners = piece.corners if piece.area > 0 else piece.corners[::-1]
+    first = min(range(3), key=lambda i: (corners[i].y, -corners[i].x))
+    c0, c1, c2 = (corners[(first + i) % 3] for i in range(3))
+    area = float(abs(piece.area))
+    e1 = (c2.y - c0.y) * (x - c0.x) - (c2.x - c0.x) * (y - c0.y)
+    e2 = (c1.x - c0.x) * (y - c0.y) - (c1.y - c0.y) * (x - c0.x)
+    slope1, slope2 = (c1.nearness - c0.nearness) / area, (c2.nearness - c0.nearness) / area
+    nearness = (float(e1) * slope1 + float(e2) * slope2) + c0.nearness
     limit = (1 << DEPTH_BITS) - 1
     return limit - min(max(int(nearness * (1 << DEPTH_BITS)), 0), limit)
 
@@ -138,20 +140,7 @@ def screen_of(x: np.ndarray, y: np.ndarray, nearness: np.ndarray, width: int, he
     z = near / row(nearness, torch.float64)
     focal = torch.full((1, 1), float(height), dtype=torch.float64)
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
-    view = torch.stack([
-        (snapped_x / GRID - width / 2) * z / focal,
-        (height / 2 - snapped_y / GRID) * z / focal,
-        z,
-    ])  # fmt: skip
-    safe = torch.ones_like(snapped_x, dtype=torch.bool)
-    return Screen(
-        width,
-        height,
-        view,
-        snapped_x,
-        snapped_y,
-        row(nearness, torch.float64),
-        safe,
-        focal,
-        torch.full_like(focal, near),
-    )
+    view = ((snapped_x / GRID - width / 2) * z / focal, (height / 2 - snapped_y / GRID) * z / focal, z)
+    ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
+    nearness, near_plane = row(nearness, torch.float64), torch.full_like(focal, near)
+    return Screen(width, height, view, snapped_x, snapped_y, nearness, None, tuple(ends), focal, near_plane)

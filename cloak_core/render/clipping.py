@@ -6,25 +6,15 @@ towards the outer one, so two triangles that share an edge cut it in the very sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Float64, Int64
 from torch import Tensor
 
+from cloak_core.render.covering import Soup
 from cloak_core.render.projection import GRID, GUARD, snap
 
 _CORNERS = 8
 """A triangle cut by five planes has at most this many."""
-
-
-@dataclass(frozen=True)
-class Soup:
-    """N snapped triangles, corner by corner."""
-
-    x: Int32[Tensor, "3 N"]
-    y: Int32[Tensor, "3 N"]
-    nearness: Float64[Tensor, "3 N"]
 
 
 def clip(
@@ -49,10 +39,12 @@ def clip(
             reach = guard - center  # the guard band is centred on the image's corner, the view on its middle
             polygon, size = _cut(polygon, size, lambda p, a=axis, s=sign, r=reach: p[:, a] * focal * s + p[:, 2] * r)
     part = torch.arange(1, _CORNERS - 1, device=corners.device).unsqueeze(-1)
-    fan, owner = (part + 1 < size).nonzero(as_tuple=True)
-    pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan + 1, fan + 2)])
-    x, y, _ = snap(pieces.movedim(-1, 0), focal[owner], near[owner], width, height)
-    return Soup(x, y, near[owner] / pieces[..., 2]), owner
+    fan, owner = (part < size - 1).nonzero(as_tuple=True)
+    fan = fan + 1
+    pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
+    x, y = snap(pieces.unbind(-1), focal[owner], near[owner], width, height)
+    nearness = (near[owner] / pieces[..., 2]).view(-1)
+    return Soup(x, y, torch.arange(x.numel(), device=x.device).view(x.shape), nearness), owner
 
 
 def _cut(polygon: Tensor, size: Tensor, distance: object) -> tuple[Tensor, Tensor]:

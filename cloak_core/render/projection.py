@@ -7,6 +7,7 @@ pixel, x to the right and y down from the image's top left corner; the centre of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,24 +23,27 @@ GRID = 1 << 16
 GUARD = 8192 * GRID
 """Guard band: snapped coordinates stay within [-GUARD, GUARD], so that edge functions fit into int64."""
 
+Points = tuple[Tensor, Tensor, Tensor]
+"""x, y and z of points, float64, all of one shape."""
+
 
 @dataclass(frozen=True)
 class Screen:
-    """B views of V vertices: view space, and the snapped screen where it is `safe`.
-
-    All cameras of a batch share one image size.
-    """
+    """B views of V vertices: view space, and the snapped screen. All cameras of a batch share one image size."""
 
     width: int
     height: int
-    view: Float64[Tensor, "3 B V"]
-    """View space coordinates, metres."""
+    view: Points
+    """View space coordinates [B, V], metres."""
     x: Int32[Tensor, "B V"]
     y: Int32[Tensor, "B V"]
     nearness: Float64[Tensor, "B V"]
     """Near plane over view z: 1 at the near plane, towards 0 far away; linear on the screen along any triangle."""
-    safe: Bool[Tensor, "B V"]
-    """In front of the near plane and well inside the guard band. Triangles with another vertex need clipping first."""
+    safe: Bool[Tensor, "B V"] | None
+    """Which vertices lie in front of the near plane and well inside the guard band (None: all). x, y and nearness mean
+    nothing at the others; triangles that have one of those need clipping."""
+    bounds: tuple[int, int, int, int]
+    """Least and greatest x, least and greatest y of all vertices; (0, 0, 0, 0) where there are none."""
     focal: Float64[Tensor, "B 1"]
     near: Float64[Tensor, "B 1"]
 
@@ -49,40 +53,58 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     width, height = cameras[0].width, cameras[0].height
     if any((camera.width, camera.height) != (width, height) for camera in cameras):
         raise ValueError("the cameras of one batch must share one image size")
-    _check_finite(vertices)
-    device = vertices.device
-    column = lambda values: torch.tensor(values, dtype=torch.float64).to(device).unsqueeze(-1)
-    focal = column([camera.focal for camera in cameras])
-    near = column([camera.near_plane for camera in cameras])
-    positions = [camera.position(pivot) for camera, pivot in zip(cameras, pivots, strict=True)]
-    offset = [vertices[:, i] - column([p[i] for p in positions]) for i in range(3)]
-    view = torch.stack([
-        _dot(offset, [column([c.axes[axis][i] * sign for c in cameras]) for i in range(3)])
-        for axis, sign in ((0, 1.0), (1, 1.0), (2, -1.0))
-    ])  # fmt: skip
-    x, y, safe = snap(view, focal, near, width, height)
-    return Screen(width, height, view, x, y, near / view[2], safe, focal, near)
+    rows = [
+        (*camera.position(pivot), *camera.axes[0], *camera.axes[1], *camera.axes[2], camera.focal, camera.near_plane)
+        for camera, pivot in zip(cameras, pivots, strict=True)
+    ]
+    values = torch.tensor(rows, dtype=torch.float64).T.unsqueeze(-1).to(vertices.device).unbind(0)
+    position, right, up, back = (values[i : i + 3] for i in range(0, 12, 3))
+    focal, near = values[12:]
+    x, y, z = (axis - p for axis, p in zip(vertices.unbind(1), position, strict=True))
+    # Cameras on an orbit never roll: `right` has no y.
+    view = (x * right[0] + z * right[2], _dot(x, y, z, up), -_dot(x, y, z, back))
+    screen_x, screen_y = _screen(view, focal, near, width, height)
+    nearness = near / view[2].clamp(min=near)
+    if not view[2].numel():
+        x, y = (t.to(torch.int32) for t in (screen_x, screen_y))
+        return Screen(width, height, view, x, y, nearness, None, (0, 0, 0, 0), focal, near)
+    extremes = torch.stack([*torch.aminmax(screen_x), *torch.aminmax(screen_y), (view[2] - near).amin()]).tolist()
+    if not all(math.isfinite(value) for value in extremes):
+        raise _not_finite(vertices)
+    safe = None
+    if extremes[4] < 0 or max(abs(value) for value in extremes[:4]) > GUARD / 2:
+        safe = (view[2] >= near) & (torch.maximum(screen_x.abs(), screen_y.abs()) <= GUARD / 2)
+    x, y = _integers(screen_x), _integers(screen_y)
+    bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in extremes[:4])
+    return Screen(width, height, view, x, y, nearness, safe, bounds, focal, near)
 
 
-def snap(
-    view: Float64[Tensor, "xyz=3 *N"], focal: Tensor, near: Tensor, width: int, height: int
-) -> tuple[Int32[Tensor, "*N"], Int32[Tensor, "*N"], Bool[Tensor, "*N"]]:
-    """Snapped screen x and y of points in view space, and whether they are meaningful (see `Screen.safe`)."""
-    scale = focal / view[2] * GRID
-    x = torch.round(view[0] * scale + width * (GRID / 2))
-    y = torch.round(height * (GRID / 2) - view[1] * scale)
-    safe = (view[2] >= near) & (torch.maximum(x.abs(), y.abs()) <= GUARD / 2)
-    x = torch.nan_to_num(x).clamp_(-GUARD, GUARD).to(torch.int32)
-    y = torch.nan_to_num(y).clamp_(-GUARD, GUARD).to(torch.int32)
-    return x, y, safe
+def snap(view: Points, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Snapped screen x and y, int32, of points in view space that lie before the near plane and in the guard band."""
+    x, y = _screen(view, focal, near, width, height)
+    return _integers(x), _integers(y)
 
 
-def _dot(a: Sequence[Tensor], b: Sequence[Tensor]) -> Tensor:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _screen(view: Points, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Whole numbers of grid units, float64."""
+    scale = focal * GRID / view[2].clamp(min=near)
+    x = (view[0] * scale).add_(width * (GRID // 2)).round_()
+    return x, (height * (GRID // 2) - view[1] * scale).round_()
 
 
-def _check_finite(vertices: Float64[Tensor, "B 3 V"]) -> None:
-    if vertices.numel() and not torch.isfinite(vertices.abs().amax()):  # a NaN survives amax
-        view, axis, vertex = (~torch.isfinite(vertices)).nonzero()[0].tolist()
-        value = vertices[view, axis, vertex].item()
-        raise InputError(f"vertex {vertex} of view {view}: coordinate {'xyz'[axis]} is {value}, not a finite number")
+def _integers(position: Tensor) -> Int32[Tensor, ...]:
+    return position.clamp(-GUARD, GUARD).to(torch.int32)
+
+
+def _dot(x: Tensor, y: Tensor, z: Tensor, axis: Sequence[Tensor]) -> Tensor:
+    return (x * axis[0]).add_(y * axis[1]).add_(z * axis[2])
+
+
+def _not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:
+    # The largest float32 projects without overflow, so what is left to blame is a vertex of larger float64.
+    bad = ~(vertices.abs() <= 1e100)
+    if not bad.any():
+        return InputError("a camera whose numbers are too far apart to project anything")
+    view, axis, vertex = bad.nonzero()[0].tolist()
+    value = vertices[view, axis, vertex].item()
+    return InputError(f"vertex {vertex} of view {view}: coordinate {'xyz'[axis]} is {value}, not a usable number")

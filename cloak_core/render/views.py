@@ -114,8 +114,8 @@ class ViewBank:
         self._colors = put(bodies.face_colors, torch.float32)
         self._normals = NormalOperator(self._triangles, bodies.vertex_count)
         self._split_faces = not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
-        outward = is_outward(bodies) if is_closed(bodies.triangles) else np.zeros(bodies.pose_count, bool)
-        self._outward = put(outward, torch.bool)
+        closed = is_closed(bodies.triangles)
+        self._outward = np.asarray(is_outward(bodies)) if closed else np.zeros(bodies.pose_count, bool)
         self._kept = _Kept(memory_bytes)
 
     def view(self, pose: int, camera: Camera) -> View:
@@ -160,7 +160,7 @@ class ViewBank:
     def screen(self, wanted: Sequence[tuple[int, Camera]]) -> Screen:
         """The views' vertices on the screen."""
         poses = [self._pose(pose) for pose, _ in wanted]
-        vertices = torch.stack([pose.vertices for pose in poses])
+        vertices = poses[0].vertices.unsqueeze(0) if len(poses) == 1 else torch.stack([pose.vertices for pose in poses])
         pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
         return project(vertices, [camera for _, camera in wanted], pivots)
 
@@ -169,8 +169,9 @@ class ViewBank:
     ) -> Visibility:
         """The nearest triangle at every sample. Bodies whose closed surface faces outwards drop their back faces,
         except in views where the near plane cuts them open."""
-        outward = self._outward[[pose for pose, _ in wanted]]
-        cull = outward & (screen.view[2] >= screen.near).all(1)
+        cull = torch.from_numpy(self._outward[[pose for pose, _ in wanted]])
+        if screen.safe is not None:
+            cull &= (screen.view[2] >= screen.near).all(1).cpu()
         return rasterize(screen, self._triangles, GRIDS[self.samples], cull, window)
 
     def _fragments(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Fragments:
