@@ -114,7 +114,7 @@ def find_candidates(
         area = _doubled_area(*own, torch.int64)
         real = area != 0
         if cull is not False:
-            real &= (area < 0) | ~(cull if cull is True else cull.index_select(0, index))
+            real &= area < 0 if cull is True else (area < 0) | ~cull.index_select(0, index)
         index = index[real]
         if len(index):
             result.append((Candidates(index, _pick(box, index), area[real] > 0), exact))
