@@ -3,11 +3,12 @@
 Images of one body, or on one background, succeed and fail together, so they are not independent draws and a binomial
 interval is far too narrow. The interval here is a pigeonhole bootstrap (Owen, "The pigeonhole bootstrap", Annals of
 Applied Statistics 1(2), 2007): bodies and backgrounds are each drawn again with replacement, and an image counts as
-often as its body times its background was drawn. Two corrections make it hold with the few bodies one has:
+often as its body times its background was drawn. Two corrections make it hold for the few bodies one has:
 
-- With n bodies a bootstrap sees the body-to-body variance too small by (n - 1) / n and knows nothing of its
-  uncertainty, so the percentiles are stretched away from the estimate by sqrt(n / (n - 1)) * t(n - 1) / z. Bodies and
-  backgrounds differ in n; their stretches are mixed by their shares of the variance.
+- The bootstrap counts what is an image's own up to three times, sees the variance between n bodies too small by
+  (n - 1) / n, and knows nothing of that variance's own uncertainty. So its percentiles, which give the shape, are moved
+  from or to the estimate until their spread is the two-way clustered one: bodies' variance + backgrounds' - pairs' own
+  (Cameron, Gelbach and Miller, JBES 29(2), 2011), bodies and backgrounds each with n / (n - 1) and t(n - 1) / z.
 - Where every image came out alike a bootstrap reports no doubt at all. The interval is therefore never narrower than
   Wilson's for as many independent draws as there are distinct (body, background) pairs.
 
@@ -54,7 +55,7 @@ def two_way_rate(
     value = float(hit.sum() / n)
     draws = _pigeonhole(hit, count, resamples, np.random.default_rng(seed))
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
-    stretch = _stretch(hit - value * count, level)
+    stretch = _two_way_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)
     wilson_low, wilson_high = wilson(value, int((count > 0).sum()), level)
     low = min(max(0.0, value - stretch * (value - low)), wilson_low)
     high = max(min(1.0, value + stretch * (high - value)), wilson_high)
@@ -91,17 +92,15 @@ def _pigeonhole(hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.rand
     return hits[drawn] / images[drawn] if drawn.any() else np.array([hit.sum() / count.sum()])
 
 
-def _stretch(residual: np.ndarray, level: float) -> float:
-    """How far the percentiles must move away from the estimate: `residual` [bodies, backgrounds] sums to zero."""
-    total, weighted = 0.0, 0.0
+def _two_way_deviation(residual: np.ndarray, level: float) -> float:
+    """Clustered standard deviation of the number of hits; `residual` [bodies, backgrounds] is each pair's excess."""
+    z = NormalDist().inv_cdf((1 + level) / 2)
+    parts = []
     for axis in (0, 1):
         n = residual.shape[axis]
-        if n > 1:
-            variance = float((residual.sum(1 - axis) ** 2).sum())
-            z = NormalDist().inv_cdf((1 + level) / 2)
-            total += variance
-            weighted += variance * n / (n - 1) * (student_t(n - 1, (1 + level) / 2) / z) ** 2
-    return math.sqrt(weighted / total) if total > 1e-12 else 1.0
+        widen = n / (n - 1) * (student_t(n - 1, (1 + level) / 2) / z) ** 2 if n > 1 else 0.0
+        parts.append(widen * float((residual.sum(1 - axis) ** 2).sum()))
+    return math.sqrt(max(sum(parts) - float((residual**2).sum()), *parts))
 
 
 @lru_cache

@@ -29,7 +29,7 @@ def write_pictures(
 ) -> dict:
     """Write the pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
 
-    `gallery`: the first image drawn of up to 3 bodies at up to 5 evenly spaced angles, in own clothing and cloaked;
+    `gallery`: the first image drawn of up to 3 bodies at up to 5 angles (evenly spaced), in own clothing and cloaked;
     `failures`: per detector, the cloaked images with the highest scores above the threshold; `controls`: one image
     under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
     """
@@ -49,10 +49,9 @@ def write_pictures(
 
 
 def gallery_trials(trials: Trials) -> list[int]:
-    """The first image of each shown body (the first three) at each shown angle (five, evenly spaced), in that order."""
-    angles = np.unique(trials.angle)
-    angles = angles[np.unique(np.linspace(0, len(angles) - 1, min(ANGLES, len(angles))).round().astype(int))]
-    bodies = np.unique(trials.pose)[:BODIES]
+    """The first image of each shown body (three, evenly spaced) at each shown angle (five, likewise), in that order."""
+    spaced = lambda values, count: values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
+    angles, bodies = spaced(np.unique(trials.angle), ANGLES), spaced(np.unique(trials.pose), BODIES)
     first = lambda p, a: int(np.flatnonzero((trials.pose == p) & (trials.angle == a))[0])
     return [first(p, a) for p in bodies for a in angles]
 

@@ -43,7 +43,7 @@ def draw_sheet(
     stored: StoredEvaluation, spec: str, heads: list[str], rows: list[tuple[str, list[dict]]], side: int
 ) -> Image.Image:
     """Named rows of pictures under column heads, with what the detector found in each written below it."""
-    label = max(int(font(18).getlength(name)) for name, _ in rows) + 2 * GAP
+    label = max(int(font(18, bold=True).getlength(name)) for name, _ in rows) + 2 * GAP
     width = MARGIN * 2 + label + len(heads) * (side + GAP) - GAP
     height = MARGIN + HEAD + len(rows) * (side + FOOT + GAP) + MARGIN - GAP
     sheet = Image.new("RGB", (width, height), PAPER)
@@ -86,5 +86,5 @@ def boxed(stored: StoredEvaluation, picture: dict, spec: str, side: int) -> Imag
 
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """The figures' font, which comes with matplotlib."""
-    properties = font_manager.FontProperties("DejaVu Sans", weight="bold" if bold else "normal")
+    properties = font_manager.FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
     return ImageFont.truetype(font_manager.findfont(properties), size)

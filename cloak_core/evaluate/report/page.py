@@ -47,7 +47,7 @@ def make_report(run: Path) -> Path:
             "evaluation": _evaluation(stored) if stored else None,
         }
     report = run / "report.html"
-    _replace(report, template().render(page))
+    _replace(report, environment(HERE).get_template("report.html").render(page))
     return report
 
 
@@ -61,10 +61,10 @@ def _replace(path: Path, text: str) -> None:
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def template() -> jinja2.Template:
-    """The page's template; everything that is put into it is escaped unless this module made it."""
+def environment(folder: Path) -> jinja2.Environment:
+    """Templates of a folder; everything that is put into them is escaped unless this module made it."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE),
+        loader=jinja2.FileSystemLoader(folder),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -76,7 +76,7 @@ def template() -> jinja2.Template:
         "degrees": words.degrees,
         "label": words.control_label,
     }
-    return environment.get_template("report.html")
+    return environment
 
 
 def _training(history: History) -> Markup | None:

@@ -52,9 +52,9 @@ def lede(summary: dict) -> str:
     logo, clothing = rates["logo"], rates["clothing"]
     bodies = len(rates["by_body"])
     return (
-        f"With the trained colours, {short_name(spec)} reports no person in {percent(logo['success'])} of "
-        f"{logo['n']} images (95 % interval {interval(logo['ci95'])}), on {bodies} "
-        f"{'body' if bodies == 1 else 'bodies'}. In the bodies' own clothing it reports none in "
+        f"With the trained colours, {short_name(spec)} finds no person in {percent(logo['success'])} of "
+        f"{logo['n']:,} images of {bodies} {'body' if bodies == 1 else 'bodies'} (95 % interval "
+        f"{interval(logo['ci95'])}). In the bodies' own clothing it misses the person in "
         f"{percent(clothing['success'])} of the same images."
     )
 
@@ -122,7 +122,7 @@ def duration(seconds: float | int) -> str:
 
 def _value(value: object) -> str:
     if value is None:
-        return "default"
+        return "not set"
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, (list, tuple)):

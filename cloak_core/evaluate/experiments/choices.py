@@ -1,0 +1,227 @@
+"""What the settings do: total variation, resolution, the choices behind preset `best`, and cost."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from PIL import Image
+
+from cloak_core.evaluate.experiments.attacks import MULTI, SINGLE, narrow_angles, repeated
+from cloak_core.evaluate.experiments.lab import Lab, Trained
+from cloak_core.evaluate.experiments.logos import chest_thighs
+from cloak_core.evaluate.experiments.outcome import Outcome
+from cloak_core.evaluate.experiments.views import band
+from cloak_core.evaluate.experiments.wording import best_row, rate_text, said
+from cloak_core.evaluate.figures import (
+    CYCLE,
+    DASHES,
+    MARKERS,
+    WIDTH,
+    degree_ticks,
+    legend_above,
+    new_figure,
+    percent_axis,
+)
+from cloak_core.evaluate.report.words import short_name
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.bodies import subdivide
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies
+
+TV_WEIGHTS = (0.0, 0.1, 0.5, 2.5, 10.0)
+"""The paper's, and 0.5."""
+CHANGES: dict[str, dict[str, object]] = {
+    "preset best": {},
+    "SGD instead of Adam": {"optimizer": "sgd", "lr": 1.0, "momentum": 0.9},
+    "constant learning rate": {"schedule": "constant"},
+    "loss: objectness": {"loss": "objectness"},
+    "loss: log": {"loss": "log"},
+    "ten best boxes": {"reduce": "topk"},
+    "no total variation": {"tv_weight": 0.0},
+    "no photometric noise": {"contrast": "1", "brightness": "0", "noise": 0.0},
+    "the paper's photometric range": {"contrast": "0:1", "brightness": "0:1"},
+    "no translation": {"translation": 0},
+    "one angle": {"angles": SINGLE},
+    "from random colours": {"initial": "random"},
+    "sigmoid instead of projection": {"gamut": "sigmoid"},
+}
+"""Each changes one choice of preset `best`."""
+QUICK_CHANGES = (
+    "preset best",
+    "SGD instead of Adam",
+    "loss: log",
+    "no total variation",
+    "no photometric noise",
+    "one angle",
+)
+
+
+def tv(lab: Lab) -> Outcome:
+    """Weights of total variation: trained at azimuth 0 on one body, tested around on it and on an unseen one."""
+    spec, faces, angles = lab.specs[0], chest_thighs(lab.materials.bodies), narrow_angles(lab)
+    one = lab.materials.bodies.select_poses([0])
+    tests = {"the trained body": one, "an unseen body": lab.materials.unseen.select_poses([0])}
+    weights = TV_WEIGHTS[::2] if lab.options.quick else TV_WEIGHTS
+    steps = lab.train_settings(angles=SINGLE).total_steps(len(lab.materials.backgrounds))
+    every = max(1, steps // 6)
+    figure, axes = new_figure(columns=2, sharey=True)
+    rows, pictures = [], {}
+    for k, weight in enumerate(weights):
+        trained = repeated(lab, faces, [spec], bodies=one, angles=SINGLE, tv_weight=weight, preview_every=every)
+        pictures[weight] = trained[0]
+        for axis, (name, bodies) in zip(axes, tests.items(), strict=True):
+            result = lab.evaluate(trained, angles, [spec], bodies=bodies)
+            rows.append({"tv_weight": weight, "test": name} | result.row(spec))
+            rates = [result.rate(spec, angle=a) for a in angles]
+            band(axis, angles, rates, CYCLE[k], MARKERS[k], DASHES[k], f"weight {weight:g}")
+            axis.set_title(name)
+            axis.set_xlabel("azimuth (degrees)")
+            degree_ticks(axis)
+    percent_axis(axes[0])
+    legend_above(figure)
+    figures = {"weights": figure} | ({"logos": sheet} if (sheet := _preview_figure(pictures)) else {})
+    return Outcome("Total variation", rows, _tv_words(rows, spec), figures)
+
+
+def _tv_words(rows: list[dict], spec: str) -> list[str]:
+    words = [
+        f"Trained at azimuth 0 on one body against {short_name(spec)}; the weights are on total variation divided by "
+        "the number of faces, as in the reference code (the paper's bare sum freezes training)."
+    ]
+    for test in dict.fromkeys(row["test"] for row in rows):
+        mine = [row for row in rows if row["test"] == test]
+        best, none = best_row(mine), next(row for row in mine if row["tv_weight"] == 0)
+        verdict = "loses to" if best["tv_weight"] != 0 and best["low"] > none["success"] else "is not clearly below"
+        words.append(
+            f"On {test}: weight 0 reaches {said(none)}, the highest, {best['tv_weight']:g}, {said(best)}: without "
+            f"total variation training {verdict} the best weight here. The paper finds that 0 loses at unseen angles."
+        )
+    return words
+
+
+def _preview_figure(trained: dict[float, Trained]) -> object | None:
+    """The first image of some previews of each weight, as training went on."""
+    files = {weight: sorted((run.folder / "previews").glob("step-*.png")) for weight, run in trained.items()}
+    columns = min((len(names) for names in files.values()), default=0)
+    if not columns:
+        return None
+    figure, _ = new_figure(WIDTH, 1.15 * len(files) + 0.3)
+    figure.clear()
+    axes = figure.subplots(len(files), columns, squeeze=False)
+    for row, (weight, names) in zip(axes, files.items(), strict=True):
+        size = trained[weight].settings.size
+        for axis, name in zip(row, names, strict=False):
+            with Image.open(name) as image:
+                axis.imshow(np.asarray(image.convert("RGB"))[:size, :size])
+            axis.set_xticks([])
+            axis.set_yticks([])
+            axis.grid(visible=False)
+            axis.spines[:].set_visible(False)
+            axis.set_title(f"step {int(name.stem.split('-')[1])}", fontsize=7, fontweight="normal")
+        row[0].set_ylabel(f"weight {weight:g}")
+    return figure
+
+
+def resolution(lab: Lab) -> Outcome:
+    """Subdivision levels: success, time, and how many of the logo's faces any training view gives a gradient."""
+    spec = lab.specs[0]
+    bodies, unseen, faces = lab.materials.bodies, lab.materials.unseen, chest_thighs(lab.materials.bodies)
+    rows = []
+    for level in range(2 if lab.options.quick else 3):
+        if level:
+            bodies, parent = subdivide(bodies)
+            unseen, _ = subdivide(unseen)
+            faces = np.flatnonzero(np.isin(parent, faces)).astype(np.int64)
+        trained = repeated(lab, faces, [spec], bodies=bodies, angles=MULTI)
+        result = lab.evaluate(trained, narrow_angles(lab), [spec], bodies=unseen)
+        reach = gradient_reach(lab, bodies, faces)
+        seconds = round(float(np.mean([t.seconds for t in trained])), 1)
+        rows.append({"level": level, "logo_faces": len(faces), "reach": reach, "seconds": seconds} | result.row(spec))
+    figure, axes = new_figure(columns=2)
+    x = [row["logo_faces"] for row in rows]
+    error = np.clip([[r["success"] - r["low"] for r in rows], [r["high"] - r["success"] for r in rows]], 0, None)
+    axes[0].errorbar(x, [row["success"] for row in rows], error, color=CYCLE[0], marker="o", capsize=2, label="success")
+    axes[0].plot(x, [row["reach"] for row in rows], color=CYCLE[1], marker="s", ls="--", label="faces with a gradient")
+    percent_axis(axes[0], "")
+    axes[1].plot(x, [row["seconds"] for row in rows], color=CYCLE[2], marker="D", label="training time (s)")
+    axes[1].set_ylim(bottom=0)
+    axes[1].set_ylabel("seconds")
+    for axis in axes:
+        axis.set_xlabel("faces of the logo")
+        axis.set_xscale("log")
+    legend_above(figure)
+    words = [
+        "The same logo on bodies subdivided 0, 1, ... times (each quad in four). Reach is the share of its faces that "
+        "at least one training view sees; seconds include building the views."
+    ] + [f"Level {r['level']}: {said(r)}; reach {rate_text(r['reach'])}, {r['seconds']:g} s." for r in rows]
+    return Outcome("Resolution of the mesh", rows, words, {"resolution": figure})
+
+
+def gradient_reach(lab: Lab, bodies: Bodies, faces: np.ndarray) -> float:
+    """Share of the faces that get a gradient from the first body's training views."""
+    options = {} if lab.options.samples is None else {"samples": lab.options.samples}
+    bank = ViewBank(bodies.select_poses([0]), device=lab.options.device, **options)
+    seen = torch.zeros(len(faces), dtype=torch.bool, device=bank.device)
+    for azimuth in (-10.0, -5.0, 0.0, 5.0, 10.0):
+        camera = Camera(azimuth=azimuth, width=lab.options.size, height=lab.options.size)
+        seen[bank.dress(0, camera, faces).logo_face] = True
+    return round(float(seen.float().mean()), 4)
+
+
+def ablation(lab: Lab) -> Outcome:
+    """Preset `best`, and the same with one choice changed."""
+    spec, faces = lab.specs[0], chest_thighs(lab.materials.bodies)
+    names = QUICK_CHANGES if lab.options.quick else tuple(CHANGES)
+    rows = []
+    for name in names:
+        trained = repeated(lab, faces, [spec], **({"preset": "best", "angles": MULTI} | CHANGES[name]))
+        result = lab.evaluate(trained, narrow_angles(lab), [spec])
+        seconds = round(float(np.mean([t.seconds for t in trained])), 1)
+        rows.append({"change": name, "seconds": seconds} | result.row(spec))
+    figure, (axis,) = new_figure(height=0.7 + 0.26 * len(rows))
+    value = np.array([row["success"] for row in rows])
+    error = np.clip([[r["success"] - r["low"] for r in rows], [r["high"] - r["success"] for r in rows]], 0, None)
+    axis.axvline(value[0], color=CYCLE[6], lw=0.8, ls="--")
+    axis.errorbar(value, range(len(rows)), xerr=error, fmt="o", color=CYCLE[0], lw=1.2, clip_on=False)
+    axis.set_yticks(range(len(rows)), [row["change"] for row in rows])
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_xlim(0, 1)
+    axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    axis.set_xlabel("attack success")
+    worst = min(rows, key=lambda row: row["success"])
+    words = [
+        f"Chest + thighs against {short_name(spec)}: preset best reaches {said(rows[0])}. Each line changes one "
+        "choice, with the same number of steps.",
+        f"The lowest is '{worst['change']}': {said(worst)}. Differences within the intervals say nothing.",
+    ]
+    return Outcome("The choices behind preset best", rows, words, {"changes": figure})
+
+
+def cost(lab: Lab) -> Outcome:
+    """Success against training seconds, for samples per pixel and numbers of steps."""
+    spec, faces = lab.specs[0], chest_thighs(lab.materials.bodies)
+    full = lab.train_settings(angles=MULTI).total_steps(len(lab.materials.backgrounds))
+    lengths = sorted({max(1, full // 4), max(1, full // 2), full})
+    rows = []
+    figure, (axis,) = new_figure()
+    for k, samples in enumerate((1, 16) if lab.options.quick else (1, 4, 16, 64)):
+        line = []
+        for steps in lengths:
+            trained = repeated(lab, faces, [spec], angles=MULTI, steps=steps, samples=samples)
+            result = lab.evaluate(trained, narrow_angles(lab), [spec])
+            seconds = round(float(np.mean([t.seconds for t in trained])), 1)
+            rows.append({"samples": samples, "steps": steps, "seconds": seconds} | result.row(spec))
+            line.append((seconds, rows[-1]["success"]))
+        x, y = zip(*line, strict=True)
+        axis.plot(x, y, color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=f"{samples} sample{'s' * (samples > 1)}")
+    percent_axis(axis)
+    axis.set_xlabel("training time (s, views included)")
+    axis.set_xscale("log")
+    legend_above(figure)
+    best = best_row(rows)
+    words = [
+        f"Chest + thighs against {short_name(spec)}, samples per pixel and steps varied; every cloak is tested with "
+        f"the renderer's default samples. The highest success is {said(best)}, with {best['samples']} samples and "
+        f"{best['steps']} steps in {best['seconds']:g} s on this machine."
+    ]
+    return Outcome("Success against cost", rows, words, {"cost": figure})

@@ -1,0 +1,106 @@
+"""What experiments work on: bodies, backgrounds and detectors, split into what training sees and what it never sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.errors import InputError
+from cloak_core.scene.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.exchange import Bodies, read_scene, sha256_arrays
+from cloak_core.scene.samples import sample_bodies
+
+
+@dataclass(frozen=True, eq=False)
+class Materials:
+    """Bodies of one topology and backgrounds, for training and unseen; detectors by their specs."""
+
+    bodies: Bodies
+    unseen: Bodies
+    backgrounds: Backgrounds
+    unseen_backgrounds: Backgrounds
+    detectors: dict[str, Detector]
+
+    def __post_init__(self) -> None:
+        if self.bodies.topology != self.unseen.topology:
+            raise InputError(
+                f"scene '{self.unseen.name}': topology {self.unseen.topology}, but training has {self.bodies.topology}"
+            )
+        if not self.detectors:
+            raise InputError("--detector: none given")
+
+    def record(self) -> dict:
+        """What they are, for a configuration: counts and hashes."""
+        return {
+            "bodies": bodies_record(self.bodies),
+            "unseen": bodies_record(self.unseen),
+            "backgrounds": backgrounds_record(self.backgrounds),
+            "unseen_backgrounds": backgrounds_record(self.unseen_backgrounds),
+            "detectors": {spec: state_hash(detector) for spec, detector in self.detectors.items()},
+        }
+
+
+def bodies_record(bodies: Bodies) -> dict:
+    """A scene's name, size and content hash."""
+    return {
+        "name": bodies.name,
+        "poses": list(bodies.names),
+        "faces": bodies.face_count,
+        "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.triangle_face, bodies.face_colors),
+    }
+
+
+def backgrounds_record(backgrounds: Backgrounds) -> dict:
+    """How many, and a hash of what they are."""
+    return {"count": len(backgrounds), "sha256": sha256_arrays(np.array(backgrounds.identities(), np.str_))}
+
+
+def open_materials(
+    detectors: tuple[str, ...] = ("builtin",),
+    *,
+    scene: str = "sample",
+    unseen: str | None = None,
+    backgrounds: str = "procedural",
+    unseen_backgrounds: str | None = None,
+    device: str | torch.device = "cpu",
+) -> Materials:
+    """Open everything by spec. Without `unseen`, every second body of `scene` is kept from training; likewise for a
+    folder of backgrounds. "sample" and "procedural" have their own unseen parts.
+    """
+    return Materials(
+        *_open_bodies(scene, unseen),
+        *_open_backgrounds(backgrounds, unseen_backgrounds),
+        {spec: load_detector(spec, device=device) for spec in detectors},
+    )
+
+
+def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
+    if unseen is not None:
+        return _scene(scene), _scene(unseen)
+    if scene == "sample":
+        return sample_bodies("train"), sample_bodies("unseen")
+    bodies = _scene(scene)
+    if bodies.pose_count < 2:
+        raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
+    return (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
+
+
+def _scene(spec: str) -> Bodies:
+    head, _, split = spec.partition(":")
+    return sample_bodies(split or "all") if head == "sample" else read_scene(Path(spec))
+
+
+def _open_backgrounds(spec: str, unseen: str | None) -> tuple[Backgrounds, Backgrounds]:
+    if unseen is not None:
+        return open_backgrounds(spec), open_backgrounds(unseen)
+    if spec == "procedural":
+        return open_backgrounds("procedural:train"), open_backgrounds("procedural:test")
+    backgrounds = open_backgrounds(spec)
+    if len(backgrounds) < 2:
+        raise InputError(f"{spec}: one background cannot be both trained on and unseen")
+    return backgrounds.split(2, 0), backgrounds.split(2, 1)

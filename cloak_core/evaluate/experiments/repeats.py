@@ -1,0 +1,87 @@
+"""The repetitions of one training, evaluated on the same images: pooled rates with intervals, and their spread."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloak_core.detectors.scoring import THRESHOLD
+from cloak_core.evaluate.controls import CLOTHING
+from cloak_core.evaluate.intervals import Rate, two_way_rate
+from cloak_core.evaluate.measurement import Measurement
+from cloak_core.evaluate.rates import average_precision
+
+
+class Repeats:
+    """One measurement per seed, all with the same trials."""
+
+    def __init__(self, measurements: Sequence[Measurement]) -> None:
+        self.measurements = list(measurements)
+        first = self.measurements[0]
+        self.specs, self.controls, self.trials = first.specs, first.controls, first.trials
+        self.body_names = first.body_names
+
+    def rate(
+        self,
+        spec: str,
+        control: str = "logo",
+        *,
+        angle: float | None = None,
+        distance: float | None = None,
+        pose: int | None = None,
+        threshold: float = THRESHOLD,
+        on_body: bool = False,
+    ) -> Rate:
+        """Success, over all repetitions, of the images at this angle, distance and body (None: all of them)."""
+        where = np.ones(len(self.trials), bool)
+        for column, value in (("angle", angle), ("distance", distance), ("pose", pose)):
+            if value is not None:
+                where &= np.isclose(getattr(self.trials, column), value)
+        d, c = self.specs.index(spec), self.controls.index(control)
+        scores = [(m.score_on if on_body else m.score)[d, c, where] for m in self.measurements]
+        count = len(scores)
+        bodies, backgrounds = self.trials.pose[where], self.trials.background[where]
+        return two_way_rate(np.concatenate(scores) <= threshold, np.tile(bodies, count), np.tile(backgrounds, count))
+
+    def spread(self, spec: str, threshold: float = THRESHOLD) -> list[float]:
+        """Success of each repetition."""
+        d = self.specs.index(spec)
+        return [round(float((m.score[d, 0] <= threshold).mean()), 6) for m in self.measurements]
+
+    def conditional(self, spec: str, threshold: float = THRESHOLD) -> Rate:
+        """Success where the same image in own clothing is detected."""
+        d, clean = self.specs.index(spec), self.controls.index(CLOTHING)
+        rows = [(m.score[d, 0] <= threshold, m.score[d, clean] > threshold) for m in self.measurements]
+        pick = lambda column: np.concatenate([column[found] for _, found in rows])
+        hits = np.concatenate([hit[found] for hit, found in rows])
+        return two_way_rate(hits, pick(self.trials.pose), pick(self.trials.background))
+
+    def row(self, spec: str) -> dict:
+        """Everything a table says about these repetitions under one detector: plain numbers, ready for CSV."""
+        logo = self.rate(spec)
+        d = self.specs.index(spec)
+        row = {
+            "detector": spec,
+            "success": logo.value,
+            "low": logo.low,
+            "high": logo.high,
+            "n": logo.n,
+            "success_iou": self.rate(spec, on_body=True).value,
+            "conditional": self.conditional(spec).value,
+        }
+        row |= {control: self.rate(spec, control).value for control in self.controls[1:]}
+        row["clean_detection"] = 1 - row[CLOTHING]
+        precision = [average_precision(m, d, 0) for m in self.measurements]
+        row["average_precision"] = float(np.mean(precision))
+        row["clean_average_precision"] = average_precision(self.measurements[0], d, self.controls.index(CLOTHING))
+        row["false_alarms"] = float((self.measurements[0].bare[d] > THRESHOLD).mean())
+        spread = self.spread(spec)
+        row |= {"seeds": len(spread), "worst_seed": min(spread), "best_seed": max(spread)}
+        return {key: _round(value) for key, value in row.items()}
+
+
+def _round(value: object) -> object:
+    if isinstance(value, float):
+        return None if np.isnan(value) else round(value, 4)
+    return value

@@ -1,0 +1,154 @@
+"""From where a cloak still works: unseen angles, wide angles, the full circle, distances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloak_core.evaluate.experiments.attacks import MULTI, SINGLE, narrow_angles, repeated
+from cloak_core.evaluate.experiments.lab import Lab
+from cloak_core.evaluate.experiments.logos import chest_thighs, shirt_trousers
+from cloak_core.evaluate.experiments.outcome import Outcome
+from cloak_core.evaluate.experiments.repeats import Repeats
+from cloak_core.evaluate.experiments.wording import rate_text, said_rate
+from cloak_core.evaluate.figures import (
+    CYCLE,
+    DASHES,
+    MARKERS,
+    SERIES,
+    WIDTH,
+    degree_ticks,
+    legend_above,
+    new_figure,
+    percent_axis,
+)
+from cloak_core.evaluate.intervals import Rate
+from cloak_core.evaluate.report.words import short_name
+
+CIRCLE = "0:330:30"
+"""Training angles all around."""
+TRAINED_DISTANCE, DISTANCES = "1.4:3.0", tuple(round(1.4 + 0.2 * k, 1) for k in range(9))
+FIVE_DISTANCES = (1.4, 1.8, 2.2, 2.6, 3.0)
+
+
+def rate_rows(label: dict, result: Repeats, spec: str, column: str, values: tuple[float, ...]) -> list[dict]:
+    """One row per angle or distance: success with interval, own clothing beside it."""
+    rows = []
+    for value in values:
+        rate, clean = (result.rate(spec, control, **{column: value}) for control in ("logo", "clothing"))
+        numbers = {"success": rate.value, "low": rate.low, "high": rate.high, "clothing": clean.value}
+        rows.append(label | {column: value} | {k: round(v, 4) for k, v in numbers.items()} | {"n": rate.n})
+    return rows
+
+
+def band(
+    axis: object, x: tuple[float, ...], rates: list[Rate], color: str, marker: str, dash: object, label: str
+) -> None:
+    """A line of rates with its band of intervals."""
+    axis.plot(x, [r.value for r in rates], color=color, marker=marker, ls=dash, label=label, clip_on=False, zorder=3)
+    axis.fill_between(x, [r.low for r in rates], [r.high for r in rates], color=color, alpha=0.15, lw=0)
+
+
+def single_angle(lab: Lab) -> Outcome:
+    """Trained at azimuth 0 alone, tested at every whole degree around it."""
+    faces, angles = chest_thighs(lab.materials.bodies), narrow_angles(lab)
+    figure, (axis,) = new_figure()
+    rows, words = [], ["Chest + thighs was trained at azimuth 0 alone and tested at unseen angles around it."]
+    for k, spec in enumerate(lab.specs):
+        result = lab.evaluate(repeated(lab, faces, [spec], angles=SINGLE), angles, [spec])
+        rows += rate_rows({"detector": spec}, result, spec, "angle", angles)
+        rates = [result.rate(spec, angle=a) for a in angles]
+        band(axis, angles, rates, CYCLE[k % 7], MARKERS[k % 7], DASHES[k % 7], short_name(spec))
+        front, ends = result.rate(spec, angle=0.0), [result.rate(spec, angle=a) for a in (-10.0, 10.0)]
+        words.append(
+            f"{short_name(spec)}: {said_rate(result.rate(spec))} over all angles, {rate_text(front.value)} at 0, "
+            f"{rate_text(ends[0].value)} at -10 and {rate_text(ends[1].value)} at 10 degrees; own clothing "
+            f"{rate_text(result.rate(spec, 'clothing').value)}."
+        )
+    percent_axis(axis)
+    axis.set_xlabel("azimuth (degrees)")
+    degree_ticks(axis)
+    legend_above(figure)
+    return Outcome("Trained at one angle, tested at unseen ones", rows, words, {"angles": figure})
+
+
+def wide_angle(lab: Lab) -> Outcome:
+    """Trained in -10..10 and all around, tested at -50..50 and all around; the first detector."""
+    spec, bodies = lab.specs[0], lab.materials.bodies
+    wide = tuple(float(a) for a in range(-50, 51, 10))
+    circle = tuple(float(a) for a in range(0, 360, 30 if lab.options.quick else 15))
+    kinds = {
+        "chest + thighs, trained in ±10°": (chest_thighs(bodies), MULTI),
+        "shirt + trousers, trained in ±10°": (shirt_trousers(bodies), MULTI),
+        "shirt + trousers, trained all around": (shirt_trousers(bodies), CIRCLE),
+    }
+    figure, (axis,) = new_figure()
+    around, polar = new_figure(WIDTH * 0.75, 3.6, subplot_kw={"projection": "polar"})
+    rows, words = [], [f"Tested on {short_name(spec)}. In the paper success decays towards 0 at ±50 degrees."]
+    for k, (name, (faces, angles)) in enumerate(kinds.items()):
+        trained = repeated(lab, faces, [spec], angles=angles)
+        look = (CYCLE[k], MARKERS[k], DASHES[k])
+        results = [(part, lab.evaluate(trained, part, [spec])) for part in (wide, circle)]
+        for (part, result), test in zip(results, ("wide", "circle"), strict=True):
+            rows += rate_rows({"cloak": name, "test": test}, result, spec, "angle", part)
+        band(axis, wide, [results[0][1].rate(spec, angle=a) for a in wide], *look, name)
+        values = [results[1][1].rate(spec, angle=a).value for a in circle]
+        polar[0].plot(np.radians([*circle, circle[0]]), [*values, values[0]], color=look[0], ls=look[2], label=name)
+        words.append(
+            f"{name}: {said_rate(results[0][1].rate(spec))} over -50..50 degrees, "
+            f"{said_rate(results[1][1].rate(spec))} over the full circle."
+        )
+    percent_axis(axis)
+    axis.set_xlabel("azimuth (degrees)")
+    degree_ticks(axis)
+    legend_above(figure)
+    _compass(polar[0])
+    around.legend(*polar[0].get_legend_handles_labels(), loc="outside upper left")
+    return Outcome("Wide angles and the full circle", rows, words, {"wide": figure, "circle": around})
+
+
+def _compass(axis: object) -> None:
+    """A polar axis seen from above: front at the bottom, as the camera sees it at azimuth 0."""
+    axis.set_theta_zero_location("S")
+    axis.set_ylim(0, 1)
+    axis.set_yticks([0.25, 0.5, 0.75, 1], ["", "50 %", "", "100 %"])
+    axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])
+
+
+def distance(lab: Lab) -> Outcome:
+    """Trained at 2.2 m or at distances drawn from 1.4..3.0, tested over distances and angles; the first detector."""
+    spec, faces = lab.specs[0], chest_thighs(lab.materials.bodies)
+    near = DISTANCES[::2] if lab.options.quick else DISTANCES
+    angles = tuple(float(a) for a in range(-10, 11, 5 if lab.options.quick else 1))
+    kinds = {"trained at 2.2 m": "2.2", "trained at 1.4 to 3.0 m": TRAINED_DISTANCE}
+    figure, (axis,) = new_figure()
+    by_angle, panels = new_figure(columns=2, sharey=True)
+    rows, words = [], [f"Single-angle training (azimuth 0) against {short_name(spec)}, as in the paper's appendix A."]
+    for k, (name, drawn) in enumerate(kinds.items()):
+        trained = repeated(lab, faces, [spec], angles=SINGLE, distance=drawn)
+        result = lab.evaluate(trained, (0.0,), [spec], distances=near, images_per_view=4 * lab.options.test_images)
+        rows += rate_rows({"cloak": name}, result, spec, "distance", near)
+        band(axis, near, [result.rate(spec, distance=d) for d in near], CYCLE[k], MARKERS[k], DASHES[k], name)
+        if not k:
+            clean = [result.rate(spec, "clothing", distance=d).value for d in near]
+            look = SERIES["clothing"]
+            axis.plot(near, clean, color=look.color, ls=":", marker=look.marker, label=look.label)
+        turned = lab.evaluate(trained, angles, [spec], distances=FIVE_DISTANCES)
+        for j, d in enumerate(FIVE_DISTANCES):
+            values = [turned.rate(spec, angle=a, distance=d).value for a in angles]
+            panels[k].plot(angles, values, color=CYCLE[j], ls=DASHES[j], marker=MARKERS[j], label=f"{d} m")
+            rows += [
+                {"cloak": name, "distance": d, "angle": a, "success": round(v, 4)}
+                for a, v in zip(angles, values, strict=True)
+            ]
+        panels[k].set_title(name)
+        panels[k].set_xlabel("azimuth (degrees)")
+        degree_ticks(panels[k])
+        words.append(
+            f"{name}: {said_rate(result.rate(spec))} over the distances, {said_rate(turned.rate(spec))} over angles."
+        )
+    percent_axis(axis)
+    axis.set_xlabel("distance (m)")
+    legend_above(figure)
+    percent_axis(panels[0])
+    legend_above(by_angle)
+    return Outcome("Distance (appendix A)", rows, words, {"distance": figure, "angles": by_angle})
