@@ -1,9 +1,7 @@
+import contextlib
 import json
 import os
 import pickle
-import signal
-import subprocess
-import sys
 import time
 
 import pytest
@@ -11,6 +9,7 @@ import torch
 
 from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint, sweep
 from cloak_core.errors import InputError
+from tests.attack import children
 
 
 def checkpoint(step: int) -> Checkpoint:
@@ -108,32 +107,22 @@ def test_what_cannot_be_written_is_said(tmp_path):
         save_checkpoint(tmp_path / "file", checkpoint(1))
 
 
-WRITER = """
-import sys, torch
-from pathlib import Path
-from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
-folder = Path(sys.argv[1])
-for step in range(1, 100000):
-    tensors = {"parameter": torch.full((20000, 3), float(step))}
-    save_checkpoint(folder, Checkpoint(step, 0.0, tensors))
-    print(step, flush=True)
-"""
-
-
 def test_killed_while_writing_there_is_always_a_whole_one(tmp_path):
     """SIGKILL at moments spread over the write: what is found is whole and at most one behind what was announced."""
-    for attempt in range(4):
+    for attempt in range(8):
         folder = tmp_path / str(attempt)
         folder.mkdir()
-        process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
-        announced = [process.stdout.readline() for _ in range(3)]
-        time.sleep(0.0053 * attempt)
-        process.send_signal(signal.SIGKILL)
-        announced += process.stdout.readlines()
-        process.wait()
+        process, pipe = children.start(children.write_checkpoints, str(folder))
+        announced = [pipe.recv() for _ in range(3)]
+        time.sleep(0.0031 * attempt)
+        process.kill()
+        with contextlib.suppress(EOFError):
+            while True:
+                announced.append(pipe.recv())
+        process.join()
         found, damaged = load_checkpoint(folder)
         assert damaged == []
-        assert found.step >= int(announced[-1])
+        assert found.step >= announced[-1]
         assert (found.tensors["parameter"] == found.step).all()
         sweep(folder)
         assert all(p.name.startswith("step-") for p in folder.iterdir())

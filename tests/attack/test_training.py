@@ -2,8 +2,6 @@ import dataclasses
 import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -269,35 +267,6 @@ def test_two_runs_in_one_folder(tmp_path):
         5,
         6,
     ]
-
-
-CHILD = """
-import sys
-sys.path.insert(0, {root!r})
-from tests.attack.test_training import run
-from pathlib import Path
-def say(event):
-    if event["type"] == "step":
-        print(event["step"], flush=True)
-run(Path(sys.argv[1]), steps=40, resume=True, checkpoint_every=3, on_event=say)
-"""
-
-
-def test_killed_runs_go_on_to_the_same_bits(tmp_path):
-    whole = run(tmp_path / "whole", steps=40, checkpoint_every=3)
-    for kill_at in (4, 27):
-        process = subprocess.Popen(
-            [sys.executable, "-c", CHILD.format(root=str(Path(__file__).parents[2])), str(tmp_path / "run")],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for line in process.stdout:
-            if int(line) >= kill_at:
-                break
-        process.kill()
-        process.wait()
-    rest = run(tmp_path / "run", steps=40, checkpoint_every=3, resume=True)
-    assert np.array_equal(rest.colors, whole.colors)
 
 
 # --- the whole chain -------------------------------------------------------------------------------------------------

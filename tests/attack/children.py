@@ -1,0 +1,48 @@
+"""What child processes of these tests do; imported by a fork server, so that a child starts in milliseconds."""
+
+import multiprocessing
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
+from cloak_core.attack.training import train
+from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+
+STEPS = 30
+
+
+def start(work: Callable, *arguments: object) -> tuple[multiprocessing.Process, object]:
+    """A child at work, and a pipe's end on which it reports numbers."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
+    process.start()
+    theirs.close()
+    return process, ours
+
+
+def whole_run(out: Path, on_event: Callable | None = None):
+    """The run that children are killed in: a checkpoint after every step, so that most moments fall into a write."""
+    torch.set_num_threads(1)
+    bodies = box_bodies()
+    settings = tiny_settings(steps=STEPS, checkpoint_every=1, preview_every=7)
+    return train(settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), out, resume=True,
+                 on_event=on_event)  # fmt: skip
+
+
+def nothing(pipe: object) -> None:
+    pass
+
+
+def train_and_tell(pipe: object, out: str) -> None:
+    whole_run(Path(out), lambda event: pipe.send(event["step"]))
+    pipe.send(-1)
+
+
+def write_checkpoints(pipe: object, folder: str) -> None:
+    for step in range(1, 100_000):
+        save_checkpoint(Path(folder), Checkpoint(step, 0.0, {"parameter": torch.full((20_000, 3), float(step))}))
+        pipe.send(step)
