@@ -1,8 +1,11 @@
 """What child processes of these tests do; imported by a fork server, so that a child starts in milliseconds."""
 
 import multiprocessing
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import torch
 
@@ -19,7 +22,9 @@ def start(work: Callable, *arguments: object) -> tuple[multiprocessing.Process, 
     context.set_forkserver_preload([__name__])
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=work, args=(theirs, *arguments), daemon=True)
-    process.start()
+    # The fork server finds modules to preload by its environment alone.
+    with mock.patch.dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path)):
+        process.start()
     theirs.close()
     return process, ours
 
