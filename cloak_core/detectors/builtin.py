@@ -10,7 +10,7 @@ CLASS_NAMES = ("person",)
 
 
 def load_builtin(
-    *, spec: str = "builtin", input_size: tuple[int, int] | None = None, letterbox: bool = False
+    *, spec: str = "builtin", input_size: tuple[int, int] | None = None, letterbox: bool = False, fold: bool = True
 ) -> DarknetDetector:
     """The embedded detector, frozen."""
     return load_darknet(
@@ -20,5 +20,6 @@ def load_builtin(
         spec=spec,
         input_size=input_size,
         letterbox=letterbox,
+        fold=fold,
         class_names=CLASS_NAMES,
     )

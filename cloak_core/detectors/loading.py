@@ -2,6 +2,8 @@
 
 import os
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -10,9 +12,37 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.errors import InputError
 
 OPTIONS = re.compile(r"^(?P<rest>.*)@(?P<options>(\d+(x\d+)?|letterbox)(,(\d+(x\d+)?|letterbox))*)$")
-GRAMMAR = (
-    "builtin | darknet:CFG:WEIGHTS | python:FILE.py:FUNCTION, each with @SIZE or @HEIGHTxWIDTH at the end if wanted"
-)
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclass(frozen=True)
+class Request:
+    """A spec taken apart, with what `load_detector` was told beside it."""
+
+    spec: str
+    family: str
+    rest: str
+    input_size: tuple[int, int] | None
+    """(height, width), None for the detector's own."""
+    letterbox: bool
+    person_class: str
+    fold: bool
+
+    def parts(self, least: int, most: int | None = None) -> list[str]:
+        """The colon-separated parts after the family; InputError when there are too few, too many or empty ones."""
+        # A Windows drive letter is no separator.
+        parts = re.split(r":(?![\\/])" if os.name == "nt" else ":", self.rest)
+        if not least <= len(parts) <= (most or least) or not all(parts):
+            raise InputError(f"detector {self.spec!r}: expected {FAMILIES[self.family].form}")
+        return parts
+
+
+@dataclass(frozen=True)
+class Family:
+    """How one kind of detector is written and loaded."""
+
+    form: str
+    load: Callable[[Request], Detector]
 
 
 def load_detector(
@@ -22,27 +52,35 @@ def load_detector(
     letterbox: bool = False,
     person_class: str = "person",
     device: str | torch.device = "cpu",
+    precision: str = "float32",
+    fold: bool = True,
 ) -> Detector:
     """Load the detector that `spec` names, frozen, on `device`.
 
-    Specs: `builtin`; `darknet:CFG:WEIGHTS`; `python:FILE.py:FUNCTION`. At the end of any, `@224` or `@HEIGHTxWIDTH`
-    sets the network's input size and `@letterbox` (or `@416,letterbox`) keeps the aspect ratio instead of stretching;
-    the arguments `input_size` (a side, or (height, width)) and `letterbox` do the same and win. `person_class` is the
-    class to look for, by name or index. InputError names whatever cannot be found, read or understood.
+    Specs: `builtin`; `darknet:CFG:WEIGHTS`; `torchvision:NAME[:CHECKPOINT]`; `python:FILE.py:FUNCTION`. At the end of
+    any, `@224` or `@HEIGHTxWIDTH` sets the network's input size and `@letterbox` (or `@416,letterbox`) keeps the aspect
+    ratio instead of stretching; the arguments `input_size` (a side, or (height, width)) and `letterbox` do the same and
+    win. `person_class` is the class to look for, by name or index. `precision` "bfloat16" is for training only (see
+    `Detector`); `fold=False` leaves batch norm and memory layout as they were trained, to measure against.
+    InputError names whatever cannot be found, read or understood.
     """
-    family, rest, size, boxed = _parse(spec)
+    family, rest, size, boxed = _take_apart(spec)
     if input_size is not None:
         size = (input_size, input_size) if isinstance(input_size, int) else (int(input_size[0]), int(input_size[1]))
     if size is not None and min(size) < 1:
         raise InputError(f"detector {spec}: an input size of {size} is not possible")
-    loader = FAMILIES.get(family)
-    if loader is None:
-        raise InputError(f"detector {spec!r}: unknown family {family!r}; expected {GRAMMAR}")
-    detector = loader(rest, spec=spec, input_size=size, letterbox=letterbox or boxed, person_class=person_class)
-    return detector.to(device)
+    if family not in FAMILIES:
+        forms = " | ".join(known.form for known in FAMILIES.values())
+        raise InputError(f"detector {spec!r}: unknown family {family!r}; expected {forms}, @SIZE at the end if wanted")
+    if precision not in PRECISIONS:
+        raise InputError(f"precision {precision!r}: expected {' or '.join(PRECISIONS)}")
+    request = Request(spec, family, rest, size, letterbox or boxed, person_class, fold)
+    detector = FAMILIES[family].load(request).to(device)
+    detector.precision = precision
+    return detector
 
 
-def _parse(spec: str) -> tuple[str, str, tuple[int, int] | None, bool]:
+def _take_apart(spec: str) -> tuple[str, str, tuple[int, int] | None, bool]:
     """Family, the rest, input size, letterbox."""
     match = OPTIONS.match(spec)
     rest, options = (match["rest"], match["options"].split(",")) if match else (spec, [])
@@ -55,43 +93,64 @@ def _parse(spec: str) -> tuple[str, str, tuple[int, int] | None, bool]:
     return family, rest, size, "letterbox" in options
 
 
-def _two_parts(rest: str, spec: str, form: str) -> tuple[str, str]:
-    # A Windows drive letter is no separator.
-    pattern = r":(?![\\/])" if os.name == "nt" else ":"
-    parts = re.split(pattern, rest)
-    if len(parts) != 2 or not all(parts):
-        raise InputError(f"detector {spec!r}: expected {form}")
-    return parts[0], parts[1]
-
-
-def _load_builtin(rest: str, *, spec: str, input_size, letterbox: bool, person_class: str) -> Detector:
+def _load_builtin(request: Request) -> Detector:
     from cloak_core.detectors.builtin import load_builtin
 
-    if rest:
-        raise InputError(f"detector {spec!r}: builtin takes nothing after it but @SIZE")
-    return load_builtin(spec=spec, input_size=input_size, letterbox=letterbox)
+    if request.rest:
+        raise InputError(f"detector {request.spec!r}: builtin takes nothing after it but @SIZE")
+    return load_builtin(
+        spec=request.spec, input_size=request.input_size, letterbox=request.letterbox, fold=request.fold
+    )
 
 
-def _load_darknet(rest: str, *, spec: str, input_size, letterbox: bool, person_class: str) -> Detector:
+def _load_darknet(request: Request) -> Detector:
     from cloak_core.detectors.darknet.detector import load_darknet
 
-    cfg, weights = (Path(part).expanduser() for part in _two_parts(rest, spec, "darknet:CFG:WEIGHTS"))
+    cfg, weights = (Path(part).expanduser() for part in request.parts(2))
     return load_darknet(
         cfg,
         weights,
         name=cfg.stem,
-        spec=spec,
-        input_size=input_size,
-        letterbox=letterbox,
-        person_class=person_class,
+        spec=request.spec,
+        input_size=request.input_size,
+        letterbox=request.letterbox,
+        person_class=request.person_class,
+        fold=request.fold,
     )
 
 
-def _load_python(rest: str, *, spec: str, input_size, letterbox: bool, person_class: str) -> Detector:
+def _load_torchvision(request: Request) -> Detector:
+    from cloak_core.detectors.torchvision_family.loading import load_torchvision
+
+    if request.letterbox:
+        raise InputError(f"detector {request.spec!r}: torchvision models resize by themselves; drop letterbox")
+    name, *checkpoint = request.parts(1, 2)
+    return load_torchvision(
+        name,
+        checkpoint[0] if checkpoint else None,
+        spec=request.spec,
+        input_size=request.input_size,
+        person_class=request.person_class,
+        fold=request.fold,
+    )
+
+
+def _load_python(request: Request) -> Detector:
     from cloak_core.detectors.python_module import load_python
 
-    file, function = _two_parts(rest, spec, "python:FILE.py:FUNCTION")
-    return load_python(Path(file).expanduser(), function, spec=spec, input_size=input_size, letterbox=letterbox)
+    file, function = request.parts(2)
+    return load_python(
+        Path(file).expanduser(),
+        function,
+        spec=request.spec,
+        input_size=request.input_size,
+        letterbox=request.letterbox,
+    )
 
 
-FAMILIES = {"builtin": _load_builtin, "darknet": _load_darknet, "python": _load_python}
+FAMILIES = {
+    "builtin": Family("builtin", _load_builtin),
+    "darknet": Family("darknet:CFG:WEIGHTS", _load_darknet),
+    "torchvision": Family("torchvision:NAME[:CHECKPOINT]", _load_torchvision),
+    "python": Family("python:FILE.py:FUNCTION", _load_python),
+}

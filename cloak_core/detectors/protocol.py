@@ -72,6 +72,11 @@ class Detector(nn.Module):
         return torch.device("cpu") if tensor is None else tensor.device
 
 
+def at_least_float32(x: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """What autocast left in bfloat16, as float32: eight bits hold neither a coordinate nor a probability near 1."""
+    return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
+
+
 def state_hash(detector: nn.Module) -> str:
     """SHA-256 (hex) of every parameter, buffer and train flag; equal hashes mean a bit-identical detector.
 

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.detectors.protocol import at_least_float32
+
 MAX_LOG_SIZE = 20.0  # keeps a box finite where random weights ask for e^100
 
 
@@ -50,7 +52,7 @@ class Head(nn.Module):
 
     def decode(self, raw: Float[Tensor, "B C h w"], input_size: tuple[int, int]) -> HeadBoxes:
         """Boxes and probabilities of a raw map; `input_size` (height, width) is the network input it came from."""
-        raw = raw.float() if raw.dtype == torch.bfloat16 else raw  # eight bits do not hold a coordinate
+        raw = at_least_float32(raw)
         xy, wh, objectness, classes = self._parts(raw)
         h, w = raw.shape[-2:]
         rows = torch.arange(h, device=raw.device, dtype=raw.dtype)[:, None]

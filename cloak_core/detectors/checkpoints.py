@@ -1,0 +1,59 @@
+"""State dicts from files others made: no code is ever run, and what does not fit is said in one line."""
+
+import pickle
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from cloak_core.errors import InputError
+
+WRAPPERS = ("model", "state_dict", "model_state_dict")
+"""Keys under which training scripts keep the weights among other things."""
+
+
+def read_state_dict(path: Path) -> dict[str, Tensor]:
+    """The tensors of a .pth or .safetensors file, on the CPU, nothing unpickled but plain data.
+
+    InputError when the file is missing, broken, holds pickled objects, or tensors that are not finite.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    state = _read(path)
+    for key in WRAPPERS:
+        if isinstance(state, dict) and isinstance(state.get(key), dict):
+            state = state[key]
+    if not isinstance(state, dict) or not state or not all(isinstance(value, Tensor) for value in state.values()):
+        raise InputError(f"{path}: not a plain state dict (a dict of names and tensors)")
+    for name, value in state.items():
+        if value.is_floating_point() and not bool(value.isfinite().all()):
+            raise InputError(f"{path}: {name} holds numbers that are not finite")
+    return dict(state)
+
+
+def load_state(module: nn.Module, state: dict[str, Tensor], path: Path) -> None:
+    """Strict `load_state_dict`; InputError says in one line what is missing, left over or of another shape."""
+    own = module.state_dict()
+    # Batch norm counts its training steps; files of frozen batch norm do not, and inference does not ask.
+    missing = [key for key in own if key not in state and not key.endswith("num_batches_tracked")]
+    extra = [key for key in state if key not in own and not key.endswith("num_batches_tracked")]
+    shapes = [key for key in own if key in state and own[key].shape != state[key].shape]
+    if missing or extra or shapes:
+        kinds = (("missing", missing), ("unknown", extra), ("of another shape", shapes))
+        parts = [f"{len(keys)} tensors {kind} ({keys[0]} ...)" for kind, keys in kinds if keys]
+        raise InputError(f"{path}: does not fit the model: {', '.join(parts)}")
+    module.load_state_dict(state, strict=False)
+
+
+def _read(path: Path) -> object:
+    try:
+        if path.suffix == ".safetensors":
+            from safetensors.torch import load_file
+
+            return load_file(path)
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise InputError(f"{path}: refused, it holds pickled objects and not only a plain state dict") from error
+    except Exception as error:  # torch and safetensors raise many kinds for broken files
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: cannot be read as a checkpoint ({reason[:200]})") from error

@@ -1,0 +1,117 @@
+"""Models by torchvision's own names, with a checkpoint from a file or the torch cache."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torchvision import models
+from torchvision.models import detection
+
+from cloak_core.detectors.checkpoints import load_state, read_state_dict
+from cloak_core.detectors.classes import person_index
+from cloak_core.detectors.folding import fold_batch_norm
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.torchvision_family.dense import DenseDetector
+from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
+from cloak_core.errors import InputError
+
+RANDOM = "random"
+"""As a checkpoint: seeded random weights, for timing and tests."""
+EPS_ZERO = {
+    "fasterrcnn_resnet50_fpn",
+    "maskrcnn_resnet50_fpn",
+    "keypointrcnn_resnet50_fpn",
+    "retinanet_resnet50_fpn",
+}
+"""torchvision runs the official checkpoints of these, which hold frozen batch norm, with epsilon 0."""
+CLASS_WEIGHTS = (
+    "roi_heads.box_predictor.cls_score.weight",
+    "head.classification_head.cls_logits.weight",
+    "head.classification_head.module_list.0.weight",
+    "head.classification_head.module_list.0.1.weight",
+)
+"""Whose rows are proportional to the number of classes, background included."""
+
+
+def model_names() -> list[str]:
+    """Every detection model of the installed torchvision."""
+    return models.list_models(module=detection)
+
+
+def load_torchvision(
+    model_name: str,
+    checkpoint: str | None,
+    *,
+    spec: str,
+    input_size: tuple[int, int] | None = None,
+    person_class: str = "person",
+    fold: bool = True,
+) -> Detector:
+    """A torchvision detection model as a frozen detector, batch norm folded unless told not to.
+
+    `checkpoint` is a file, None for the official one in the torch cache, or "random". An input size (one side) is the
+    short side for the R-CNNs, RetinaNet and FCOS, the side of the square for SSD; a (height, width) that is not square
+    is taken exactly. InputError names what is unknown, missing or does not fit.
+    """
+    if model_name not in model_names():
+        raise InputError(f"detector {spec!r}: torchvision has no {model_name!r}; it has {', '.join(model_names())}")
+    meta = models.get_model_weights(model_name).DEFAULT
+    categories = tuple(meta.meta["categories"])
+    path = None if checkpoint == RANDOM else Path(checkpoint).expanduser() if checkpoint else _cached(meta, spec)
+    state = None if path is None else read_state_dict(path)
+    model = _build(model_name, len(categories))
+    count = len(categories)
+    if state is not None and path is not None:
+        count = _class_count(model, state, count, path)
+        model = model if count == len(categories) else _build(model_name, count)
+        load_state(model, state, path)
+        if model_name in EPS_ZERO and not any(key.endswith("num_batches_tracked") for key in state):
+            _set_eps(model, 0.0)
+    person = person_index(categories if count == len(categories) else None, person_class, count, spec)
+    if input_size is not None:
+        _set_input_size(model, input_size)
+    model.eval()
+    if fold:
+        fold_batch_norm(model)
+    kind = TwoStageDetector if isinstance(model, detection.generalized_rcnn.GeneralizedRCNN) else DenseDetector
+    detector = kind(model, person, model_name, spec, channels_last=fold)
+    detector.freeze()
+    return detector
+
+
+def _build(name: str, classes: int) -> nn.Module:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return models.get_model(name, weights=None, weights_backbone=None, num_classes=classes)
+
+
+def _cached(weights: models.WeightsEnum, spec: str) -> Path:
+    path = Path(torch.hub.get_dir()) / "checkpoints" / weights.url.rsplit("/", 1)[1]
+    if not path.is_file():
+        raise InputError(
+            f"detector {spec!r}: no checkpoint at {path}; put {weights.url} there or give torchvision:NAME:CHECKPOINT"
+        )
+    return path
+
+
+def _class_count(model: nn.Module, state: dict[str, Tensor], classes: int, path: Path) -> int:
+    own = model.state_dict()
+    for key in CLASS_WEIGHTS:
+        if key in own and key in state:
+            return state[key].shape[0] * classes // own[key].shape[0]
+    raise InputError(f"{path}: not a checkpoint of this model, it lacks the classification layer")
+
+
+def _set_eps(model: nn.Module, eps: float) -> None:
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eps = eps
+
+
+def _set_input_size(model: nn.Module, size: tuple[int, int]) -> None:
+    transform, (height, width) = model.transform, size
+    if transform.fixed_size is not None or height != width:
+        transform.fixed_size = (width, height)
+    else:
+        transform.max_size = max(height, round(transform.max_size * height / transform.min_size[-1]))
+        transform.min_size = (height,)

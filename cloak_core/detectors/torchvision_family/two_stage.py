@@ -1,0 +1,84 @@
+"""Faster, Mask and Keypoint R-CNN: person scores of every proposal, before threshold and non-maximum suppression."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+from torchvision.models.detection.generalized_rcnn import GeneralizedRCNN
+from torchvision.models.detection.image_list import ImageList
+from torchvision.models.detection.rpn import concat_box_prediction_layers
+from torchvision.ops import batched_nms, clip_boxes_to_image, remove_small_boxes
+
+from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
+from cloak_core.detectors.resizing import Placement
+
+MIN_SIDE = 1e-2
+"""The model drops boxes with a smaller side, in pixels of its input."""
+
+
+class TwoStageDetector(Detector):
+    """A torchvision GeneralizedRCNN. Masks and keypoints are not computed."""
+
+    def __init__(self, model: GeneralizedRCNN, person: int, name: str, spec: str, channels_last: bool = True) -> None:
+        super().__init__(name, spec)
+        self.person = person
+        self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
+        self.model = model.to(memory_format=self.memory_format)
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        batch, _ = self.model.transform(list(images))
+        batch.tensors = batch.tensors.contiguous(memory_format=self.memory_format)
+        features = self.model.backbone(batch.tensors)
+        features = {"0": features} if isinstance(features, Tensor) else features
+        proposals, objectness = self._propose(batch, features)
+        head = self.model.roi_heads
+        pooled = head.box_roi_pool(features, proposals, batch.image_sizes)
+        logits, deltas = head.box_predictor(head.box_head(pooled))
+        deltas = at_least_float32(deltas.unflatten(1, (-1, 4))[:, self.person])
+        size = batch.image_sizes[0]
+        boxes = clip_boxes_to_image(head.box_coder.decode_single(deltas, torch.cat(proposals)), size)
+        scores = at_least_float32(logits).softmax(dim=-1)[:, self.person]
+        scores = scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
+        counts = [len(part) for part in proposals]
+        placement = Placement(scale_x=size[1] / images.shape[3], scale_y=size[0] / images.shape[2])
+        return Detections(
+            boxes=pad_sequence(placement.restore(boxes).split(counts), batch_first=True),
+            scores=pad_sequence(scores.split(counts), batch_first=True),
+            proposal_scores=pad_sequence(objectness, batch_first=True),
+        )
+
+    def _propose(self, batch: ImageList, features: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        """Per image, proposals [n, 4] (constants, as in the model) and their objectness [n] (differentiable)."""
+        rpn = self.model.rpn
+        levels = list(features.values())
+        logits, deltas = rpn.head(levels)
+        anchors = rpn.anchor_generator(batch, levels)
+        counts = [level[0].numel() for level in logits]
+        flat_logits, flat_deltas = concat_box_prediction_layers(logits, deltas)
+        boxes = rpn.box_coder.decode(at_least_float32(flat_deltas.detach()), anchors).view(len(anchors), -1, 4)
+        objectness = at_least_float32(flat_logits).view(len(anchors), -1).sigmoid()
+        proposals, scores = [], []
+        for image_boxes, image_scores, size in zip(boxes, objectness, batch.image_sizes, strict=True):
+            clipped = clip_boxes_to_image(image_boxes, size)
+            kept = self._keep(clipped, image_scores.detach(), counts)
+            proposals.append(clipped[kept])
+            scores.append(image_scores[kept])
+        return proposals, scores
+
+    @torch.no_grad()
+    def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, "A"], counts: list[int]) -> Int[Tensor, "n"]:
+        """Indices of the anchors that become proposals: the best per level, after suppression within levels."""
+        rpn = self.model.rpn
+        picked, levels, offset = [], [], 0
+        for level, part in enumerate(scores.split(counts)):
+            top = part.topk(min(rpn.pre_nms_top_n(), len(part))).indices
+            picked.append(top + offset)
+            levels.append(torch.full_like(top, level))
+            offset += len(part)
+        index, level_of = torch.cat(picked), torch.cat(levels)
+        for keep in (remove_small_boxes(boxes[index], rpn.min_size), None):
+            if keep is None:
+                keep = torch.where(scores[index] >= rpn.score_thresh)[0]
+            index, level_of = index[keep], level_of[keep]
+        kept = batched_nms(boxes[index], scores[index], level_of, rpn.nms_thresh)[: rpn.post_nms_top_n()]
+        return index[kept]
