@@ -83,17 +83,22 @@ def _noise(shape: Sequence[int], change: Photometric, device: torch.device) -> T
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """B dressed views as one block-diagonal matrix over N pixels, M of them with logo."""
+    """B dressed views as one block-diagonal matrix: N pixels, the logo's M and the front ones of all views first."""
 
-    image: Int64[Tensor, " N"]
-    """Which image each pixel belongs to."""
+    image: Int64[Tensor, " N"] | None
+    """Which image each pixel belongs to; None: there is but one."""
     target: Int64[Tensor, " N"]
-    """Flat position of the pixel's first channel in [B, 3, H, W]; the next channels are H * W further on."""
-    visible: Bool[Tensor, " N"] | None
-    """Whether the pixel is still in the image after the shift; None: all are."""
-    coverage: Float32[Tensor, " N"]
-    base: Float32[Tensor, "N 3"]
-    rows: Int64[Tensor, " M"]
+    """Flat position of the pixel's first channel in [B, 3, H, W]; the next channels are H * W further on. Pixels that a
+    shift moved out of the image have the position behind the last."""
+    lost: Bool[Tensor, " N"] | None
+    """Which those are; None: no shift."""
+    front: int
+    """Pixels, from the first on, behind which the background may show."""
+    coverage: Float32[Tensor, " K"]
+    """Of the front pixels."""
+    planes: Float32[Tensor, "3 N"]
+    logo: int
+    """M."""
     forward: Tensor
     """CSR [M, B * L]."""
     backward: Tensor
@@ -102,46 +107,63 @@ class _Batch:
     @staticmethod
     def join(views: Sequence[DressedView], shifts: Tensor | None) -> _Batch:
         height, width, count = views[0].height, views[0].width, views[0].logo_count
-        device = views[0].pixels.device
-        sizes = [len(view.pixels) for view in views]
-        starts, logo_starts = _starts(sizes), _starts([len(view.logo_rows) for view in views])
-        image = torch.cat([torch.full((size,), i, device=device) for i, size in enumerate(sizes)])
-        pixel = torch.cat([view.pixels for view in views])
-        visible = None
+        parts = [
+            (i, start, stop)
+            for bounds in (lambda v: (0, v.logo_pixels), lambda v: (v.logo_pixels, v.front_count),
+                           lambda v: (v.front_count, len(v.pixels)))
+            for i, (start, stop) in enumerate(map(bounds, views))
+        ]  # fmt: skip
+        gather = lambda pick: _cat([pick(views[i])[..., start:stop] for i, start, stop in parts])
+        pixel = gather(lambda view: view.pixels) if len(views) > 1 else views[0].pixels
+        image = None
+        if len(views) > 1:
+            image = torch.cat([pixel.new_full((stop - start,), i) for i, start, stop in parts])
+        lost = None
         if shifts is not None:
-            shift = shifts.to(device, torch.int64).index_select(0, image)
-            y = torch.div(pixel, width, rounding_mode="floor")
-            x, y = pixel - y * width + shift[:, 0], y + shift[:, 1]
-            visible = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            pixel = torch.where(visible, y * width + x, 0)
-        rows = torch.cat([view.logo_rows + start for view, start in zip(views, starts, strict=False)])
-        faces = [view.logo_face + i * count for i, view in enumerate(views)]
-        weights = [view.logo_weight for view in views]
-        forward = _csr([v.logo_crow for v in views], faces, weights, (len(rows), len(views) * count))
+            pixel, lost = _shifted(pixel, image, shifts.to(pixel), width, height)
+        target = pixel if image is None else pixel + image * (3 * height * width)
+        logo_starts = _starts([view.logo_pixels for view in views])
+        faces = [view.logo_face + i * count if i else view.logo_face for i, view in enumerate(views)]
+        forward = _csr([v.logo_crow for v in views], faces, [v.logo_weight for v in views], count * len(views))
         flipped = [view.transposed for view in views]
-        columns = [t[1] + start for t, start in zip(flipped, logo_starts, strict=False)]
-        backward = _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], (len(views) * count, len(rows)))
+        columns = [t[1] + start if start else t[1] for t, start in zip(flipped, logo_starts, strict=False)]
+        front = sum(view.front_count for view in views)
         return _Batch(
             image,
-            image * (3 * height * width) + pixel,
-            visible,
-            torch.cat([view.coverage for view in views]),
-            torch.cat([view.base for view in views]),
-            rows,
+            target,
+            lost,
+            front,
+            gather(lambda view: view.coverage)[:front] if len(views) > 1 else views[0].coverage[:front],
+            gather(lambda view: view.planes) if len(views) > 1 else views[0].planes,
+            logo_starts[-1],
             forward,
-            backward,
+            _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], logo_starts[-1]),
         )
+
+
+def _shifted(
+    pixel: Tensor, image: Tensor | None, shifts: Tensor, width: int, height: int
+) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
+    """Pixels moved by their image's (dx, dy), and which of them left the image."""
+    dx, dy = (t if image is None else t.index_select(0, image) for t in shifts.unbind(1))
+    x = pixel % width + dx
+    y = torch.div(pixel, width, rounding_mode="floor") + dy
+    return y * width + x, (x < 0) | (x >= width) | (y < 0) | (y >= height)
 
 
 def _starts(sizes: Sequence[int]) -> list[int]:
     return [0, *itertools.accumulate(sizes)]
 
 
-def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Tensor], size: tuple[int, int]) -> Tensor:
+def _cat(tensors: Sequence[Tensor]) -> Tensor:
+    return tensors[0] if len(tensors) == 1 else torch.cat(list(tensors), -1)
+
+
+def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Tensor], width: int) -> Tensor:
     """One sparse matrix of blocks below each other; columns are already those of the whole."""
     starts = _starts([len(column) for column in columns])
-    crow = torch.cat([crow[min(i, 1) :] + start for i, (crow, start) in enumerate(zip(crows, starts, strict=False))])
-    return csr(crow, torch.cat(list(columns)), torch.cat(list(values)), size)
+    crow = _cat([crow[1:] + start if i else crow for i, (crow, start) in enumerate(zip(crows, starts, strict=False))])
+    return csr(crow, _cat(columns), _cat(values), (len(crow) - 1, width))
 
 
 class _Compose(torch.autograd.Function):
@@ -153,43 +175,49 @@ class _Compose(torch.autograd.Function):
     ) -> Float32[Tensor, "B 3 H W"]:
         # One more element than the images have takes what leaves them: no data-dependent shape, no wait for the device.
         flat = torch.cat([backgrounds.reshape(-1), backgrounds.new_zeros(1)])
-        images = flat[:-1].view(backgrounds.shape)
-        plane = images.shape[2] * images.shape[3]
-        channel = torch.arange(3, device=images.device).unsqueeze(1) * plane
+        plane, end = backgrounds.shape[2] * backgrounds.shape[3], backgrounds.numel()
+        channel = torch.tensor([[0], [plane], [2 * plane]], device=flat.device)
         target = batch.target + channel
-        pixels = flat.index_select(0, target.view(-1)).view(3, -1)
-        behind = pixels * (1 - batch.coverage)
-        body = batch.base.T.contiguous()
-        logo = (batch.forward @ colors.reshape(-1, 3)).T
-        body.index_add_(1, batch.rows, logo)
+        if batch.lost is not None:
+            target.masked_fill_(batch.lost, end)
+        body = batch.planes.clone()
+        body[:, : batch.logo] += (batch.forward @ colors.reshape(-1, 3)).T
         if change is not None:
             body = _change_render(body, batch, change)
-        sums = body.add_(behind)
-        inside = ((sums >= 0) & (sums <= 1)).index_select(1, batch.rows)
-        values = sums.clamp_(0, 1)
-        if batch.visible is not None:
-            inside &= batch.visible.index_select(0, batch.rows)
-        lost = target if batch.visible is None else torch.where(batch.visible, target, images.numel())
-        flat.scatter_(0, lost.view(-1), values.view(-1))
-        ctx.batch, ctx.change, ctx.colors_shape = batch, change, colors.shape
-        ctx.save_for_backward(inside, target.index_select(1, batch.rows))
-        return images
+        front = target[:, : batch.front]
+        body[:, : batch.front] += flat.index_select(0, front.reshape(-1)).view(3, -1).mul_(1 - batch.coverage)
+        values = body.clamp(0, 1)
+        flat.scatter_(0, target.view(-1), values.view(-1))
+        logo = slice(0, batch.logo)
+        silent = values[:, logo] != body[:, logo]
+        if batch.lost is not None:
+            silent |= batch.lost[logo]
+        ctx.batch, ctx.change, ctx.shape = batch, change, colors.shape
+        ctx.save_for_backward(silent.T, target[:, logo].T.clamp(max=end - 1))
+        return flat[:-1].view(backgrounds.shape)
 
     @staticmethod
     def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None, None, None]:
-        inside, target = ctx.saved_tensors
-        upstream = gradient.contiguous().view(-1).index_select(0, target.view(-1)).view(3, -1)
-        upstream = torch.where(inside, upstream, 0)
+        silent, target = ctx.saved_tensors
+        upstream = gradient.reshape(-1).index_select(0, target.reshape(-1)).view(-1, 3)
+        upstream = upstream.masked_fill_(silent, 0)
         if ctx.change is not None:
-            rows_image = ctx.batch.image.index_select(0, ctx.batch.rows)
-            upstream = upstream * ctx.change.contrast.index_select(0, rows_image)
-        return (ctx.batch.backward @ upstream.T.contiguous()).view(ctx.colors_shape), None, None, None
+            contrast = _of_pixels(ctx.change.contrast, ctx.batch)
+            upstream = upstream * contrast[: ctx.batch.logo].unsqueeze(1)
+        return (ctx.batch.backward @ upstream).view(ctx.shape), None, None, None
 
 
 def _change_render(body: Float32[Tensor, "3 N"], batch: _Batch, change: Photometric) -> Float32[Tensor, "3 N"]:
     """The body's own pixels, weighted by coverage as they are."""
-    contrast, brightness = (t.index_select(0, batch.image) for t in (change.contrast, change.brightness))
-    added = brightness.expand_as(body)
+    added = _of_pixels(change.brightness, batch).expand_as(body).contiguous()
     if change.noise:
         added = added + _noise(body.shape, change, body.device)
-    return body * contrast + added * batch.coverage
+    added[:, : batch.front] *= batch.coverage
+    return body * _of_pixels(change.contrast, batch) + added
+
+
+def _of_pixels(values: Float32[Tensor, " B"], batch: _Batch) -> Float32[Tensor, " N"]:
+    """Each image's value at its pixels."""
+    if batch.image is None:
+        return values.expand(len(batch.target))
+    return values.index_select(0, batch.image)

@@ -60,18 +60,21 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class DressedView:
-    """A view with everything but the logo's colours filled in: N covered pixels, M of them touched by the logo."""
+    """A view with everything but the logo's colours filled in: N covered pixels.
+
+    They are ordered by what a render has to do with them: first the M that the logo touches, then, up to
+    `front_count`, the others at whose edge the background shows, then the rest.
+    """
 
     height: int
     width: int
     pixels: Int64[Tensor, " N"]
     coverage: Float32[Tensor, " N"]
-    base: Float32[Tensor, "N 3"]
+    planes: Float32[Tensor, "3 N"]
     """The other faces and the highlight, in the light's colour; not clamped."""
-    logo_rows: Int64[Tensor, " M"]
-    """Rows of `pixels` that the logo touches."""
+    front_count: int
     logo_crow: Int64[Tensor, " M1"]
-    """M + 1 row offsets."""
+    """M + 1 row offsets of the logo's matrix, logo pixels x logo faces."""
     logo_face: Int64[Tensor, " E"]
     """Position in the list of logo faces, 0 .. L - 1."""
     logo_weight: Float32[Tensor, " E"]
@@ -80,9 +83,24 @@ class DressedView:
     light_color: Vector
     box: tuple[int, int, int, int]
 
+    @property
+    def base(self) -> Float32[Tensor, "N 3"]:
+        """`planes` pixel by pixel."""
+        return self.planes.T
+
+    @property
+    def logo_pixels(self) -> int:
+        """M."""
+        return len(self.logo_crow) - 1
+
+    @property
+    def logo_rows(self) -> Int64[Tensor, " M"]:
+        """Rows of `pixels` that the logo touches: the first M."""
+        return torch.arange(self.logo_pixels, device=self.pixels.device)
+
     @cached_property
     def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:
-        """The logo's matrix the other way round, faces x logo rows: row offsets, logo row, weight."""
+        """The logo's matrix the other way round, faces x logo pixels: row offsets, logo pixel, weight."""
         row = torch.repeat_interleave(self.logo_crow.diff(), output_size=len(self.logo_face))
         order = torch.argsort(self.logo_face, stable=True)
         crow = offsets(self.logo_face, self.logo_count)
@@ -256,20 +274,22 @@ def dress(view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"],
     size = (len(view.pixels), len(colors))
     matrix = csr(view.crow, view.face, rest, size)
     tint = torch.tensor(light_color, device=logo.device)
-    base = (matrix @ colors + view.specular.unsqueeze(1)) * tint
+    planes = ((matrix @ colors + view.specular.unsqueeze(1)) * tint).T
     entry = is_logo.nonzero().view(-1)
     row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face)).index_select(0, entry)
     per_row = torch.bincount(row, minlength=len(view.pixels))
-    logo_rows = per_row.nonzero().view(-1)
-    logo_crow = row.new_zeros(len(logo_rows) + 1)
-    logo_crow[1:] = per_row.index_select(0, logo_rows).cumsum(0)
+    kind = torch.where(per_row > 0, 0, torch.where(view.coverage < 1, 1, 2))
+    order = torch.argsort(kind, stable=True)
+    logo_pixels, edge_pixels, _ = torch.bincount(kind, minlength=3).tolist()
+    logo_crow = row.new_zeros(logo_pixels + 1)
+    logo_crow[1:] = per_row.index_select(0, order[:logo_pixels]).cumsum(0)
     return DressedView(
         view.height,
         view.width,
-        view.pixels,
-        view.coverage,
-        base,
-        logo_rows,
+        view.pixels.index_select(0, order),
+        view.coverage.index_select(0, order),
+        planes.index_select(1, order).contiguous(),
+        logo_pixels + edge_pixels,
         logo_crow,
         place.index_select(0, entry),
         view.weight.index_select(0, entry),
