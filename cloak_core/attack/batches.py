@@ -1,5 +1,6 @@
 """From draws to what compositing takes: views of dressed bodies, backgrounds, shifts, photometric changes."""
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,30 @@ class Batcher:
             LogoChange.draw(draws, settings, self.device) if changes and on_logo else None,
             render_change(draws, settings, self.device) if changes and not on_logo else None,
         )
+
+
+class Prefetcher:
+    """A batcher that builds the next batch in a thread while the detector is busy with this one.
+
+    What a batch holds depends on its step alone, so that looking ahead changes nothing but time.
+    """
+
+    def __init__(self, batcher: Batcher, rank: int = 0, ranks: int = 1) -> None:
+        self._batcher, self._rank, self._ranks = batcher, rank, ranks
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
+        self._next: tuple[int, Future] | None = None
+
+    def batch(self, step: int) -> Batch:
+        """The batch of `step`; that of `step + 1` is begun."""
+        expected = self._next is not None and self._next[0] == step
+        ready = self._next[1].result() if expected else self._batcher.batch(step, self._rank, self._ranks)
+        if step + 1 < self._batcher.sampler.steps:
+            self._next = (step + 1, self._pool.submit(self._batcher.batch, step + 1, self._rank, self._ranks))
+        return ready
+
+    def close(self) -> None:
+        """Wait for the thread; what it was building is dropped."""
+        self._pool.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)

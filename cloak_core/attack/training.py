@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from cloak_core.attack.batches import Batcher, require_visible_logo
+from cloak_core.attack.batches import Batcher, Prefetcher, require_visible_logo
 from cloak_core.attack.checkpoints import (
     Checkpoint,
     load_checkpoint,
@@ -29,7 +29,7 @@ from cloak_core.attack.optimizing import ColorOptimizer, initial_colors, learnin
 from cloak_core.attack.previews import save_preview
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run
-from cloak_core.attack.sampling import Sampler
+from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest, stop_request
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
@@ -39,6 +39,9 @@ from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.exchange import Bodies, write_colors
 from cloak_core.scene.logo import Logo
+
+FRESH_VIEWS_BYTES = 128 << 20
+"""Memory for views that are used once."""
 
 
 class TrainingError(InputError):
@@ -104,7 +107,7 @@ def train(
     out = Path(out)
     with _threads(settings.threads), join_world(device) as world, contextlib.ExitStack() as stack:
         detectors = [detector.to(device) for detector in detectors]
-        bank = ViewBank(bodies, device=device, **({"samples": settings.samples} if settings.samples else {}))
+        bank = make_bank(bodies, settings, device)
         require_visible_logo(bank, logo.face_ids, bodies.pose_count, settings)
         states = [state_hash(detector) for detector in detectors]
         config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size)
@@ -117,6 +120,13 @@ def train(
             if state_hash(detector) != state:
                 raise RuntimeError(f"detector {detector.spec} changed during training")
     return result
+
+
+def make_bank(bodies: Bodies, settings: TrainSettings, device: torch.device) -> ViewBank:
+    """The views of a run. Where every image has a camera of its own, keeping views gains nothing."""
+    samples = {"samples": settings.samples} if settings.samples else {}
+    memory = {"memory_bytes": FRESH_VIEWS_BYTES} if is_fresh(settings) else {}
+    return ViewBank(bodies, device=device, **samples, **memory)
 
 
 class Trainer:
@@ -145,12 +155,14 @@ class Trainer:
         self._damaged = self._restore()
         # Rank 0 alone writes; the others only compute.
         self.log = EventLog(run.events, on_event) if world.is_first else None
+        self.batches = Prefetcher(batcher, world.rank, world.size)
 
     def run_to_end(self, stop: StopRequest) -> RunResult:
         """Steps until done or told to stop; a checkpoint and the colours are written either way."""
         try:
             figures, reason = self._steps(stop)
         finally:
+            self.batches.close()
             if self.log:
                 self.log.close()
         steps, colors = self.sampler.steps, self._colors_array()
@@ -185,7 +197,7 @@ class Trainer:
 
     def _one_step(self) -> StepFigures:
         lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
-        batch = self.batcher.batch(self.step, self.world.rank, self.world.size)
+        batch = self.batches.batch(self.step)
         share = len(batch.views) / self.sampler.images_of(self.step)
         step = gradient_step(self.objective, self.optimizer, batch, self.world, share)
         if not step.is_finite:

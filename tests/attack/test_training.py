@@ -212,6 +212,17 @@ def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path)
     assert np.array_equal(attempt(tmp_path / "run", resume=True).colors, whole.colors)
 
 
+def test_fresh_views_go_on_to_the_same_bits(tmp_path):
+    """A camera of its own for every image: distances, angles and elevations from ranges."""
+    fresh = {"distance": "1.8:3", "angle_jitter": 5, "elevation_jitter": 2, "steps": 7}
+    whole = run(tmp_path / "whole", **fresh)
+    part = run(tmp_path / "part", max_seconds=1e-6, **fresh)
+    assert part.step == 1
+    rest = run(tmp_path / "part", resume=True, **fresh)
+    assert np.array_equal(whole.colors, rest.colors)
+    assert not np.array_equal(whole.colors, run(tmp_path / "fixed", steps=7).colors)
+
+
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
     done = run(tmp_path / "run")
     again = run(tmp_path / "run", resume=True)
