@@ -1,0 +1,1 @@
+"""What comes out: print sheets, textured bodies, a logo on another topology."""

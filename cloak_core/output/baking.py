@@ -1,0 +1,121 @@
+"""Face colours as a picture on a layout, and the whole body's texture coordinates into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Integer, UInt8
+
+from cloak_core.errors import InputError
+from cloak_core.output.layout import Layout, inside
+from cloak_core.scene.exchange import Bodies
+
+MAX_PIXELS = 400 << 20
+CELL = 4
+"""Pixels along the side of a palette cell, for the faces outside the logo."""
+PADDING = 0.002
+"""Metres that a chart's colours reach beyond its border, so that no seam shows when the picture is sampled smoothly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """A picture for the whole body: the logo's charts, below them one cell for every other colour."""
+
+    image: np.ndarray
+    """[H, W, 3] uint8, row 0 at the top."""
+    uv: np.ndarray
+    """[T, 3, 2] float64: texture coordinates of every triangle's corners, v up."""
+    chart_rows: int
+    """Rows of the picture, from the top, that show the charts."""
+
+
+def bake(bodies: Bodies, layout: Layout, face_colors: Float32[np.ndarray, "faces 3"], dpi: int) -> Texture:
+    """Paint the colours of all faces ([F, 3] sRGB, the logo's among them) at `dpi` dots to the inch of the layout."""
+    dots = dpi / 0.0254
+    width, rows = (int(np.ceil(extent * dots)) for extent in layout.size)
+    plain = np.setdiff1d(np.arange(bodies.triangle_count), layout.triangles)
+    plain_bytes = to_bytes(face_colors[bodies.triangle_face[plain]])
+    palette, cell = np.unique(plain_bytes, axis=0, return_inverse=True)
+    across = max(width // CELL, 1)
+    height = rows + CELL * -(-len(palette) // across)
+    if width * height > MAX_PIXELS:
+        raise InputError(f"{dpi} dpi: a picture of {width} x {height} pixels is too large")
+    image = np.full((height, width, 3), 255, np.uint8)
+    colors = to_bytes(face_colors[bodies.triangle_face[layout.triangles]])
+    painted = paint(image[:rows], layout.corners * dots, colors)
+    spread(image[:rows], painted, int(np.ceil(PADDING * dots)))
+    at = np.arange(len(palette))
+    for step in range(CELL * CELL):
+        y, x = rows + at // across * CELL + step // CELL, at % across * CELL + step % CELL
+        image[y, x] = palette
+    uv = np.zeros((bodies.triangle_count, 3, 2))
+    uv[layout.triangles] = (layout.corners * dots + [0, height - rows]) / [width, height]
+    centre = np.stack(
+        [cell.reshape(-1) % across * CELL + CELL / 2, rows + cell.reshape(-1) // across * CELL + CELL / 2]
+    )
+    uv[plain] = (centre.T / [width, height] * [1, -1] + [0, 1])[:, None]
+    return Texture(image, uv, rows)
+
+
+def to_bytes(colors: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
+    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
+
+
+def paint(
+    image: UInt8[np.ndarray, "h w 3"], corners: Float[np.ndarray, "t 3 2"], colors: UInt8[np.ndarray, "t 3"]
+) -> Bool[np.ndarray, "h w"]:
+    """Fill triangles (pixels, y up from the picture's lower border) with plain colours, every pixel whose centre they
+    hold; returns which pixels were filled [H, W]."""
+    painted = np.zeros(image.shape[:2], bool)
+    height, width = painted.shape
+    low = np.floor(corners.min(axis=1) - 0.5).astype(int)
+    high = np.ceil(corners.max(axis=1) + 0.5).astype(int)
+    for triangle, color, (x0, y0), (x1, y1) in zip(corners, colors, low, high, strict=True):
+        x = np.arange(max(x0, 0), min(x1, width))
+        y = np.arange(max(y0, 0), min(y1, height))
+        points = np.stack(np.meshgrid(x + 0.5, y + 0.5), axis=-1).reshape(-1, 2)
+        hit = inside(triangle, points).reshape(len(y), len(x))
+        rows, columns = np.nonzero(hit)
+        image[height - 1 - y[rows], x[columns]] = color
+        painted[height - 1 - y[rows], x[columns]] = True
+    return painted
+
+
+def spread(image: UInt8[np.ndarray, "h w 3"], painted: Bool[np.ndarray, "h w"], steps: int) -> None:
+    """Grow the painted pixels' colours outwards by some pixels, in place."""
+    height, width = painted.shape
+    enclosed = painted.copy()
+    for axis in (0, 1):
+        for shift in (1, -1):
+            enclosed &= np.roll(painted, shift, axis)
+    y, x = np.nonzero(painted & ~enclosed)
+    for _ in range(steps):
+        front = []
+        for down, across in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            to_y, to_x = y + down, x + across
+            free = (to_y >= 0) & (to_y < height) & (to_x >= 0) & (to_x < width)
+            free[free] = ~painted[to_y[free], to_x[free]]
+            image[to_y[free], to_x[free]] = image[y[free], x[free]]
+            painted[to_y[free], to_x[free]] = True
+            front.append((to_y[free], to_x[free]))
+        y, x = (np.concatenate(side) for side in zip(*front, strict=True))
+
+
+def look_up(texture: Texture, uv: Float[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
+    """Colour of the pixel that each texture coordinate falls in."""
+    height, width = texture.image.shape[:2]
+    x = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
+    y = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
+    return texture.image[y, x]
+
+
+def dressed(
+    bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"], outfit: int = 0
+) -> Float32[np.ndarray, "faces 3"]:
+    """All faces' colours: an outfit with the logo on it."""
+    if not 0 <= outfit < bodies.outfit_count:
+        raise InputError(f"outfit {outfit}: scene '{bodies.name}' has {bodies.outfit_count}")
+    all_colors = bodies.face_colors[outfit].copy()
+    all_colors[face_ids] = colors
+    return all_colors

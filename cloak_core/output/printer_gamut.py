@@ -1,0 +1,45 @@
+"""Which colours a four-colour printer can mix, roughly, and the nearest one that it can.
+
+The model is Neugebauer's: dots of cyan, magenta and yellow fall on each other at random, so a printed colour is a
+mean, in linear light, of the eight solid overprints on paper. Their colours here are those usual for offset on coated
+paper, as sRGB. A real printer's own profile will differ; this tells what is surely out of reach.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+# Overprints of (cyan, magenta, yellow), each 0 or 1: paper, Y, M, MY, C, CY, CM, CMY, in sRGB bytes.
+OVERPRINTS = np.array([
+    [255, 255, 255], [255, 237, 0], [230, 0, 126], [227, 6, 19],
+    [0, 158, 224], [0, 150, 64], [49, 39, 131], [38, 35, 33],
+])  # fmt: skip
+STEPS = 33
+TOLERANCE = 8 / 255
+"""Differences up to this, in the largest channel, count as printable."""
+
+
+def printable() -> Float[np.ndarray, "mixtures 3"]:
+    """sRGB in [0, 1] of a dense grid of ink amounts."""
+    amount = np.linspace(0, 1, STEPS)
+    c, m, y = (axis.reshape(-1, 1) for axis in np.meshgrid(amount, amount, amount, indexing="ij"))
+    share = np.concatenate(
+        [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
+    )
+    srgb = OVERPRINTS / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    mixed = share @ linear
+    return np.where(mixed <= 0.0031308, mixed * 12.92, 1.055 * mixed ** (1 / 2.4) - 0.055)
+
+
+def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Each colour (sRGB in [0, 1]) itself where it can be printed, else the nearest that can; and whether it cannot."""
+    grid = printable()
+    square = (grid**2).sum(axis=1)
+    nearest = np.empty((len(colors), 3))
+    for start in range(0, len(colors), 256):
+        part = colors[start : start + 256].astype(np.float64)
+        nearest[start : start + 256] = grid[(square - 2 * part @ grid.T).argmin(axis=1)]
+    beyond = np.abs(nearest - colors).max(axis=1, initial=0) > TOLERANCE
+    return np.where(beyond[:, None], nearest, colors), beyond

@@ -1,0 +1,76 @@
+"""From trained colours to something to print: layout, picture, textured body, sheets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Integer
+
+from cloak_core.errors import InputError
+from cloak_core.output.baking import bake, dressed
+from cloak_core.output.layout import lay_out
+from cloak_core.output.printer_gamut import nearest_printable
+from cloak_core.output.sheets import PAGES, write_sheets
+from cloak_core.output.textured import png, write_glb, write_obj
+from cloak_core.scene.exchange import Bodies, new_folder, write_json
+
+DPI = (10, 1200)
+
+
+def print_logo(
+    bodies: Bodies,
+    face_ids: Integer[np.ndarray, " logo"],
+    colors: Float32[np.ndarray, "colors 3"],
+    out: str | Path,
+    dpi: int = 150,
+    page: str = "A4",
+    project: bool = False,
+    outfit: int = 0,
+    pose: int = 0,
+    title: str = "cloak",
+) -> dict:
+    """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
+    and print.json, the report that is also returned.
+
+    colors: [L, 3] sRGB in [0, 1]; project: replace colours that a four-colour printer cannot mix by the nearest that it
+    can (they are counted either way). Sizes are those of `pose`. The folder appears whole or not at all; raises
+    `InputError` where it exists, and for options out of range.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists already")
+    if page not in PAGES:
+        raise InputError(f"page {page}: {' or '.join(PAGES)}")
+    if not DPI[0] <= dpi <= DPI[1]:
+        raise InputError(f"{dpi} dpi: between {DPI[0]} and {DPI[1]} is possible")
+    if not 0 <= pose < bodies.pose_count:
+        raise InputError(f"pose {pose}: scene '{bodies.name}' has {bodies.pose_count}")
+    if len(colors) != len(face_ids):
+        raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
+    near, beyond = nearest_printable(colors)
+    painted = near.astype(np.float32) if project else colors
+    layout = lay_out(bodies, face_ids, pose)
+    texture = bake(bodies, layout, dressed(bodies, face_ids, painted, outfit), dpi)
+    with new_folder(out) as folder:
+        (folder / "cloak.png").write_bytes(png(texture.image))
+        write_glb(folder / "body.glb", bodies, texture, pose)
+        write_obj(folder / "body.obj", bodies, texture, "cloak.png", pose)
+        count = write_sheets(folder / "sheets.pdf", bodies, layout, texture, page, title)
+        report = {
+            "faces": len(face_ids),
+            "charts": layout.chart_count,
+            "stretch_mean": round(layout.stretch_mean, 4),
+            "stretch_99": round(layout.stretch_most, 4),
+            "sheet_used": round(layout.used, 4),
+            "sheet_m": [round(extent, 4) for extent in layout.size],
+            "dpi": dpi,
+            "image": list(texture.image.shape[1::-1]),
+            "page": page,
+            "pages": count,
+            "unprintable_colors": int(beyond.sum()),
+            "projected": bool(project),
+            "pose": bodies.names[pose],
+        }
+        write_json(folder / "print.json", report)
+    return report | {"out": str(out)}

@@ -1,0 +1,204 @@
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.errors import InputError
+from cloak_core.output.baking import Texture, bake, dressed, look_up
+from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
+from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
+from cloak_core.output.printing import print_logo
+from cloak_core.output.sheets import PAGES, pages, tiles
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import rasterize
+from cloak_core.scene.bodies import face_areas, import_bodies
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.logo import select_region
+from cloak_core.scene.samples import sample_bodies
+
+DPI = 100
+
+
+@pytest.fixture(scope="module")
+def body() -> Bodies:
+    return sample_bodies("unseen").select_poses([0])
+
+
+@pytest.fixture(scope="module")
+def logo(body: Bodies) -> np.ndarray:
+    return select_region(body, "chest")
+
+
+@pytest.fixture(scope="module")
+def colors(logo: np.ndarray) -> np.ndarray:
+    return np.random.default_rng(3).random((len(logo), 3)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def layout(body: Bodies, logo: np.ndarray) -> Layout:
+    return lay_out(body, logo)
+
+
+@pytest.fixture(scope="module")
+def texture(body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout) -> Texture:
+    return bake(body, layout, dressed(body, logo, colors), DPI)
+
+
+def test_the_layout_is_at_true_scale_and_never_mirrored(body: Bodies, logo: np.ndarray, layout: Layout) -> None:
+    areas = signed_areas(layout.corners)
+    assert (areas > 0).mean() > 0.995 and areas.min() > -1e-6
+    assert areas.sum() == pytest.approx(face_areas(body)[logo].sum(), rel=0.02)
+    assert layout.stretch_mean < 1.05 and layout.stretch_most < 1.3
+    assert set(body.triangle_face[layout.triangles]) == set(logo.tolist())
+    assert (layout.corners >= 0).all() and (layout.corners <= layout.size).all()
+
+
+def test_charts_do_not_overlap(layout: Layout) -> None:
+    """Random points of the sheet lie in one triangle at most."""
+    points = np.random.default_rng(0).random((1500, 2)) * layout.size
+    a, b, c = layout.corners.transpose(1, 0, 2)
+    side = lambda p, q: (q - p)[:, :1] * (points[:, 1] - p[:, 1:]) - (q - p)[:, 1:] * (points[:, 0] - p[:, :1])
+    hits = ((side(a, b) > 1e-9) & (side(b, c) > 1e-9) & (side(c, a) > 1e-9)).sum(axis=0)
+    assert hits.max() == 1
+    assert hits.mean() == pytest.approx(layout.used, abs=0.05)
+
+
+def test_cutting_lines_surround_each_chart(body: Bodies, layout: Layout) -> None:
+    for chart in range(layout.chart_count):
+        lines = outlines(layout, body, chart)
+        ends = np.round(lines.reshape(-1, 2), 9)
+        _, count = np.unique(ends, axis=0, return_counts=True)
+        assert (count % 2 == 0).all()  # closed curves
+        x, y = lines[:, 0, 0], lines[:, 0, 1]
+        enclosed = (x * lines[:, 1, 1] - y * lines[:, 1, 0]).sum() / 2
+        assert enclosed == pytest.approx(signed_areas(layout.corners[layout.chart == chart]).sum(), rel=1e-6)
+
+
+def test_every_face_finds_its_colour_in_the_picture(
+    body: Bodies, logo: np.ndarray, colors: np.ndarray, texture: Texture
+) -> None:
+    wanted = np.rint(dressed(body, logo, colors)[body.triangle_face] * 255)
+    assert np.array_equal(look_up(texture, texture.uv.mean(axis=1))[~np.isin(body.triangle_face, logo)],
+                          wanted[~np.isin(body.triangle_face, logo)])  # fmt: skip
+    large = np.isin(body.triangle_face, logo) & (np.abs(signed_areas(texture.uv)) * texture.image[..., 0].size > 60)
+    assert np.array_equal(look_up(texture, texture.uv[large].mean(axis=1)), wanted[large])
+
+
+def test_no_white_shows_at_the_charts_borders(texture: Texture, layout: Layout, body: Bodies) -> None:
+    """Two pixels outside every border there is still colour, so smooth sampling finds no seam."""
+    dots = DPI / 0.0254
+    for chart in range(layout.chart_count):
+        lines = outlines(layout, body, chart)
+        middle, along = lines.mean(axis=1), lines[:, 1] - lines[:, 0]
+        outwards = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+        points = (middle * dots + 2 * outwards).astype(int)
+        seen = texture.image[texture.chart_rows - 1 - points[:, 1], points[:, 0]]
+        assert (seen == 255).all(axis=1).mean() < 0.01
+
+
+def test_the_textured_body_looks_like_the_coloured_one(
+    body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout
+) -> None:
+    """Rendered through the picture and through the face colours, without light: root mean square within 2/255."""
+    faces = dressed(body, logo, colors)
+    texture = bake(body, layout, faces, 200)
+    camera = Camera(width=208, height=208)
+    points = body.vertices[0].astype(np.float64)
+    pivot = tuple((points.min(axis=0) + points.max(axis=0)) / 2)
+    screen = project(torch.tensor(points.T[None].copy()), [camera], [pivot])
+    seen = rasterize(screen, torch.tensor(body.triangles.T.astype(np.int64).copy()), grid=4).triangles()[0].numpy()
+    row, column, sample = np.nonzero(seen >= 0)
+    triangle = seen[row, column, sample]
+    x, y = column + (sample % 4 + 0.5) / 4, row + (sample // 4 + 0.5) / 4
+    # The sample's ray meets the triangle's plane; barycentric coordinates there.
+    right, up, back = (np.array(axis) for axis in camera.axes)
+    ray = (x - 104)[:, None] * right + (104 - y)[:, None] * up - camera.focal * back
+    eye = np.array(camera.position(pivot))
+    a, b, c = points[body.triangles[triangle]].transpose(1, 0, 2)
+    weights = np.linalg.solve(np.stack([a - eye, b - eye, c - eye], axis=2), ray[..., None])[..., 0]
+    weights /= weights.sum(axis=1, keepdims=True)
+    uv = (texture.uv[triangle] * weights[..., None]).sum(axis=1)
+    image = np.zeros((2, 208, 208, 3))
+    np.add.at(image[0], (row, column), look_up(texture, uv) / 16)
+    np.add.at(image[1], (row, column), faces[body.triangle_face[triangle]] * 255 / 16)
+    difference = np.abs(image[0] - image[1])[(seen >= 0).any(axis=2)]
+    assert np.sqrt((difference**2).mean()) < 2
+    assert (difference > 2).mean() < 0.02
+
+
+def test_print_folder(tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray) -> None:
+    report = print_logo(body, logo, colors, tmp_path / "print", dpi=DPI)
+    files = {path.name for path in (tmp_path / "print").iterdir()}
+    assert files == {"cloak.png", "body.glb", "body.obj", "body.mtl", "sheets.pdf", "print.json"}
+    assert json.loads((tmp_path / "print" / "print.json").read_text()) | {"out": report["out"]} == report
+    data = (tmp_path / "print" / "sheets.pdf").read_bytes()
+    boxes = re.findall(rb"/MediaBox \[\s*0 0 ([\d.]+) ([\d.]+)\s*\]", data)
+    assert len(boxes) == report["pages"]
+    assert [float(extent) / 72 * 0.0254 for extent in boxes[0]] == pytest.approx(PAGES["A4"], abs=2e-4)
+    wanted = dressed(body, logo, colors)
+    glb = import_bodies([tmp_path / "print" / "body.glb"])
+    assert np.array_equal(glb.vertices[0][glb.triangles], body.vertices[0][body.triangles])
+    close = np.abs(glb.face_colors[0] - wanted[body.triangle_face]).max(axis=1) < 1 / 255
+    assert close.mean() > 0.99  # the others are smaller than the picture's pixels
+    obj = import_bodies([tmp_path / "print" / "body.obj"])
+    assert obj.topology == body.topology
+    assert np.abs(obj.vertices - body.vertices).max() < 1e-5
+    assert obj.uv is not None
+
+
+def test_large_charts_are_cut_into_overlapping_windows_that_fit(layout: Layout) -> None:
+    for page, (width, height) in PAGES.items():
+        found = tiles(layout, page)
+        for chart in range(layout.chart_count):
+            mine = [tile for tile in found if tile.chart == chart]
+            corners = layout.corners[layout.chart == chart].reshape(-1, 2)
+            covered = [((corners >= tile.low) & (corners <= tile.high)).all(axis=1) for tile in mine]
+            assert np.logical_or.reduce(covered).all()
+        placed = [item for sheet in pages(found, page) for item in sheet]
+        assert len(placed) == len(found)
+        for tile, x, y in placed:
+            assert x >= 0.0099 and y >= 0.0299
+            assert x + tile.high[0] - tile.low[0] <= width - 0.0099
+            assert y + tile.high[1] - tile.low[1] <= height - 0.0099
+
+
+def test_what_a_printer_can_mix() -> None:
+    inks, beyond = nearest_printable(OVERPRINTS / 255)
+    assert not beyond.any() and np.array_equal(inks, OVERPRINTS / 255)
+    hard = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1.0]])
+    near, beyond = nearest_printable(hard)
+    assert beyond.all()
+    assert not nearest_printable(near)[1].any()
+    grey = np.repeat(np.linspace(0.2, 1, 9)[:, None], 3, axis=1)
+    assert not nearest_printable(grey)[1].any()
+
+
+def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodies) -> None:
+    ids = select_region(body, "chest")[:4]
+    report = print_logo(body, ids, np.tile(np.float32([0, 1, 0]), (4, 1)), tmp_path / "p", dpi=50, project=True)
+    assert report["unprintable_colors"] == 4 and report["projected"]
+    glb = import_bodies([tmp_path / "p" / "body.glb"])
+    painted = glb.face_colors[0][np.isin(body.triangle_face, ids)]
+    assert not nearest_printable(painted)[1].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [({"page": "A5"}, "A4 or A3"), ({"dpi": 5}, "dpi"), ({"pose": 4}, "pose 4"), ({"outfit": 99}, "outfit 99")],
+)
+def test_bad_options(
+    tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray, options: dict, says: str
+) -> None:
+    with pytest.raises(InputError, match=says):
+        print_logo(body, logo, colors, tmp_path / "p", **options)
+    assert not (tmp_path / "p").exists()
+    with pytest.raises(InputError, match="colours for 3"):
+        print_logo(body, logo, colors[:3], tmp_path / "p")
+    (tmp_path / "q").mkdir()
+    (tmp_path / "q" / "x").write_text("mine")
+    with pytest.raises(InputError, match="exists"):
+        print_logo(body, logo, colors, tmp_path / "q")
