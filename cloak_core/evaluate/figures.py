@@ -102,9 +102,11 @@ def degree_ticks(axis: object) -> None:
 
 
 def legend_above(figure: Figure) -> None:
-    """One legend for the figure, in a row above its axes."""
+    """One legend for the figure, above its axes, in as many columns as its width holds."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels), handlelength=2.6, columnspacing=1.6)
+    widest = max(map(len, labels)) * 0.067 + 0.62  # inches: text of 8 points, handle and space
+    columns = max(1, min(len(labels), int((figure.get_figwidth() - 0.3) / widest)))
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=2.6, columnspacing=1.6)
 
 
 def save_figure(figure: Figure, path: Path) -> list[Path]:

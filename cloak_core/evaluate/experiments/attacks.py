@@ -149,7 +149,8 @@ def transfer(lab: Lab) -> Outcome:
     for i, source in enumerate(lab.specs):
         result = lab.evaluate(repeated(lab, faces, [source], angles=MULTI), narrow_angles(lab))
         for j, target in enumerate(lab.specs):
-            rows.append({"trained_on": source, "tested_on": target} | result.row(target))
+            row = result.row(target)
+            rows.append({"trained_on": source, "tested_on": row.pop("detector")} | row)
             matrix[i, j] = rows[-1]["success"]
     off = [row for row in rows if row["trained_on"] != row["tested_on"]]
     words = ["Chest + thighs was trained against each detector at five angles and shown to every other (black box)."]

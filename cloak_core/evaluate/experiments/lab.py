@@ -144,6 +144,8 @@ class Lab:
         steps = options.steps or (300 if options.quick else None)
         if steps is not None:
             values["steps"] = steps
+        if options.size < 416:
+            values["translation"] = options.size // 8  # the presets' are meant for 416 pixels
         values |= {k: v for k, v in (("batch", options.batch), ("samples", options.samples)) if v is not None}
         return make_settings(**({"preset": options.preset} | values | changes))
 

@@ -14,7 +14,7 @@ from cloak_core.scene.bodies import face_areas, face_centres
 from cloak_core.scene.exchange import Bodies
 from cloak_core.scene.logo import area_share, project_mask, project_text, select_region
 
-FaceIds = Int64[np.ndarray, " logo"]
+FaceIds = Int64[np.ndarray, "_"]
 PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thighs": 4691 / 55152}
 """Faces of the paper's logos over faces of its body. Its faces differ in area, so a share of faces is only near one."""
 

@@ -6,37 +6,31 @@ import os
 from pathlib import Path
 
 from markupsafe import Markup
+from PIL import Image
 
 from cloak_core.errors import InputError
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, finished
 from cloak_core.evaluate.report.page import HERE as REPORT
 from cloak_core.evaluate.report.page import data_uri, environment
+from cloak_core.evaluate.report.words import interval, percent, short_name
 
 HERE = Path(__file__).parent
 SHOWN = 40
 """Rows of a table on the page; all of them are in numbers.csv."""
-COLUMNS = {
-    "success": "success",
-    "low": "low",
-    "high": "high",
-    "n": "n",
+FOLDED = 24
+"""Tables longer than this are folded."""
+HEADS = {
     "success_iou": "no box on body",
     "conditional": "where clean is found",
     "clothing": "own clothing",
-    "clean_detection": "clean detection",
     "average_precision": "AP",
     "clean_average_precision": "clean AP",
     "area_share": "area",
-    "false_alarms": "false alarms",
     "tv_weight": "weight",
-    "worst_seed": "worst seed",
-    "best_seed": "best seed",
 }
-SHARES = {"success", "low", "high", "success_iou", "conditional", "clothing", "grey", "random", "stripes", "checks"} | {
-    "clean_detection", "average_precision", "clean_average_precision", "area_share", "false_alarms", "reach",
-    "worst_seed", "best_seed", "single", "multi",
-}  # fmt: skip
-"""Columns that are shares of one."""
+COUNTED = {"n", "seeds", "level", "logo_faces", "seconds", "angle", "distance", "tv_weight", "samples", "steps"}
+"""Numbers that are no shares of one."""
+SPECS = {"detector", "trained_on", "tested_on"}
 
 
 def make_page(out: Path) -> Path:
@@ -49,8 +43,9 @@ def make_page(out: Path) -> Path:
             "name": name,
             "title": record["title"],
             "words": record["words"],
-            "figures": [data_uri(out / name / Path(f).name) for f in record["figures"] if f.endswith(".png")],
+            "figures": [figure(out / name / Path(f).name) for f in record["figures"] if f.endswith(".png")],
             "table": table(record["rows"][:SHOWN]),
+            "folded": len(record["rows"]) > FOLDED,
             "left": max(0, len(record["rows"]) - SHOWN),
             "paper": table(record["paper"]),
             "counts": record["counts"],
@@ -73,20 +68,30 @@ def make_page(out: Path) -> Path:
     return page
 
 
-def table(rows: list[dict]) -> tuple[list[str], list[list[str]]]:
-    """Heads and cells of a table, shares as percent."""
-    keys = list(dict.fromkeys(key for row in rows for key in row))
-    return [COLUMNS.get(key, key.replace("_", " ")) for key in keys], [
-        [cell(key, row.get(key)) for key in keys] for row in rows
-    ]
+def figure(path: Path) -> dict:
+    """A figure as data, and the width in CSS pixels at which its text has the page's size."""
+    with Image.open(path) as image:
+        return {"data": data_uri(path), "width": round(image.width / 200 * 118)}
 
 
-def cell(key: str, value: object) -> str:
+def table(rows: list[dict]) -> dict:
+    """Heads and cells of a table; shares as percent, the two ends of an interval in one column."""
+    keys = [key for key in dict.fromkeys(key for row in rows for key in row) if key != "high"]
+    heads = ["95 % interval" if key == "low" else HEADS.get(key, key.replace("_", " ")) for key in keys]
+    return {"heads": heads, "rows": [[cell(key, row) for key in keys] for row in rows]}
+
+
+def cell(key: str, row: dict) -> str:
     """A value as a table shows it."""
+    value = row.get(key)
     if value is None:
         return "–"
-    if key in SHARES and isinstance(value, (int, float)):
-        return f"{100 * value:.1f} %" if value < 0.1 or key == "area_share" else f"{100 * value:.0f} %"
-    if isinstance(value, float):
-        return f"{value:g}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
+    if key == "low":
+        return interval([value, row["high"]])
+    if key in SPECS:
+        return short_name(str(value))
+    if isinstance(value, (str, bool)):
+        return str(value)
+    if key not in COUNTED:
+        return f"{100 * value:.1f} %" if key == "area_share" else percent(value)
+    return f"{value:,}" if isinstance(value, int) else f"{value:g}"

@@ -127,11 +127,12 @@ def distance(lab: Lab) -> Outcome:
         trained = repeated(lab, faces, [spec], angles=SINGLE, distance=drawn)
         result = lab.evaluate(trained, (0.0,), [spec], distances=near, images_per_view=4 * lab.options.test_images)
         rows += rate_rows({"cloak": name}, result, spec, "distance", near)
-        band(axis, near, [result.rate(spec, distance=d) for d in near], CYCLE[k], MARKERS[k], DASHES[k], name)
+        look = (CYCLE[2 * k], MARKERS[k], DASHES[k])  # blue and green: own clothing is orange
+        band(axis, near, [result.rate(spec, distance=d) for d in near], *look, name)
         if not k:
             clean = [result.rate(spec, "clothing", distance=d).value for d in near]
-            look = SERIES["clothing"]
-            axis.plot(near, clean, color=look.color, ls=":", marker=look.marker, label=look.label)
+            own = SERIES["clothing"]
+            axis.plot(near, clean, color=own.color, ls=":", marker=own.marker, label=own.label)
         turned = lab.evaluate(trained, angles, [spec], distances=FIVE_DISTANCES)
         for j, d in enumerate(FIVE_DISTANCES):
             values = [turned.rate(spec, angle=a, distance=d).value for a in angles]

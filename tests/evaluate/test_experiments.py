@@ -1,0 +1,167 @@
+"""Experiments on tiny images: shared trainings, honest records, every experiment from end to end (slow)."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from made_evaluation import make_measurement
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.errors import InputError
+from cloak_core.evaluate.experiments import lab as lab_module
+from cloak_core.evaluate.experiments.attacks import repeated
+from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
+from cloak_core.evaluate.experiments.logos import PAPER_SHARES, chest_thighs, paper_logos, shapes, trimmed
+from cloak_core.evaluate.experiments.materials import Materials, open_materials
+from cloak_core.evaluate.experiments.page import make_page
+from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
+from cloak_core.evaluate.experiments.repeats import Repeats
+from cloak_core.scene.backgrounds import open_backgrounds
+from cloak_core.scene.logo import area_share
+from cloak_core.scene.samples import sample_bodies
+
+
+class Glow(Detector):
+    """A person is what is bright in the middle, in one colour channel."""
+
+    def __init__(self, name: str, channel: int) -> None:
+        super().__init__(name, name)
+        self.channel = channel
+        self.gain = torch.nn.Parameter(torch.tensor(30.0))
+        self.freeze()
+
+    def forward(self, images: Tensor) -> Detections:
+        count, _, height, width = images.shape
+        middle = images[:, self.channel, height // 5 : 4 * height // 5, 2 * width // 5 : 3 * width // 5]
+        score = torch.sigmoid((middle.flatten(1).mean(1) - 0.4) * self.gain)[:, None]
+        box = torch.tensor([0.3 * width, 0.1 * height, 0.7 * width, 0.9 * height])
+        return Detections(box.expand(count, 1, 4), score, score, torch.ones(count, 1, dtype=torch.bool))
+
+
+@pytest.fixture(scope="module")
+def materials() -> Materials:
+    return Materials(
+        sample_bodies("train").select_poses([0, 9]),
+        sample_bodies("unseen").select_poses([0, 3]),
+        open_backgrounds("procedural:train:4"),
+        open_backgrounds("procedural:test:4"),
+        {"red:a.cfg": Glow("red", 0), "blue:b.cfg": Glow("blue", 2)},
+    )
+
+
+def options(out: Path, **changes: object) -> Options:
+    return replace(
+        Options(out=out, quick=True, steps=2, batch=2, images_per_view=1, size=48, samples=1, seeds=2), **changes
+    )
+
+
+def test_trainings_and_evaluations_are_made_once(
+    materials: Materials, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    faces = chest_thighs(materials.bodies)
+    first = Lab(materials, options(tmp_path))
+    trained = repeated(first, faces, ["red:a.cfg"])
+    rates = first.evaluate(trained, (0.0, 5.0))
+    assert len({t.folder for t in trained}) == 2  # one per seed
+    for name in ("train", "measure"):
+        monkeypatch.setattr(lab_module, name, lambda *_, **__: pytest.fail("made again"))
+    again = Lab(materials, options(tmp_path))
+    found = repeated(again, faces, ["red:a.cfg"])
+    assert [t.folder for t in found] == [t.folder for t in trained]
+    assert np.array_equal(again.evaluate(found, (0.0, 5.0)).measurements[1].score, rates.measurements[1].score)
+    # Whatever decides the result names another run.
+    for spec, changes in (("blue:b.cfg", {}), ("red:a.cfg", {"tv_weight": 1.0})):
+        with pytest.raises(pytest.fail.Exception, match="made again"):
+            again.train(faces, [spec], **changes)
+
+
+def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> None:
+    faces = chest_thighs(materials.bodies)
+    lab = Lab(materials, options(tmp_path, steps=3))
+    whole = lab.train(faces, ["red:a.cfg"]).colors
+    other = Lab(materials, options(tmp_path / "other", steps=3))
+    with pytest.raises(Interrupted, match="stopped at step 1"):
+        other.train(faces, ["red:a.cfg"], max_seconds=1e-6)
+    assert np.array_equal(other.train(faces, ["red:a.cfg"]).colors, whole)
+
+
+def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> None:
+    record = run_experiment("transfer", Lab(materials, options(tmp_path)))
+    folder = tmp_path / "transfer"
+    assert {p.name for p in folder.iterdir()} == {
+        "config.json", "numbers.json", "numbers.csv", "words.md", "matrix.png", "matrix.svg"
+    }  # fmt: skip
+    assert json.loads((folder / "numbers.json").read_text()) == json.loads(json.dumps(record))
+    with (folder / "numbers.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["trained_on"], row["tested_on"]) for row in rows] == [
+        (a, b) for a in materials.detectors for b in materials.detectors
+    ]
+    for row in record["rows"]:
+        assert 0 <= row["low"] <= row["success"] <= row["high"] <= 1
+        assert row["n"] == 2 * 11 * 2 and row["seeds"] == 2  # bodies x angles x seeds
+        assert {"clothing", "grey", "random", "stripes", "checks", "clean_detection", "average_precision"} <= row.keys()
+    config = json.loads((folder / "config.json").read_text())
+    assert config["quick"] and config["detectors"].keys() == materials.detectors.keys()
+    page = make_page(tmp_path).read_text("utf-8")
+    assert "Transfer between detectors" in page and "Not run yet: table1" in page
+    assert 'src="http' not in page and "<script" not in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_runs(name: str, materials: Materials, tmp_path_factory: pytest.TempPathFactory) -> None:
+    out = tmp_path_factory.getbasetemp() / "experiments"  # one folder, so that they share as they do for users
+    record = run_experiment(name, Lab(materials, options(out, seeds=1)))
+    assert record["rows"] and record["words"] and record["figures"]
+    json.dumps(record, allow_nan=False)
+    assert record["title"] in make_page(out).read_text("utf-8")
+
+
+def test_unknown_experiment(materials: Materials, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="experiment 'table2': not one of table1"):
+        run_experiment("table2", Lab(materials, options(tmp_path)))
+    with pytest.raises(InputError, match="no finished experiment"):
+        make_page(tmp_path)
+
+
+def test_logos_have_the_paper_s_shares(materials: Materials, tmp_path: Path) -> None:
+    logos = paper_logos(materials.bodies, tmp_path)
+    share = lambda name: area_share(materials.bodies, logos[name])
+    assert share("letter G") == pytest.approx(PAPER_SHARES["letter G"], rel=0.05)
+    assert share("smiley") == pytest.approx(PAPER_SHARES["smiley"], rel=0.05)
+    assert share("chest + thighs, small") == pytest.approx(PAPER_SHARES["chest + thighs"], rel=0.05)
+    assert set(logos["chest + thighs, small"]) < set(logos["chest + thighs"])
+    whole = logos["chest + thighs"]
+    assert np.array_equal(trimmed(materials.bodies, whole, 0.5), whole)
+    named = shapes(materials.bodies, tmp_path, quick=True)
+    assert next(iter(named)) == "disc 1.0%" and len(named) == 5
+
+
+def test_materials_keep_every_second_one(tmp_path: Path) -> None:
+    opened = open_materials(("builtin",), backgrounds="procedural:train:5")
+    assert len(opened.backgrounds) == 3 and len(opened.unseen_backgrounds) == 2
+    assert not set(opened.backgrounds.identities()) & set(opened.unseen_backgrounds.identities())
+    assert not set(opened.bodies.names) & set(opened.unseen.names)
+
+
+def test_repetitions_are_pooled_and_their_spread_is_shown() -> None:
+    one = make_measurement()
+    score = one.score.copy()
+    score[0, 0] = 0.9
+    other = replace(one, score=score)
+    repeats = Repeats([one, other])
+    alone = Repeats([one]).rate("builtin")
+    assert repeats.rate("builtin").value == pytest.approx(alone.value / 2)
+    assert repeats.rate("builtin").n == 2 * alone.n
+    assert repeats.spread("builtin") == [pytest.approx(alone.value, abs=1e-6), 0.0]
+    row = repeats.row("builtin")
+    assert (row["worst_seed"], row["seeds"]) == (0.0, 2)
+    assert row["clean_detection"] == pytest.approx(1 - row["clothing"], abs=1e-4)
+    at = repeats.rate("builtin", angle=-10.0, pose=1)
+    assert at.n == 2 * 4
