@@ -104,8 +104,9 @@ def degree_ticks(axis: object) -> None:
 def legend_above(figure: Figure) -> None:
     """One legend for the figure, above its axes, in as many columns as its width holds."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    widest = max(map(len, labels)) * 0.067 + 0.62  # inches: text of 8 points, handle and space
-    columns = max(1, min(len(labels), int((figure.get_figwidth() - 0.3) / widest)))
+    widths = [0.067 * len(label) + 0.62 for label in labels]  # inches: text of 8 points, handle and space
+    room = figure.get_figwidth() - 0.3
+    columns = len(labels) if sum(widths) <= room else max(1, int(room / max(widths)))
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=2.6, columnspacing=1.6)
 
 
