@@ -90,7 +90,7 @@ def receive_checkpoint(data: bytes) -> Checkpoint | None:
 
 def sweep(folder: Path) -> None:
     """Remove what a killed process left unfinished in `folder`."""
-    for path in folder.glob(".*"):
+    for path in folder.glob(".step-*"):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)
 

@@ -13,6 +13,8 @@ from cloak_core.errors import InputError
 
 MAX_LINE = 1 << 20
 """Bytes; no event is longer."""
+MAX_BYTES = 256 << 20
+"""Of a log: more than a million steps."""
 Event = dict[str, object]
 OnEvent = Callable[[Event], None]
 
@@ -46,6 +48,8 @@ def read_events(path: str | os.PathLike) -> list[Event]:
     events = []
     try:
         with Path(path).open("rb") as file:
+            if os.fstat(file.fileno()).st_size > MAX_BYTES:
+                raise InputError(f"{path}: larger than any event log ({MAX_BYTES >> 20} MiB)")
             while line := file.readline(MAX_LINE):
                 event = _parse(line)
                 if event is not None:

@@ -53,9 +53,12 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
         raise InputError(f"{path}: not a run folder (no config.json in it)")
     with _locked(path):
         _check_same(read_json(run.config), config, path)
+        for folder in (run.checkpoint, run.previews):
+            # A run folder may come from elsewhere; nothing of it may lead outside.
+            if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+                raise InputError(f"{folder}: not a folder of its own")
+            folder.mkdir(exist_ok=True)
         sweep(run.checkpoint)
-        run.checkpoint.mkdir(exist_ok=True)
-        run.previews.mkdir(exist_ok=True)
         with contextlib.suppress(FileNotFoundError):
             run.cancel.unlink()
         yield run

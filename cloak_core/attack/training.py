@@ -23,7 +23,7 @@ from cloak_core.attack.checkpoints import (
     save_checkpoint,
     send_checkpoint,
 )
-from cloak_core.attack.events import EventLog, OnEvent, rewind_events
+from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
 from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors, learning_rate
 from cloak_core.attack.previews import save_preview
@@ -61,7 +61,7 @@ class RunResult:
     seconds: float
     """Training time, earlier parts of a resumed run included."""
     figures: StepFigures | None
-    """Of the last step; None when there was nothing left to do."""
+    """Of the last step, from the event log where this call had nothing left to do; None when even that is lost."""
     stopped: str
     """Why it ended early ("SIGINT", "cancel file", "time budget"); "" when it is complete."""
     colors: np.ndarray
@@ -166,6 +166,7 @@ class Trainer:
             if self.log:
                 self.log.close()
         steps, colors = self.sampler.steps, self._colors_array()
+        figures = figures or self._recorded_figures()
         return RunResult(self.run.path, self.step, steps, self.seconds, figures, reason, colors)
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
@@ -189,6 +190,14 @@ class Trainer:
         reason = reason if self.step < steps else ""
         self._tell("end", outcome="stopped" if reason else "done", reason=reason)
         return figures, reason
+
+    def _recorded_figures(self) -> StepFigures | None:
+        """Of the last step in the event log: what a run that was complete before has to tell."""
+        names = [field.name for field in dataclasses.fields(StepFigures)]
+        for event in reversed(read_events(self.run.events) if self.world.is_first else []):
+            if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
+                return StepFigures(*(event[name] for name in names))
+        return None
 
     @property
     def seconds(self) -> float:

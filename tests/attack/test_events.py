@@ -55,3 +55,10 @@ def test_not_a_number_is_never_written(path):
 def test_no_such_file(tmp_path):
     with pytest.raises(InputError, match="none"):
         read_events(tmp_path / "none")
+
+
+def test_a_log_of_absurd_size_is_not_read(tmp_path):
+    with (tmp_path / "events.jsonl").open("wb") as file:
+        file.truncate(1 << 33)
+    with pytest.raises(InputError, match="larger than any event log"):
+        read_events(tmp_path / "events.jsonl")

@@ -226,7 +226,8 @@ def test_fresh_views_go_on_to_the_same_bits(tmp_path):
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
     done = run(tmp_path / "run")
     again = run(tmp_path / "run", resume=True)
-    assert np.array_equal(done.colors, again.colors) and again.figures is None and again.stopped == ""
+    assert np.array_equal(done.colors, again.colors) and again.stopped == ""
+    assert again.figures == done.figures and again.record()["loss"] == done.record()["loss"]
 
 
 def test_resuming_what_does_not_exist_starts_it(tmp_path):
