@@ -27,6 +27,10 @@ def store_evaluation(
         write_json(temporary / "pictures.json", shown)
         measurement.save(temporary / "scores.npz")
         write_json(temporary / "summary.json", summary)
-    # Two renames: a reader never meets half of an evaluation, though for an instant it may meet none.
-    shutil.rmtree(folder, ignore_errors=True)
+    # Renames only: a reader never meets half of an evaluation, and a crash in between loses none.
+    old = folder.with_name(f"{folder.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if folder.exists():
+        folder.rename(old)
     fresh.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)

@@ -146,7 +146,7 @@ def test_stored_evaluation_feeds_report_and_sheet(bodies: Bodies, logo: Logo, tm
     assert len(stored.pictures["gallery"]) == 4 and stored.pictures["failures"] == {"spec": []}
     assert "Attack success" in make_report(tmp_path).read_text("utf-8")
     assert contact_sheet(tmp_path, tmp_path / "sheet.png").stat().st_size > 1000
-    assert not list(tmp_path.glob("*.new"))
+    assert not [*tmp_path.glob("*.new"), *tmp_path.glob("*.old")]
 
 
 def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
