@@ -184,8 +184,8 @@ def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.t
 def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
     """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
 
-    The first outfit becomes the corner colour attribute "Outfit", shown by a material; the scene's frame range is set
-    to the poses when the scene holds no other animation.
+    The outfits become the corner colour attributes "Outfit", "Outfit 2" ..., the first shown by a material; the
+    scene's frame range is set to the poses.
     """
     mesh = bpy.data.meshes.new(bodies.name)
     poses = blender_axes(bodies.vertices)
@@ -197,9 +197,10 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
         mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
     obj = bpy.data.objects.new(bodies.name, mesh)
     context.collection.objects.link(obj)
-    from .colors import dress_in_outfit
+    from . import colors
 
-    dress_in_outfit(obj, bodies.face_colors[0])
+    colors.dress_in_outfits(obj, bodies.face_colors)
+    colors.show_attribute(context, obj, colors.OUTFIT)
     if bodies.pose_count > 1:
         _key_poses(context.scene, obj, poses, bodies.names)
     if context.mode == "OBJECT":

@@ -223,6 +223,8 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
             row = self.layout.row(align=True)
             row.progress(factor=job.fraction, text=job.describe())
             row.operator("cloak.train_cancel", text="", icon="X")
+            if isinstance(job, training_job.TrainingJob) and job.progress.figures():
+                self.layout.label(text=job.progress.figures().capitalize(), icon="BLANK1")
         elif job.message:
             wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
 
@@ -242,9 +244,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
         column = self.gate(context, reason)
         dressed = not reason and colors.is_dressed(active_body(context))
         column.operator("cloak.result_load", icon="IMPORT")
-        column.operator(
-            "cloak.result_toggle", text="Show Original" if dressed else "Show Cloak", icon="HIDE_OFF", depress=dressed
-        )
+        column.operator("cloak.result_toggle", text="Show Original" if dressed else "Show Cloak", icon="HIDE_OFF")
         warning = colors.view_transform_reason(context.scene)
         if warning and not reason:
             box = self.layout.box()

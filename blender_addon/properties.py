@@ -21,6 +21,9 @@ from .poses import PoseChoice
 from .preferences import user_folder
 from .trainer import TrainRequest
 
+LIVE_STEPS = 10
+"""Steps from one writing of the colours to the next while they are watched."""
+
 
 def _logo_index(self: CloakObject) -> int:
     names = [attribute.name for attribute in self.id_data.data.attributes]
@@ -229,6 +232,7 @@ def train_request(settings: CloakSettings) -> TrainRequest:
         preset=settings.preset,
         steps=settings.steps,
         device=settings.device,
+        checkpoint_every=LIVE_STEPS if settings.live else None,
     )
 
 

@@ -102,13 +102,12 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
 
 
 class LiveColors:
-    """Shows a growing run's colours on its object: the first update prepares, the others only write."""
+    """Shows a growing run's colours on its object. What can be prepared is, so that an update only writes."""
 
-    def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str) -> None:
-        self._run, self._topology, self._uid = run, body_topology, obj.session_uid
+    def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
+        self._run, self._topology, self._uid, self._ids = run, body_topology, obj.session_uid, face_ids
         self._seen = 0
-        self._base: np.ndarray | None = None
-        self._ids = np.empty(0, np.int64)
+        self._base = colors.own_face_colors(obj)
 
     @property
     def object(self) -> bpy.types.Object | None:
@@ -127,17 +126,10 @@ class LiveColors:
         if stamp == self._seen:
             return False
         require_same_topology(obj, self._topology)
-        if self._base is None:
-            self._base = colors.own_face_colors(obj)
-            self._ids = read_face_list(self._run / "logo.npy").ids
-            colors.dress(obj, self._ids)
-            shown = True
-        else:
-            shown = False
-        values = read_colors(path, count=len(self._ids))
-        self._base[self._ids] = values
+        self._base[self._ids] = read_colors(path, count=len(self._ids))
         colors.write_face_colors(obj, colors.CLOAK, self._base)
-        if shown:
+        if not self._seen:
+            colors.dress(obj, self._ids)
             colors.show_attribute(context, obj, colors.CLOAK)
         self._seen = stamp
         return True

@@ -67,9 +67,10 @@ def export_bodies(
             graph = context.evaluated_depsgraph_get()
             frames.append([_evaluate(o, graph, with_triangles=not frames) for o in objects])
             _require_same_topology(obj, objects, frames)
-    outfit = np.concatenate([_outfit(o, part) for o, part in zip(objects, frames[0], strict=True)])
+    worn = [_outfit(o, part) for o, part in zip(objects[1:], frames[0][1:], strict=True)]
+    outfits = np.stack([np.concatenate([outfit, *worn]) for outfit in colors.own_outfits(obj)])
     try:
-        return _join(frames, [pose.name for pose in poses], outfit, obj.name)
+        return _join(frames, [pose.name for pose in poses], outfits, obj.name)
     except InputError as error:
         raise InputError(f"'{obj.name}': {error}") from None
 
@@ -120,6 +121,7 @@ def topology_modifiers_reason(obj: bpy.types.Object) -> str:
 
 
 def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
+    """[F, 3] sRGB of a piece of clothing."""
     own = colors.own_face_colors(obj)
     if len(own) == len(part.loop_total):
         return own
@@ -127,7 +129,7 @@ def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
     return np.tile(np.median(own, axis=0), (len(part.loop_total), 1)).astype(np.float32)
 
 
-def _join(frames: list[list[Part]], names: list[str], outfit: np.ndarray, name: str) -> Bodies:
+def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str) -> Bodies:
     first = frames[0]
     vertex_offsets = np.cumsum([0] + [len(p.vertices) for p in first])
     face_offsets = np.cumsum([0] + [len(p.loop_total) for p in first])
@@ -138,7 +140,7 @@ def _join(frames: list[list[Part]], names: list[str], outfit: np.ndarray, name: 
         triangle_face=shifted("triangle_face", face_offsets),
         loop_total=np.concatenate([p.loop_total for p in first]),
         loop_vertices=shifted("loop_vertices", vertex_offsets),
-        face_colors=outfit[None],
+        face_colors=outfits,
         names=tuple(names),
         name=name,
     )

@@ -213,7 +213,7 @@ def train(
         signal.signal(number, lambda *_: job.cancel())
     said, last = "", 0.0
     while job.poll():
-        line = job.describe()
+        line = ", ".join(filter(None, (job.describe(), job.progress.figures())))
         if line != said and time.monotonic() - last >= PRINT_SECONDS:
             say(line)
             said, last = line, time.monotonic()

@@ -204,15 +204,18 @@ class Progress:
         return max(0, self.steps - self.step) * self.seconds_per_step
 
     def describe(self) -> str:
-        """Loss, success and time left, as far as they are known."""
-        parts = [f"{self.step}/{self.steps or '?'}"]
-        if self.loss is not None:
-            parts.append(f"loss {self.loss:.3f}")
+        """Steps and time left, as far as they are known."""
+        text = f"{self.step}/{self.steps or '?'}"
+        if self.seconds_left is not None and self.step < self.steps:
+            text += f", {duration(self.seconds_left)} left"
+        return text
+
+    def figures(self) -> str:
+        """Loss and success, as far as they are known."""
+        parts = [] if self.loss is None else [f"loss {self.loss:.3f}"]
         if self.success is not None:
             parts.append(f"success {self.success:.0%}")
-        if self.seconds_left is not None and self.step < self.steps:
-            parts.append(f"{duration(self.seconds_left)} left")
-        return "  ".join(parts)
+        return ", ".join(parts)
 
 
 def duration(seconds: float) -> str:
@@ -230,7 +233,7 @@ def take_event(progress: Progress, line: bytes) -> Progress:
     except (ValueError, KeyError, TypeError, RecursionError):
         return replace(progress, broken_lines=progress.broken_lines + 1)
     step, seconds = _number(event.get("step")), _number(event.get("time"))
-    if kind == "start" and _number(event.get("steps")) is not None:
+    if kind in ("start", "resume") and _number(event.get("steps")) is not None:
         progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
     if kind != "step" or step is None:
         return progress
@@ -309,7 +312,7 @@ class TrainingJob(Job):
         self._ended.set()
         self._reader.join(timeout=5)
         if state == "done":
-            message = f"Training done: {self.progress.describe()}"
+            message = f"Training done: {self.progress.describe()}, {self.progress.figures()}"
         elif state == "stopped":
             message = f"Stopped at step {self.progress.step}: Resume goes on from there"
         elif self.progress.step:

@@ -43,7 +43,7 @@ keys, weights, materials, UVs and logos are kept"""
 
 
 class CLOAK_OT_add_sample_body(CloakOperator):
-    """Add Cloak's sample body: nine people as shape keys on frames 1 to 9, with named regions as logos"""
+    """Add Cloak's sample body: people of varied shape as shape keys, one per frame, with named regions as logos"""
 
     bl_idname = "cloak.add_sample_body"
     bl_label = "Add Sample Body"
@@ -62,13 +62,16 @@ def _add(job: Job, scene: Path) -> None:
     if job.state != "done":
         return
     try:
-        obj = add_from_scene(bpy.context, read_scene(scene))
+        bodies = read_scene(scene)
+        obj = add_from_scene(bpy.context, bodies)
     except InputError as error:
         job.state, job.message = "failed", str(error)
         return
     settings = settings_of(bpy.context)
     settings.pose_source, settings.frame_step = "RANGE", 1
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    if "chest" in bodies.regions:
+        obj.cloak.logo = "chest"
     job.message = f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
 
 

@@ -10,10 +10,10 @@ import bpy
 
 from .. import runs, training_job
 from ..body import active_body
-from ..exchange import InputError
+from ..exchange import InputError, read_face_list
 from ..preferences import trainer_python
 from ..properties import absolute, output_folder, pose_choice, settings_of, train_request
-from ..scene_export import export, read_export
+from ..scene_export import Export, export, read_export
 from ..trainer import train_command
 from ..training_job import Job, TrainingJob, launch, require_idle
 from .base import CloakOperator
@@ -85,7 +85,7 @@ def resumable_run(obj: bpy.types.Object) -> Path:
 def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command: list[str]) -> TrainingJob:
     """Launch the training and wire its live colours."""
     folder = runs.input_folder(run)
-    watch = Watch(obj, run, read_export(folder).topology)
+    watch = Watch(obj, run, read_export(folder))
     job = TrainingJob(command, run, folder, watch.finish)
     obj.cloak.run, obj.cloak.verdict = str(run), ""
     training_job.on_tick[:] = [watch.tick]
@@ -96,8 +96,8 @@ def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command:
 class Watch:
     """Looks after one training on the main thread: redraws the panel, shows live colours, imports the last ones."""
 
-    def __init__(self, obj: bpy.types.Object, run: Path, topology: str) -> None:
-        self._live = runs.LiveColors(obj, run, topology)
+    def __init__(self, obj: bpy.types.Object, run: Path, done: Export) -> None:
+        self._live = runs.LiveColors(obj, run, done.topology, read_face_list(done.face_list).ids)
         self._run = run
         self._refused = ""
         self._last = time.monotonic()

@@ -40,7 +40,7 @@ def test_linked_objects_are_refused(tmp_path):
     make_egg(6, name="Hero")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (source, target):
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, target):
         target.objects = ["Hero"]
     hero = target.objects[0]
     bpy.context.collection.objects.link(hero)
@@ -51,7 +51,7 @@ def test_mirrored_and_flattened_bodies_are_refused():
     obj = make_egg(6)
     obj.scale.x = -1
     bpy.context.view_layer.update()
-    with pytest.raises(InputError, match="negative scale.*apply it"):
+    with pytest.raises(InputError, match=r"negative scale.*apply it"):
         body.require_upright(obj)
     assert "negative scale" in steps.poses_reason(bpy.context)
     obj.scale.x = 0
@@ -173,7 +173,9 @@ def made_bodies() -> Bodies:
         vertices=np.stack([points, points + 1, points * 2]),
         triangles=np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2], [3, 2, 5], [3, 5, 6]], np.int32),
         triangle_face=np.array([0, 0, 1, 1, 2, 2], np.int32),
-        face_colors=np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [1, 0, 1]]], np.float32),
+        face_colors=np.array(
+            [[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [1, 0, 1]], [[0, 0, 0], [1, 1, 1], [0, 1, 0]]], np.float32
+        ),
         regions={"chest": np.array([True, False, True])},
         names=("Ann", "Bob", "Cleo"),
         loop_total=np.array([4, 4, 4], np.int32),

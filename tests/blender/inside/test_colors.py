@@ -128,7 +128,7 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     obj, run = dressed_body(tmp_path)
     body.subdivide(obj)
     with pytest.raises(
-        RuntimeError, match="changed since export: its faces are .*undo the change, or export and train"
+        RuntimeError, match=r"changed since export: its faces are .*undo the change, or export and train"
     ):
         bpy.ops.cloak.result_load()
     assert "Cloak" not in obj.data.color_attributes and not colors.is_dressed(obj)
@@ -175,7 +175,7 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     import os
 
     obj, run = dressed_body(tmp_path)
-    live = runs.LiveColors(obj, run, body.topology(obj))
+    live = runs.LiveColors(obj, run, body.topology(obj), np.array([3, 4, 50]))
     obj.name = "Renamed"
     assert live.update(bpy.context) and not live.update(bpy.context)
     write_colors(run / "colors.npy", np.tile(np.float32([0, 1, 0]), (3, 1)))

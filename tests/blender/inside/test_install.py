@@ -51,12 +51,13 @@ def test_every_operator_and_property_has_a_description():
 
 def leftovers() -> dict:
     """Everything an add-on could leave behind."""
-    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in dir(bpy.app.handlers) if name.endswith("_post")}
+    names = [name for name in dir(bpy.app.handlers) if name.endswith(("_post", "_pre"))]
+    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in names}
     return {
         "types": sorted(name for name in dir(bpy.types) if "cloak" in name.lower()),
         "operators": [name for name in dir(bpy.ops.cloak)],
-        "object": [key for key in bpy.types.Object.bl_rna.properties.keys() if "cloak" in key],
-        "scene": [key for key in bpy.types.Scene.bl_rna.properties.keys() if "cloak" in key],
+        "object": [p.identifier for p in bpy.types.Object.bl_rna.properties if "cloak" in p.identifier],
+        "scene": [p.identifier for p in bpy.types.Scene.bl_rna.properties if "cloak" in p.identifier],
         "handlers": handlers,
         "timer": bpy.app.timers.is_registered(training_job.tick),
         "threads": [thread.name for thread in threading.enumerate()],

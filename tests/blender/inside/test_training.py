@@ -69,7 +69,7 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
     assert "is running" in steps.train_reason(bpy.context)
     wait_for(lambda: job.progress.step >= 3 and "Cloak" in ready.data.color_attributes)
     assert red_faces(ready) == IDS  # while it is still running
-    assert job.running and 0 < job.fraction < 1 and "loss" in job.describe() and "left" in job.describe()
+    assert job.running and 0 < job.fraction < 1 and "loss" in job.progress.figures() and "left" in job.describe()
     bpy.ops.cloak.train_cancel()
     assert run_job().state == "stopped" and "Resume" in job.message
     reached = int(Path(ready.cloak.run, "step.txt").read_text())

@@ -1,0 +1,148 @@
+"""Measures the add-on's figures on 55,000 faces, in a real Blender window or under the bpy package.
+
+    real_blender.sh gui sid /tmp/x.png tests/blender/real/measure.py ZIP        (with the window's redraw)
+    python tests/blender/real/measure.py -- ZIP                                 (a Python with bpy)
+
+Prints one JSON object; medians and maxima of REPEATS, in milliseconds.
+"""
+
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+ZIP = sys.argv[sys.argv.index("--") + 1]
+REPEATS, FACES, POSES = 9, 55_000, 12
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
+
+
+def timed(call) -> float:
+    start = time.perf_counter()
+    call()
+    return 1000 * (time.perf_counter() - start)
+
+
+def summary(values: list[float]) -> dict:
+    return {"median_ms": round(statistics.median(values), 1), "max_ms": round(max(values), 1)}
+
+
+def rigged_grid() -> bpy.types.Object:
+    """55,000 triangles bent by an armature and two shape keys, as a character is."""
+    from made import make_grid, set_mode
+
+    obj = make_grid(FACES)
+    obj.shape_key_add(name="Basis")
+    for name in ("a", "b"):
+        key = obj.shape_key_add(name=name)
+        key.data.foreach_set("co", np.random.default_rng(0).random(3 * len(obj.data.vertices)).astype(np.float32))
+        key.value = 0.1
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.collection.objects.link(armature)
+    bpy.context.view_layer.objects.active = armature
+    set_mode("EDIT")
+    bone = armature.data.edit_bones.new("spine")
+    bone.tail = (0, 0, 1)
+    set_mode("OBJECT")
+    obj.vertex_groups.new(name="spine").add(range(len(obj.data.vertices)), 1.0, "REPLACE")
+    obj.modifiers.new("Armature", "ARMATURE").object = armature
+    for frame in (1, POSES):
+        armature.pose.bones["spine"].rotation_mode = "XYZ"
+        armature.pose.bones["spine"].rotation_euler.x = frame / 20
+        armature.pose.bones["spine"].keyframe_insert("rotation_euler", frame=frame)
+    bpy.context.view_layer.objects.active = obj
+    return obj
+
+
+def measure() -> dict:
+    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
+    import importlib
+
+    cloak = importlib.import_module("bl_ext.user_default.cloak")
+    rooms = ("body", "colors", "faces", "runs", "scene_export", "poses", "exchange")
+    body, colors, faces, runs, scene_export, poses, exchange = (
+        importlib.import_module(f"{cloak.__name__}.{room}") for room in rooms
+    )
+    sys.modules["cloak"], sys.modules["cloak.faces"] = cloak, faces
+    for other in list(bpy.data.objects):
+        bpy.data.objects.remove(other)
+    from made import select_only, set_mode
+
+    obj = rigged_grid()
+    count = len(obj.data.polygons)
+    ids = np.arange(0, count, 2)
+    folder = Path(tempfile.mkdtemp())
+    figures: dict = {"blender": bpy.app.version_string, "background": bpy.app.background, "faces": count}
+    select_only(obj, ids)
+    bpy.ops.cloak.logo_new(name="half")
+    paths = [folder / f"{i}.npy" for i in range(REPEATS)]
+    figures["export_face_list_from_edit_mode"] = summary(
+        [timed(lambda p=p: bpy.ops.cloak.logo_export(filepath=str(p))) for p in paths]
+    )
+    set_mode("OBJECT")
+    export = lambda i: scene_export.export(
+        bpy.context, obj, "half", poses.PoseChoice("RANGE", 1, POSES, 1), folder / f"input {i}"
+    )
+    figures["export_12_poses"] = summary([timed(lambda i=i: export(i)) for i in range(5)])
+    run = folder / "run"
+    run.mkdir()
+    exchange.write_face_list(run / "logo.npy", ids, body.topology(obj))
+    rng = np.random.default_rng(0)
+    write = lambda: exchange.write_colors(run / "colors.npy", rng.random((len(ids), 3)))
+    figures["import_colors"] = summary([timed(import_once(runs, obj, run, write)) for _ in range(REPEATS)])
+    colors.undress(obj)
+    obj.data.attributes.remove(obj.data.attributes["Cloak"])
+    live = runs.LiveColors(obj, run, body.topology(obj), ids)
+    values = []
+    for _ in range(REPEATS + 1):
+        write()
+        values.append(timed(lambda: live.update(bpy.context) and bpy.context.view_layer.update()))
+    figures["first_live_update"] = round(values[0], 1)
+    figures["live_update"] = summary(values[1:])
+    if not bpy.app.background:
+        figures["live_update_with_redraw"] = summary([redrawn(live, write) for _ in range(REPEATS)])
+        figures["redraw_alone"] = summary([timed(redraw) for _ in range(REPEATS)])
+    return figures
+
+
+def import_once(runs, obj, run, write):
+    write()
+    return lambda: runs.import_colors(bpy.context, obj, run)
+
+
+def redraw() -> None:
+    bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)
+
+
+def redrawn(live, write) -> float:
+    write()
+
+    def both():
+        live.update(bpy.context)
+        redraw()
+
+    return timed(both)
+
+
+def main() -> None:
+    try:
+        print(json.dumps(measure(), indent=1), flush=True)
+    except Exception:
+        traceback.print_exc()
+        os._exit(3)
+    if bpy.app.background:
+        os._exit(0)
+    Path(os.environ["SHOT_READY"]).touch()
+    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=3)
+
+
+if bpy.app.background:
+    main()
+else:
+    bpy.app.timers.register(main, first_interval=1.5)

@@ -1,0 +1,148 @@
+"""Opens the panel in one of its five states, in a real Blender window, for a screenshot.
+
+    real_blender.sh gui sid OUT.png tests/blender/real/show_panel.py ZIP STATE PYTHON FOLDER
+
+STATE is body, logo, poses, train or result; PYTHON has cloak_core; FOLDER is for runs. When the window shows the state,
+the file named by $SHOT_READY is made; a little later Blender quits. Any error ends Blender with exit code 3.
+"""
+
+import os
+import subprocess
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+ZIP, STATE, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:4]
+PANELS = {
+    "body": ("body", "logo"),
+    "logo": ("body", "logo"),
+    "poses": ("logo", "poses"),
+    "train": ("poses", "train"),
+    "result": ("train", "result"),
+}
+HIDDEN = []
+
+
+def install():
+    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
+    bpy.context.preferences.addons["bl_ext.user_default.cloak"].preferences.python = PYTHON
+    bpy.context.preferences.view.show_splash = False
+
+
+def view_area():
+    return next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
+
+
+def override():
+    area = view_area()
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    return bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region)
+
+
+def tidy():
+    """The 3D viewport alone, its sidebar on the Cloak tab, the body filling the view."""
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
+    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
+    with override():
+        bpy.ops.screen.screen_full_area(use_hide_panels=False)
+    area = view_area()
+    area.spaces.active.show_region_ui = True
+    area.spaces.active.overlay.show_floor = True
+
+
+def frame():
+    with override():
+        bpy.ops.view3d.view_axis(type="FRONT")
+        bpy.ops.view3d.view_selected()
+        bpy.ops.view3d.view_orbit(angle=0.35, type="ORBITRIGHT")
+
+
+def sidebar(*names):
+    """Show the Cloak tab, and of its panels only those named."""
+    yield from show_tab()
+    package = sys.modules["bl_ext.user_default.cloak.panel"]
+    for cls in package.CLASSES:
+        short = cls.bl_idname.removeprefix("CLOAK_PT_")
+        if short != cls.bl_idname and short not in names and cls.is_registered:
+            bpy.utils.unregister_class(cls)
+            HIDDEN.append(cls)
+    yield from show_tab()
+
+
+def show_tab():
+    for _ in range(3):  # the tab is there once its panels have been drawn
+        area = view_area()
+        area.tag_redraw()
+        yield 0.5
+        next(r for r in area.regions if r.type == "UI").active_panel_category = "Cloak"
+
+
+def wait_job():
+    from bl_ext.user_default.cloak import training_job
+
+    while training_job.current.running:
+        yield 0.2
+    assert training_job.current.state == "done", training_job.current.message
+
+
+def steps():
+    """One thing after the other; a number means: draw, and come back after so many seconds."""
+    install()
+    tidy()
+    yield 0.5
+    bpy.ops.cloak.add_sample_body()
+    yield from wait_job()
+    frame()
+    settings = bpy.context.scene.cloak
+    yield 0.5
+    obj = bpy.context.view_layer.objects.active
+    if STATE != "body":
+        settings.stamp_text = "G"
+        bpy.ops.cloak.logo_stamp(target="NEW")
+    if STATE in ("poses", "train", "result"):
+        obj.cloak.logo = "chest"
+    if STATE in ("train", "result"):
+        settings.output, settings.live_seconds = FOLDER, 0.5
+        settings.frame_end = 3
+        settings.steps = 400 if STATE == "train" else 25
+        bpy.ops.cloak.train_start()
+        from bl_ext.user_default.cloak import training_job
+
+        if STATE == "train":
+            while training_job.current.progress.step < 30:
+                assert training_job.current.running, training_job.current.message
+                yield 0.2
+        else:
+            yield from wait_job()
+    yield from sidebar(*PANELS[STATE])
+    yield 1.5
+    Path(os.environ["SHOT_READY"]).touch()
+    yield 4.0
+    for cls in HIDDEN:
+        bpy.utils.register_class(cls)
+    if STATE == "train":
+        bpy.ops.cloak.train_cancel()
+        while training_job.current.running:
+            yield 0.2
+        assert training_job.current.state == "stopped", training_job.current.message
+
+
+def run():
+    try:
+        return next(SCRIPT)
+    except StopIteration:
+        print("done", STATE, flush=True)
+    except Exception:
+        traceback.print_exc()
+        os._exit(3)
+    bpy.ops.wm.quit_blender()
+    return None
+
+
+SCRIPT = steps()
+START = time.monotonic()
+bpy.app.timers.register(run, first_interval=1.0)
