@@ -19,7 +19,7 @@ from torch import Tensor
 from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.network import Network, build_network
-from cloak_core.detectors.darknet.weights import write_darknet
+from cloak_core.detectors.darknet.weights import read_weights, write_darknet
 from cloak_core.detectors.scoring import box_iou
 from cloak_core.errors import InputError
 from cloak_core.pretrain.calibration import Calibration, apply_calibration, calibrate
@@ -69,14 +69,16 @@ def train_builtin(
     steps: int = BuiltinSettings.steps,
     seed: int = 0,
     on_event: OnEvent = lambda event: None,
+    start_from: str | Path | None = None,
     **options: int | float,
 ) -> dict:
     """Train the detector; write `builtin.cfg` and `builtin.weights` into `out_dir`, every few minutes and at the end.
 
     backgrounds: a folder of photographs without people, used beside the procedural scenes (from six on, one in six
-    calibrates the scores instead). `options` are further fields of `BuiltinSettings`. Returns, and gives `on_event`,
-    figures of the last stored state: recall and false_alarms at 0.6 on held-back images. The same seed gives the same
-    weights on the same machine.
+    calibrates the scores instead). start_from: .weights to go on from (say, of a run that was cut short) instead of
+    random ones; steps and learning rate begin anew. `options` are further fields of `BuiltinSettings`. Returns, and
+    gives `on_event`, figures of the last stored state: recall and false_alarms at 0.6 on held-back images. The same
+    seed gives the same weights on the same machine.
     """
     try:
         settings = BuiltinSettings(steps=steps, seed=seed, **options)
@@ -85,7 +87,10 @@ def train_builtin(
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     cfg = read_cfg_text(CFG)
-    network = build_network(cfg, seed=settings.seed).to(memory_format=torch.channels_last)
+    network = build_network(cfg, seed=settings.seed)
+    if start_from is not None:
+        read_weights(network, Path(start_from))
+    network = network.to(memory_format=torch.channels_last)
     training, judging = make_data(settings, backgrounds, network.input_size[0], on_event)
     trainer = Trainer(network, training, settings)
     result: dict = {}
@@ -169,7 +174,7 @@ class Trainer:
         return self.pool.submit(self.data.batch, self.data_rng, self.settings.batch, picked)
 
     def _forward(self, network: Network, images: Tensor) -> Tensor:
-        with torch.autocast(images.device.type, torch.bfloat16):
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=fast_bfloat16(images.device)):
             return network(images.to(memory_format=torch.channels_last))[0]
 
     @torch.no_grad()
@@ -188,6 +193,13 @@ class Trainer:
                 value.lerp_(theirs[name], 1 - decay)
             else:
                 value.copy_(theirs[name])
+
+
+def fast_bfloat16(device: torch.device) -> bool:
+    """Whether the device computes in bfloat16 faster than in float32 (elsewhere it would only be emulated)."""
+    if device.type == "cpu":
+        return torch.ops.mkldnn._is_mkldnn_bf16_supported() and torch.cpu._is_avx512_bf16_supported()
+    return torch.cuda.is_bf16_supported()
 
 
 def learning_curve(done: int, steps: int) -> float:

@@ -9,6 +9,7 @@ from cloak_core.detectors.builtin import CFG, WEIGHTS, load_builtin
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import load_darknet
 from cloak_core.detectors.darknet.network import build_network
+from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.scoring import is_detected_on, max_person_score
 from cloak_core.errors import InputError
 from cloak_core.pretrain.builtin_training import train_builtin
@@ -48,6 +49,15 @@ def test_the_same_seed_gives_the_same_weights(tmp_path):
         train_builtin(tmp_path / name, steps=2, seed=5, **SMALL)
     first, second = ((tmp_path / name / "builtin.weights").read_bytes() for name in ("a", "b"))
     assert first == second
+
+
+def test_a_run_goes_on_from_stored_weights(tmp_path):
+    """With a learning rate of next to nothing the weights it started from come out again, calibration apart."""
+    train_builtin(tmp_path / "on", steps=1, start_from=WEIGHTS, learning_rate=1e-9, **SMALL)
+    before, after = (build_network(read_cfg_text(CFG)) for _ in range(2))
+    read_weights(before, WEIGHTS)
+    read_weights(after, tmp_path / "on" / "builtin.weights")
+    torch.testing.assert_close(after.layers[0].conv.weight, before.layers[0].conv.weight, atol=1e-5, rtol=0)
 
 
 def test_unknown_options_and_empty_folders_are_refused(tmp_path):
