@@ -104,21 +104,40 @@ def train(
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
     device = local_device(settings.device)
-    out = Path(out)
-    with _threads(settings.threads), join_world(device) as world, contextlib.ExitStack() as stack:
-        detectors = [detector.to(device) for detector in detectors]
-        bank = make_bank(bodies, settings, device)
-        require_visible_logo(bank, logo.face_ids, bodies.pose_count, settings)
-        states = [state_hash(detector) for detector in detectors]
-        config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size)
+    try:
+        with _threads(settings.threads), join_world(device) as world:
+            return _train(settings, bodies, logo, detectors, backgrounds, Path(out), resume, on_event, inputs, world)
+    except LostProcess as lost:
+        raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
+
+
+def _train(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    detectors: Sequence[Detector],
+    backgrounds: Backgrounds,
+    out: Path,
+    resume: bool,
+    on_event: OnEvent | None,
+    inputs: Mapping[str, str] | None,
+    world: World,
+) -> RunResult:
+    device = local_device(settings.device)
+    detectors = [detector.to(device) for detector in detectors]
+    bank = make_bank(bodies, settings, device)
+    require_visible_logo(bank, logo.face_ids, bodies.pose_count, settings)
+    states = [state_hash(detector) for detector in detectors]
+    config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size)
+    with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.max_seconds))
         sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
         batcher = Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)
         result = Trainer(run, batcher, bodies, logo, detectors, on_event, world).run_to_end(stop)
-        for detector, state in zip(detectors, states, strict=True):
-            if state_hash(detector) != state:
-                raise RuntimeError(f"detector {detector.spec} changed during training")
+    for detector, state in zip(detectors, states, strict=True):
+        if state_hash(detector) != state:
+            raise RuntimeError(f"detector {detector.spec} changed during training")
     return result
 
 

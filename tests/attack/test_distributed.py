@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.scene.exchange import read_colors
