@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.training import TrainingError, train
@@ -207,7 +208,8 @@ def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path)
     whole = attempt(tmp_path / "whole")
     with pytest.raises(InputError, match="image 3: no such file"):
         attempt(tmp_path / "run", lambda e: missing.touch() if (e["type"], e["step"]) == ("step", 3) else None)
-    assert (tmp_path / "run" / "checkpoint" / "step-00000003").exists()
+    # The next batch may have been built already.
+    assert load_checkpoint(tmp_path / "run" / "checkpoint")[0].step in (3, 4)
     missing.unlink()
     assert np.array_equal(attempt(tmp_path / "run", resume=True).colors, whole.colors)
 
