@@ -22,14 +22,20 @@ COMMANDS: dict[str, str] = {
     "report": "evaluate:Report",
     "demo": "demo:Demo",
     "scene import": "scene:Import",
+    "scene import-smpl": "scene:ImportSmpl",
     "scene sample": "scene:Sample",
     "scene info": "scene:Info",
     "logo select": "logo:Select",
     "logo project": "logo:Project",
     "logo heatmap": "logo:Heatmap",
+    "logo transfer": "logo:Transfer",
+    "print": "printing:Print",
+    "reproduce": "reproduce:Reproduce",
     "detectors check": "detectors:Check",
     "detectors train-builtin": "detectors:TrainBuiltin",
     "bench views": "bench:Views",
+    "bench step": "bench:Step",
+    "bench detectors": "bench:Detectors",
 }
 """Command words -> module:class in cloak_core.commands; imported only when asked for, so that `--help` is quick."""
 

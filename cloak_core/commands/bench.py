@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from cloak_core.commands.base import Command, out
+from tyro.conf import UseAppendAction
+
+from cloak_core.commands.base import Command, open_scene, out
 
 
 @dataclass(kw_only=True)
@@ -31,3 +33,76 @@ class Views(Command):
         out.print(f"{result['samples']} sample(s) per pixel, {result['threads']} threads; ms per view")
         for key, name in (("visibility_ms", "visibility"), ("new_view_ms", "new view"), ("cached_ms", "cached")):
             out.print(f"{name:<12} median {result[key]['median']:8.3f}   min {result[key]['min']:8.3f}")
+
+
+@dataclass(kw_only=True)
+class Step(Command):
+    """Time a training step beside its floor: the detector's forward and input-backward on a ready batch."""
+
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors, each timed alone (default: builtin)."""
+    scene: str = "sample:train"
+    """Scene folder, .npz, or sample[:train]."""
+    backgrounds: str = "procedural:train"
+    """Folder of images, or procedural[:train]."""
+    batch: int = 8
+    """Images per update."""
+    distance: str = "2.2"
+    """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
+    threads: int = 2
+    """Threads torch may use."""
+    repeats: int = 20
+    """Timed repetitions behind each median."""
+    device: str = "cpu"
+    """Torch device."""
+
+    def run(self) -> dict:
+        from cloak_core.attack.settings import make_settings
+        from cloak_core.bench.step import run_bench_step
+        from cloak_core.detectors.loading import load_detector
+        from cloak_core.scene.backgrounds import open_backgrounds
+
+        return run_bench_step(
+            open_scene(self.scene),
+            [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
+            open_backgrounds(self.backgrounds),
+            settings=make_settings("best", batch=self.batch, distance=self.distance, device=self.device),
+            threads=self.threads,
+            repeats=self.repeats,
+        )
+
+    def show(self, result: dict) -> None:
+        for spec, figures in result.items():
+            out.print(
+                f"{spec}: floor {figures['floor_ms']:.1f} ms, step {figures['step_ms']:.1f} ms, ratio "
+                f"{figures['ratio']:.3f}; {figures['overhead_ms_per_image']:.2f} ms per image beside the detector",
+                markup=False,
+            )
+
+
+@dataclass(kw_only=True)
+class Detectors(Command):
+    """Time detectors as Cloak runs them beside the same models used naively."""
+
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors to time (default: builtin)."""
+    batch: int = 4
+    """Images at once."""
+    threads: int = 2
+    """Threads torch may use."""
+    repeats: int = 9
+    """Timed repetitions behind each median."""
+    device: str = "cpu"
+    """Torch device."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.detectors import run_bench_detectors
+
+        specs = self.detector or ("builtin",)
+        return run_bench_detectors(
+            specs, batch=self.batch, threads=self.threads, repeats=self.repeats, device=self.device
+        )
+
+    def show(self, result: dict) -> None:
+        for spec, figures in result.items():
+            out.print(f"{spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()), markup=False)

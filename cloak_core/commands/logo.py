@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import tyro
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.errors import InputError
@@ -147,3 +148,48 @@ class Heatmap(Command):
         out.print(f"wrote {result['heat']}: {result['seen']} of {result['faces']} faces move the score", markup=False)
         if "out" in result:
             show_logo(result)
+
+
+@dataclass(kw_only=True)
+class Transfer(Command):
+    """Carry a logo, and a run's trained colours, onto a body of another topology."""
+
+    source: Annotated[str, tyro.conf.arg(name="from")]
+    """Scene that the logo belongs to: scene folder, .npz, or sample."""
+    target: Annotated[str, tyro.conf.arg(name="to")]
+    """Scene to carry it onto."""
+    logo: Path
+    """Face list on the source (.npy)."""
+    out: Path
+    """Face list to write; trained colours go beside it, as NAME-colors.npy."""
+    colors: Path | None = None
+    """Run folder whose colours come along."""
+
+    def run(self) -> dict:
+        from cloak_core.output.transfer import transfer_logo
+        from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, write_colors
+
+        painted = self.out.with_name(self.out.stem + "-colors.npy")
+        for path in [self.out] + [painted] * (self.colors is not None):
+            require_new(path)
+        source, target = open_scene(self.source), open_scene(self.target)
+        ids = face_ids(read_face_list(self.logo, source), source)
+        colors = None if self.colors is None else read_colors(self.colors / "colors.npy", len(ids))
+        moved = transfer_logo(source, ids, target, colors)
+        result = write_logo(self.out, target, moved.face_ids)
+        if moved.colors is not None:
+            write_colors(painted, moved.colors)
+            result["colors"] = str(painted)
+        return result | {
+            "coverage": moved.coverage,
+            "largest_distance": moved.largest_distance,
+            "unplaced": len(moved.unplaced),
+        }
+
+    def show(self, result: dict) -> None:
+        show_logo(result)
+        out.print(
+            f"{result['coverage']:.1%} of the logo's area found a place, at most "
+            f"{result['largest_distance'] * 100:.1f} cm away; {result['unplaced']} faces did not",
+            markup=False,
+        )

@@ -61,6 +61,37 @@ class Import(Command):
 
 
 @dataclass(kw_only=True)
+class ImportSmpl(Command):
+    """Make a scene from your own SMPL, SMPL+H or SMPL-X model file and a file of poses."""
+
+    model: Path
+    """Model file, .npz or the original .pkl (read without running anything in it)."""
+    poses: Path
+    """Poses: AMASS-like .npz, SURREAL _info.mat, .npy or .csv rows of 72 pose and 10 shape numbers."""
+    out: Path
+    """Scene folder to write."""
+    every: int = 1
+    """Take each n-th pose."""
+    limit: int | None = None
+    """At most so many poses."""
+    subdivide: int = 0
+    """Levels of midpoint subdivision."""
+
+    def run(self) -> dict:
+        from cloak_core.scene.bodies import subdivide
+        from cloak_core.scene.smpl import import_smpl
+
+        require_new(self.out)
+        bodies = import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
+        if self.subdivide:
+            bodies, _ = subdivide(bodies, self.subdivide)
+        write_scene(self.out, bodies)
+        return {"out": str(self.out), **describe(bodies)}
+
+    show = staticmethod(show_scene)
+
+
+@dataclass(kw_only=True)
 class Sample(Command):
     """Write the embedded sample bodies as a scene."""
 
@@ -86,8 +117,18 @@ class Info(Command):
 
     scene: Positional[str]
     """Scene folder, .npz, or sample[:train|unseen]."""
+    distance: float = 2.2
+    """Camera distance, in metres, at which the projected face areas are told."""
 
     def run(self) -> dict:
-        return describe(open_scene(self.scene))
+        from dataclasses import asdict
 
-    show = staticmethod(show_scene)
+        from cloak_core.scene.cameras import Camera
+        from cloak_core.scene.resolution import resolution
+
+        bodies = open_scene(self.scene)
+        return describe(bodies) | {"resolution": asdict(resolution(bodies, Camera(distance=self.distance)))}
+
+    def show(self, result: dict) -> None:
+        show_scene(result)
+        out.print(f"resolution {result['resolution']['hint']}", markup=False)

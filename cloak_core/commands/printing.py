@@ -1,0 +1,60 @@
+"""`cloak print`: the trained colours onto cloth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from cloak_core.commands.base import Command, open_scene, out
+from cloak_core.commands.evaluate import read_run
+from cloak_core.errors import InputError
+from cloak_core.scene.exchange import face_ids, read_colors, read_face_list
+
+
+@dataclass(kw_only=True)
+class Print(Command):
+    """Lay a run's logo out flat at true size: texture, textured body (GLB, OBJ) and sheets to print and cut (PDF)."""
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote."""
+    out: Path
+    """New folder to write."""
+    scene: str | None = None
+    """The body, in its first pose: scene folder, .npz, or sample (default: what the run was trained on)."""
+    dpi: int = 150
+    """Pixels per inch of the texture and the sheets."""
+    page: Literal["A4", "A3"] = "A4"
+    """Paper of the sheets."""
+    project: bool = False
+    """Replace colours that a four-colour printer cannot mix by the nearest that it can."""
+
+    def run(self) -> dict:
+        from cloak_core.output.printing import print_logo
+
+        config = read_run(self.run_folder)
+        scene = self.scene or config.get("inputs", {}).get("scene")
+        if not scene:
+            raise InputError("--scene: say which body (the run does not record it)")
+        bodies = open_scene(scene)
+        ids = face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies)
+        colors = read_colors(self.run_folder / "colors.npy", len(ids))
+        report = print_logo(
+            bodies,
+            ids,
+            colors,
+            self.out,
+            dpi=self.dpi,
+            page=self.page,
+            project=self.project,
+            title=self.run_folder.resolve().name,
+        )
+        return {"out": str(self.out)} | report
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['out']}", markup=False)
+        for key, value in result.items():
+            if isinstance(value, (int, float, str)) and key != "out":
+                out.print(f"{key.replace('_', ' '):<28} {value}", markup=False)

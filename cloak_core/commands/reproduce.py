@@ -1,0 +1,67 @@
+"""`cloak reproduce`: the paper's tables and figures, and experiments of our own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional, UseAppendAction
+
+from cloak_core.commands.base import Command, Stopped, err, out
+
+
+@dataclass(kw_only=True)
+class Reproduce(Command):
+    """Run one of the paper's experiments, or `all` of them, and write numbers, figures and words."""
+
+    name: Positional[str]
+    """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, cost, or all."""
+    out: Path
+    """Folder for results and shared trainings; an interrupted one goes on."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors, as in cloak train (default: builtin)."""
+    scene: str = "sample"
+    """Bodies: scene folder, .npz, or sample."""
+    unseen: str | None = None
+    """Bodies to test on (default: every second one of --scene, or the sample bodies kept back)."""
+    backgrounds: str = "procedural"
+    """Folder of images, or procedural."""
+    unseen_backgrounds: str | None = None
+    """Backgrounds to test on (default: every second one of --backgrounds)."""
+    quick: bool = False
+    """Fewer steps, angles, images and seeds."""
+    steps: int | None = None
+    """Updates of every training (default: 300 with --quick, else what the preset says)."""
+    preset: str = "best"
+    """Training preset."""
+    device: str = "cpu"
+    """Torch device."""
+
+    def run(self) -> dict:
+        from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
+        from cloak_core.evaluate.experiments.materials import open_materials
+        from cloak_core.evaluate.experiments.page import make_page
+        from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
+
+        materials = open_materials(
+            self.detector or ("builtin",),
+            scene=self.scene,
+            unseen=self.unseen,
+            backgrounds=self.backgrounds,
+            unseen_backgrounds=self.unseen_backgrounds,
+            device=self.device,
+        )
+        options = Options(out=self.out, quick=self.quick, preset=self.preset, steps=self.steps, device=self.device)
+        lab = Lab(materials, options, lambda message: err.print(message, markup=False))
+        try:
+            done = {name: run_experiment(name, lab) for name in (EXPERIMENTS if self.name == "all" else [self.name])}
+        except Interrupted as stop:
+            raise Stopped(str(stop)) from None
+        return {"page": str(make_page(self.out)), "experiments": done}
+
+    def show(self, result: dict) -> None:
+        for name, record in result["experiments"].items():
+            out.print(f"{name}: {record['title']}", markup=False)
+            for line in record["words"]:
+                out.print(f"  {line}", markup=False)
+        out.print(f"wrote {result['page']}", markup=False)
