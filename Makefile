@@ -6,15 +6,15 @@ BIN := .venv/bin
 demo: .venv/.installed
 	$(BIN)/cloak demo --out runs/demo
 
-test: .venv/.installed-test
+test: .venv/.installed-test .venv-blender/.installed
 	$(BIN)/python -m pytest
 
 lint: .venv/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 
-extension: .venv/.installed-test
-	$(BIN)/python tools/build_extension.py
+extension: .venv/.installed-test .venv-blender/.installed
+	.venv-blender/bin/python tools/build_extension.py
 
 .venv/.installed: pyproject.toml tools/setup.sh
 	tools/setup.sh
@@ -23,3 +23,8 @@ extension: .venv/.installed-test
 .venv/.installed-test: pyproject.toml tools/setup.sh
 	tools/setup.sh test
 	touch $@ .venv/.installed
+
+# Blender as a Python package, in an environment of its own: it cannot share one with today's numpy and torch.
+.venv-blender/.installed: tools/setup_blender.sh | .venv/.installed-test
+	tools/setup_blender.sh
+	touch $@
