@@ -193,7 +193,7 @@ PRESETS: dict[str, dict[str, object]] = {
     },
     "best": {
         "epochs": None,
-        "steps": 1000,
+        "steps": 600,
         "contrast": "0.8:1.2",
         "brightness": "-0.1:0.1",
         "optimizer": "adam",
