@@ -1,0 +1,167 @@
+"""A logo and its colours from one body to another of other topology.
+
+Both bodies are taken in one pose each, preferably alike (standing). The source is scaled and moved onto the target: by
+landmarks where they are given, else by height, soles and the middle of the surface. Then every target face is asked
+which source faces lie closest under it, facing the same way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Integer
+
+from cloak_core.errors import InputError
+from cloak_core.output.nearest import nearest_triangles
+from cloak_core.scene.bodies import area_vectors, face_areas, sum_by_face
+from cloak_core.scene.exchange import Bodies
+
+# Barycentric places inside a triangle that stand for its area, a quarter each.
+PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+
+Shares = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Pieces of area: the target face (its position in the result), the logo face below (its position), square metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """What became of a logo of L faces on the target."""
+
+    face_ids: np.ndarray
+    """[L'] int64, sorted: faces of the target whose area lies at least half on the logo."""
+    colors: np.ndarray | None
+    """[L', 3] float32: means of the source's colours, weighted by area."""
+    coverage: float
+    """Share of the source logo's area that found a place."""
+    largest_distance: float
+    """Metres, of the places found."""
+    unplaced: np.ndarray
+    """[U] int64: source faces without a place."""
+
+
+def transfer_logo(
+    source: Bodies,
+    face_ids: Integer[np.ndarray, " logo"],
+    target: Bodies,
+    colors: Float32[np.ndarray, "colors 3"] | None = None,
+    landmarks: tuple[np.ndarray, np.ndarray] | None = None,
+    poses: tuple[int, int] = (0, 0),
+    reach: float = 0.08,
+) -> Transfer:
+    """Carry a logo of `source` over to `target`.
+
+    landmarks: points [K, 3] on the source and the same points on the target, K >= 3; poses: of source and target;
+    reach: metres beyond which surfaces do not belong together. Raises `InputError` where nothing can be placed.
+    """
+    if colors is not None and len(colors) != len(face_ids):
+        raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
+    solid, goal = (b.vertices[p].astype(np.float64) for b, p in zip((source, target), poses, strict=True))
+    moved = align(solid, goal, landmarks) if landmarks else align_heights(source, target, poses)
+    position = np.full(source.face_count, -1)
+    position[face_ids] = np.arange(len(face_ids))
+    ids, shares = logo_under(target, goal, source, moved, position, reach)
+    if not len(ids):
+        raise InputError(f"no face of '{target.name}' lies within {reach:g} m of the logo on '{source.name}'")
+    unplaced, distance = missed(source, moved, face_ids, target, goal, reach)
+    areas = face_areas(source, poses[0])[face_ids]
+    placed = ~np.isin(face_ids, unplaced)
+    return Transfer(
+        face_ids=ids,
+        colors=None if colors is None else mixed(colors, shares, len(ids)),
+        coverage=float(areas[placed].sum() / areas.sum()),
+        largest_distance=distance,
+        unplaced=unplaced,
+    )
+
+
+def align_heights(source: Bodies, target: Bodies, poses: tuple[int, int]) -> Float[np.ndarray, "vertices 3"]:
+    """The source's vertices, as high as the target, soles level with soles, the middles of the surfaces in line."""
+    boxes, middles = [], []
+    for bodies, pose in zip((source, target), poses, strict=True):
+        vectors, centroid = area_vectors(bodies, pose)
+        area = np.linalg.norm(vectors, axis=1)
+        middles.append((centroid * area[:, None]).sum(axis=0) / area.sum())
+        y = bodies.vertices[pose][:, 1].astype(np.float64)
+        boxes.append((y.min(), y.max()))
+    scale = (boxes[1][1] - boxes[1][0]) / max(boxes[0][1] - boxes[0][0], 1e-9)
+    origin, goal = (np.array([m[0], box[0], m[2]]) for m, box in zip(middles, boxes, strict=True))
+    return (source.vertices[poses[0]] - origin) * scale + goal
+
+
+def align(
+    points: Float[np.ndarray, "vertices 3"], goal: Float[np.ndarray, "v 3"], landmarks: tuple[np.ndarray, np.ndarray]
+) -> Float[np.ndarray, "vertices 3"]:
+    """The similarity (scale, rotation, translation) that carries the landmarks onto each other best (Umeyama 1991)."""
+    here, there = (np.asarray(side, float) for side in landmarks)
+    if here.shape != there.shape or here.ndim != 2 or here.shape[1] != 3 or len(here) < 3:
+        raise InputError(
+            f"landmarks of shapes {here.shape} and {there.shape}: three or more points in pairs are needed"
+        )
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    turn = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    if s[1] < 1e-9 * max(s[0], 1e-30):
+        raise InputError("landmarks: the points lie on one line")
+    scale = (s * np.diag(turn)).sum() / (a**2).sum()
+    return scale * (points - here.mean(axis=0)) @ (u @ turn @ vt).T + there.mean(axis=0)
+
+
+def logo_under(
+    target: Bodies, goal: np.ndarray, source: Bodies, moved: np.ndarray, position: np.ndarray, reach: float
+) -> tuple[np.ndarray, Shares]:
+    """Target faces that lie on the logo [L'], and which logo faces lie under them."""
+    triangles, solid = goal[target.triangles], moved[source.triangles]
+    logo = position[source.triangle_face] >= 0
+    low, high = (f(solid[logo], axis=(0, 1)) for f in (np.min, np.max))
+    near = ((triangles.max(axis=1) > low - reach) & (triangles.min(axis=1) < high + reach)).all(axis=1)
+    around = ((solid.max(axis=1) > low - 3 * reach) & (solid.min(axis=1) < high + 3 * reach)).all(axis=1)
+    if not near.any():
+        empty = np.zeros(0, np.int64)
+        return empty, (empty, empty, np.zeros(0))
+    points = np.einsum("pk,tkc->tpc", PLACES, triangles[near]).reshape(-1, 3)
+    cross = np.cross(triangles[near, 1] - triangles[near, 0], triangles[near, 2] - triangles[near, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    normals = np.repeat(cross / np.maximum(2 * area, 1e-30)[:, None], len(PLACES), axis=0)
+    found = nearest_triangles(points, normals, solid[around], reach)
+    face = np.where(found.triangle >= 0, position[source.triangle_face[around][found.triangle]], -1)
+    weight = np.repeat(area / len(PLACES), len(PLACES))
+    owner = np.repeat(target.triangle_face[near], len(PLACES))
+    total = sum_by_face(target, np.linalg.norm(np.cross(*edges(triangles)), axis=1) / 2)
+    on_logo = np.bincount(owner[face >= 0], weights=weight[face >= 0], minlength=target.face_count)
+    ids = np.flatnonzero((on_logo >= 0.5 * total) & (on_logo > 0)).astype(np.int64)
+    row = np.full(target.face_count, -1)
+    row[ids] = np.arange(len(ids))
+    use = (face >= 0) & (row[owner] >= 0)
+    return ids, (row[owner[use]], face[use], weight[use])
+
+
+def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -> Float32[np.ndarray, "places 3"]:
+    """Means of the logo's colours over each of `count` target faces, by area."""
+    row, face, weight = shares
+    total = np.maximum(np.bincount(row, weights=weight, minlength=count), 1e-30)
+    channels = [np.bincount(row, weights=weight * colors[face, c], minlength=count) / total for c in range(3)]
+    return np.clip(np.stack(channels, axis=1), 0, 1).astype(np.float32)
+
+
+def edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+
+
+def missed(
+    source: Bodies, moved: np.ndarray, face_ids: np.ndarray, target: Bodies, goal: np.ndarray, reach: float
+) -> tuple[np.ndarray, float]:
+    """Logo faces without a surface of the target in reach that faces their way, and the others' largest distance."""
+    mine = np.flatnonzero(np.isin(source.triangle_face, face_ids))
+    solid = moved[source.triangles[mine]]
+    cross = np.cross(*edges(solid))
+    normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
+    triangles = goal[target.triangles]
+    low, high = solid.min(axis=(0, 1)) - 2 * reach, solid.max(axis=(0, 1)) + 2 * reach
+    near = ((triangles.max(axis=1) > low) & (triangles.min(axis=1) < high)).all(axis=1)
+    if not near.any():
+        return np.asarray(face_ids, np.int64), 0.0
+    found = nearest_triangles(solid.mean(axis=1), normals, triangles[near], reach)
+    reached = found.triangle >= 0
+    lost = np.setdiff1d(face_ids, source.triangle_face[mine[reached]]).astype(np.int64)
+    return lost, float(found.distance[reached].max(initial=0))

@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+
+from cloak_core.errors import InputError
+from cloak_core.output.nearest import nearest_triangles, point_distances
+from cloak_core.output.transfer import transfer_logo
+from cloak_core.scene.bodies import face_areas, inner_edges
+from cloak_core.scene.exchange import Bodies, read_scene
+from cloak_core.scene.logo import select_region
+from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.subdivision import subdivide
+
+
+@pytest.fixture(scope="module")
+def body() -> Bodies:
+    return sample_bodies().select_poses([0])
+
+
+@pytest.fixture(scope="module")
+def other(body: Bodies) -> Bodies:
+    """The same shape in triangles of another cut, 7 % larger, somewhere else, its vertices shuffled."""
+    finer, _ = subdivide(Bodies(body.vertices, body.triangles[:, [2, 1, 0]][:, ::-1]))
+    order = np.random.default_rng(0).permutation(finer.vertex_count)
+    place = np.argsort(order)
+    return Bodies(finer.vertices[:, order] * np.float32(1.07) + np.float32([1, 2, 3]), place[finer.triangles])
+
+
+def neighbourhood(body: Bodies, ids: np.ndarray) -> np.ndarray:
+    """The faces and all that share an edge with them."""
+    pairs, _ = inner_edges(body, np.arange(body.face_count))
+    touching = np.isin(pairs, ids).any(axis=1)
+    return np.union1d(ids, pairs[touching])
+
+
+def test_there_and_back(body: Bodies, other: Bodies) -> None:
+    ids = select_region(body, "chest+thighs")
+    colors = np.random.default_rng(1).random((len(ids), 3)).astype(np.float32)
+    there = transfer_logo(body, ids, other, colors)
+    assert there.coverage > 0.999 and there.largest_distance < 1e-3 and not len(there.unplaced)
+    share = lambda bodies, faces: face_areas(bodies)[faces].sum() / face_areas(bodies).sum()
+    assert share(other, there.face_ids) == pytest.approx(share(body, ids), rel=0.02)
+    back = transfer_logo(other, there.face_ids, body, there.colors)
+    assert np.isin(ids, neighbourhood(body, back.face_ids)).mean() >= 0.95
+    assert np.isin(back.face_ids, ids).mean() >= 0.95
+    both = np.intersect1d(ids, back.face_ids)
+    lost = back.colors[np.searchsorted(back.face_ids, both)] - colors[np.searchsorted(ids, both)]
+    assert np.median(np.abs(lost)) < 0.02
+
+
+def test_a_body_onto_itself_is_the_same_logo(body: Bodies) -> None:
+    ids = select_region(body, "chest")
+    same = transfer_logo(body, ids, body, np.full((len(ids), 3), 0.25, np.float32))
+    assert np.array_equal(same.face_ids, ids)
+    assert np.allclose(same.colors, 0.25)
+
+
+def test_another_person_and_mesh(body: Bodies, shared) -> None:
+    target = read_scene(shared / "data" / "bodies_anny.npz")
+    ids = select_region(body, "chest+thighs")
+    there = transfer_logo(body, ids, target)
+    assert there.coverage > 0.9
+    areas = face_areas(target)
+    assert 0.1 < areas[there.face_ids].sum() / areas.sum() < 0.25
+    known = target.regions["chest_thighs"]
+    assert areas[there.face_ids][known[there.face_ids]].sum() / areas[there.face_ids].sum() > 0.7
+    back = transfer_logo(target, there.face_ids, body)
+    assert np.isin(ids, neighbourhood(body, back.face_ids)).mean() >= 0.95
+
+
+def test_front_faces_do_not_land_on_the_back(body: Bodies) -> None:
+    """However far the reach: chest and back are 20 cm apart, and face opposite ways."""
+    thin = Bodies(body.vertices * np.float32([1, 1, 0.5]), body.triangles, body.triangle_face)
+    there = transfer_logo(body, select_region(body, "chest"), thin, reach=0.25)
+    back = transfer_logo(body, select_region(body, "back"), thin, reach=0.25)
+    assert not np.intersect1d(there.face_ids, back.face_ids).size
+
+
+def test_what_the_target_lacks_is_named(body: Bodies) -> None:
+    """A target without its left thigh."""
+    left = body.regions["thighs"] & (body.vertices[0][body.loop_vertices.reshape(-1, 4)].mean(axis=1)[:, 0] > 0)
+    target = Bodies(body.vertices, body.triangles[~left[body.triangle_face]])
+    ids = select_region(body, "thighs")
+    there = transfer_logo(body, ids, target, landmarks=(body.vertices[0][:100], body.vertices[0][:100]), reach=0.02)
+    assert 0.4 < there.coverage < 0.65
+    assert left[there.unplaced].all() and len(there.unplaced) > 0.6 * left[ids].sum()
+
+
+def test_landmarks_undo_any_similarity(body: Bodies) -> None:
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = (2.5 * body.vertices[0] @ turn.T + [1, -2, 3]).astype(np.float32)
+    target = Bodies(moved[None], body.triangles, body.triangle_face)
+    ids = select_region(body, "chest")
+    marks = np.arange(0, body.vertex_count, 500)
+    there = transfer_logo(body, ids, target, landmarks=(body.vertices[0][marks], moved[marks]))
+    assert np.array_equal(there.face_ids, ids)
+
+
+def test_bad_input(body: Bodies) -> None:
+    ids = select_region(body, "chest")
+    far = Bodies(body.vertices + np.float32([0, 0, 9]), body.triangles)
+    line = np.arange(9.0).reshape(3, 3)
+    with pytest.raises(InputError, match="no face"):
+        transfer_logo(body, ids, far, landmarks=(body.vertices[0][:9], body.vertices[0][:9]))
+    with pytest.raises(InputError, match="landmarks of shapes"):
+        transfer_logo(body, ids, body, landmarks=(line[:2], line[:2]))
+    with pytest.raises(InputError, match="one line"):
+        transfer_logo(body, ids, body, landmarks=(line, line))
+    with pytest.raises(InputError, match="colours for 2"):
+        transfer_logo(body, ids, body, np.zeros((2, 3), np.float32))
+
+
+def test_point_distances() -> None:
+    triangle = np.array([[[0, 0, 0], [2, 0, 0], [0, 2, 0]]], float)
+    points = np.array([[0.5, 0.5, 3], [3, 0, 4], [-1, -1, 0], [2, 2, 0], [1, -2, 0]], float)
+    expected = [3, np.hypot(1, 4), np.sqrt(2), np.sqrt(2), 2]
+    assert np.allclose(point_distances(points, np.repeat(triangle, 5, axis=0)), expected)
+    flat = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], float)
+    assert np.allclose(point_distances(np.array([[1.0, 2, 0]]), flat), 2)
+
+
+def test_nearest_needs_the_same_side() -> None:
+    up = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 1], [1, 0, 1], [0, 0, 1]]], float)
+    found = nearest_triangles(
+        np.array([[0.2, 0.2, 0.9]] * 3), np.array([[0, 0, 1], [0, 0, -1], [1, 0, 0]], float), up, reach=2.0
+    )
+    assert found.triangle.tolist() == [0, 1, -1]
+    assert np.allclose(found.distance[:2], [0.9, 0.1]) and np.isinf(found.distance[2])
