@@ -28,3 +28,5 @@ fi
 extras=${1:+"[$1]"}
 echo "installing cloak$extras into .venv (torch is large: a few minutes the first time)" >&2
 .venv/bin/python -m pip install -q --disable-pip-version-check -e ".$extras"
+# The public SMPL code, to check ours against; its own list of needs would bring chumpy and more, none of it needed.
+[ "${1:-}" != test ] || .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps smplx

@@ -79,7 +79,7 @@ class Project(Command):
     text: str | None = None
     """Text to stamp, such as G."""
     mask: Path | None = None
-    """Picture to stamp: its dark, opaque pixels are ink."""
+    """Picture to stamp. Ink: its opaque pixels where it has transparency, else its dark ones."""
     height: float | None = None
     """Height of the stamp in metres (default: fits the chest)."""
     center: tuple[float, float] | None = None

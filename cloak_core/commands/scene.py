@@ -46,12 +46,16 @@ class Import(Command):
     """Scene folder to write."""
     subdivide: int = 0
     """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
+    scale: float | None = None
+    """Metres in one unit of the files, 0.01 for centimetres (default: metres, refused where heights make no sense)."""
+    frames: int = 0
+    """Take this many moments of a glTF file's first animation as poses."""
 
     def run(self) -> dict:
         from cloak_core.scene.bodies import import_bodies, subdivide
 
         require_new(self.out)
-        bodies = import_bodies(self.files, self.out.name)
+        bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
         if self.subdivide:
             bodies, _ = subdivide(bodies, self.subdivide)
         write_scene(self.out, bodies)
