@@ -127,10 +127,10 @@ def _remember_faces(bm: bmesh.types.BMesh) -> None:
 
 
 def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
-    hidden = bm.faces.layers.bool.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
+    hidden = bm.faces.layers.int.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
     for face in bm.faces:
         face[hidden] = face.hide
-    corner = bm.verts.layers.bool.new("cloak_corner")
+    corner = bm.verts.layers.int.new("cloak_corner")
     for vert in bm.verts:
         vert[corner] = True
     has_ngons = any(len(f.verts) > 4 for f in bm.faces)
@@ -146,13 +146,13 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
     for face, flag in zip(bm.faces, flags, strict=True):
         if face.hide != flag:
             face.hide_set(flag)
-    bm.faces.layers.bool.remove(bm.faces.layers.bool["cloak_hidden"])
-    bm.verts.layers.bool.remove(bm.verts.layers.bool["cloak_corner"])
+    bm.faces.layers.int.remove(bm.faces.layers.int["cloak_hidden"])
+    bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
 
 
 def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
     """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
-    corner = bm.verts.layers.bool["cloak_corner"]
+    corner = bm.verts.layers.int["cloak_corner"]
     for face in [f for f in bm.faces if len(f.verts) > 4]:
         ring = list(face.verts)
         (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]

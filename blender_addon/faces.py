@@ -7,6 +7,8 @@ in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polyg
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,31 +64,55 @@ def _missing(obj: bpy.types.Object, name: str) -> str:
 # --- reading and writing, in both modes ------------------------------------------------------------------------------
 
 
+HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")
+"""Blender before 4.4 gives Python no boolean layers in Edit Mode; there, Edit Mode is left for a moment."""
+
+
+@contextmanager
+def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
+    """Object Mode during the block; selection and hiding come along."""
+    editing = obj.mode == "EDIT"
+    if editing:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    try:
+        yield
+    finally:
+        if editing:
+            bpy.ops.object.mode_set(mode="EDIT")
+
+
+def readable(obj: bpy.types.Object) -> bool:
+    """Whether logos can be read now without changing the mode: what a draw function must not do."""
+    return obj.mode != "EDIT" or HAS_LAYERS
+
+
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
     mesh = obj.data
-    if obj.mode == "EDIT":
+    if obj.mode == "EDIT" and HAS_LAYERS:
         bm = bmesh.from_edit_mesh(mesh)
         layer = bm.faces.layers.bool[name]
         return np.fromiter((face[layer] for face in bm.faces), bool, len(bm.faces))
-    mask = np.empty(len(mesh.polygons), bool)
-    mesh.attributes[name].data.foreach_get("value", mask)
+    with _object_mode(obj):
+        mask = np.empty(len(mesh.polygons), bool)
+        mesh.attributes[name].data.foreach_get("value", mask)
     return mask
 
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Set the logo `name` to `mask`, making it where there is none."""
     mesh = obj.data
-    if obj.mode == "EDIT":
+    if obj.mode == "EDIT" and HAS_LAYERS:
         bm = bmesh.from_edit_mesh(mesh)
         layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
         for face, flag in zip(bm.faces, mask.tolist(), strict=True):
             face[layer] = flag
         bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
         return
-    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "BOOLEAN", "FACE")
-    attribute.data.foreach_set("value", np.ascontiguousarray(mask, bool))
-    mesh.update_tag()
+    with _object_mode(obj):
+        attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "BOOLEAN", "FACE")
+        attribute.data.foreach_set("value", np.ascontiguousarray(mask, bool))
+        mesh.update_tag()
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
@@ -157,12 +183,8 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
 
 def remove_logo(obj: bpy.types.Object, name: str) -> None:
     """Take the logo off the mesh; its faces stay as they are."""
-    if obj.mode == "EDIT":
-        bm = bmesh.from_edit_mesh(obj.data)
-        bm.faces.layers.bool.remove(bm.faces.layers.bool[name])
-        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-        return
-    obj.data.attributes.remove(obj.data.attributes[name])
+    with _object_mode(obj):
+        obj.data.attributes.remove(obj.data.attributes[name])
 
 
 def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:

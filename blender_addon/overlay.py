@@ -47,6 +47,8 @@ def active_stats(obj: bpy.types.Object) -> LogoStats | None:
     key = _key(obj)
     if key is None:
         return None
+    if _stats[0] != key and not faces.readable(obj):
+        return _stats[1]  # as it was before Edit Mode
     if _stats[0] != key:
         _stats = (key, faces.logo_stats(obj, faces.read_faces(obj, key.logo)))
     return _stats[1]
@@ -100,7 +102,7 @@ def _draw() -> None:
     if not bpy.context.space_data.overlay.show_overlays or not obj.data.polygons:
         return
     key = _key(obj)
-    if key is None or _wears_cloak(obj):
+    if key is None or _wears_cloak(obj) or not faces.readable(obj):
         return
     shader = gpu.shader.from_builtin("UNIFORM_COLOR")
     if _batch[0] != key:

@@ -24,6 +24,7 @@ _PROBE = (
     "import importlib.util as u, sys; "
     "sys.exit(0 if all(u.find_spec(m) for m in ('cloak_core', 'torch', 'numpy')) else 9)"
 )
+NO_TRAINER = 9
 _ABOUT = """
 import json, platform
 import cloak_core, torch
@@ -61,17 +62,23 @@ def candidates() -> list[str]:
     return list(dict.fromkeys(place for place in places if place and os.access(place, os.X_OK)))
 
 
-def has_trainer(python: str) -> bool:
-    """Whether this Python has everything the trainer needs; takes a tenth of a second."""
+def trainer_reason(python: str) -> str:
+    """Why this Python cannot train; "" when it has everything. Takes a tenth of a second."""
     try:
-        return _ask(python, _PROBE, timeout=20).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
+        answer = _ask(python, _PROBE, timeout=20)
+    except OSError as error:
+        return f"cannot be run ({error.strerror})"
+    except subprocess.TimeoutExpired:
+        return "does not answer"
+    if answer.returncode == 0:
+        return ""
+    said = answer.stderr.strip().splitlines()
+    return "has no cloak_core" if answer.returncode == NO_TRAINER or not said else f"does not work: {said[-1][:200]}"
 
 
 @functools.lru_cache(maxsize=1)
 def _first_found() -> str:
-    return next((python for python in candidates() if has_trainer(python)), "")
+    return next((python for python in candidates() if not trainer_reason(python)), "")
 
 
 def find_python(chosen: str = "") -> str:
@@ -82,11 +89,10 @@ def find_python(chosen: str = "") -> str:
     if chosen:
         path = shutil.which(os.path.expanduser(chosen))
         if path is None:
-            raise InputError(f"Trainer's Python '{chosen}' cannot be run: choose another in the add-on's preferences")
-        if not has_trainer(path):
-            raise InputError(
-                f"Python '{chosen}' has no cloak_core: install it there, or choose another in the preferences"
-            )
+            raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
+        reason = trainer_reason(path)
+        if reason:
+            raise InputError(f"Python '{chosen}' {reason}: install it there, or choose another in the preferences")
         return path
     python = _first_found()
     if not python:

@@ -30,6 +30,15 @@ MODULE = "bl_ext.user_default.cloak"
 STUB = Path(__file__).parent / "stub"
 
 
+def blender_command(script: Path, *arguments: object) -> list[str]:
+    """Another Blender of this kind, without a window, that runs a script."""
+    words = ["--", *map(str, arguments)]
+    if bpy.app.binary_path:
+        options = ["-b", "--factory-startup", "--python-exit-code", "9", "-P", str(script)]
+        return [bpy.app.binary_path, *options, *words]
+    return [sys.executable, str(script), *words]
+
+
 def pytest_configure() -> None:
     # The repository's own packages must not be found: what is tested is what was installed.
     sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != ROOT]

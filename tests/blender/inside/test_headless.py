@@ -1,14 +1,13 @@
 """`train.py` without a window, as users run it: exit codes, files, and the round trip with the real trainer."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from cloak import body, colors, faces, stamp
-from conftest import ROOT
+from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
 
 SCRIPT = ROOT / "blender_addon" / "train.py"
@@ -16,9 +15,10 @@ RED = Path(__file__).with_name("red_detector.py")
 
 
 def train(folder: Path, *arguments: object, python: object = None) -> subprocess.CompletedProcess:
-    words = [sys.executable, str(SCRIPT), "--", *map(str, arguments)]
-    words += ["--python", str(python)] if python else []
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    words = [*arguments, *(["--python", python] if python else [])]
+    return subprocess.run(
+        blender_command(SCRIPT, *words), cwd=folder, capture_output=True, text=True, timeout=300, check=False
+    )
 
 
 def save_body(folder: Path, ids, name: str = "chest") -> Path:
@@ -86,7 +86,7 @@ def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
     blend = save_body(tmp_path, [4, 5, 6])
     words = ["--blend", str(blend), "--logo", "chest", "--out", "RUN", "--steps", "40", "--python", str(stub)]
     monkeypatch.setenv("CLOAK_STUB", "slow")
-    process = subprocess.Popen([sys.executable, str(SCRIPT), "--", *words], cwd=tmp_path, stderr=subprocess.PIPE)
+    process = subprocess.Popen(blender_command(SCRIPT, *words), cwd=tmp_path, stderr=subprocess.PIPE)
     until = time.monotonic() + 60
     while not (tmp_path / "RUN" / "step.txt").exists() and time.monotonic() < until:
         time.sleep(0.05)

@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
@@ -14,7 +16,7 @@ from cloak import body, colors, faces, runs, steps, training_job
 from cloak.exchange import InputError
 from cloak.preferences import preferences
 from cloak.training_job import Job, Progress, TrainingJob, take_event
-from conftest import MODULE, run_job
+from conftest import MODULE, blender_command, run_job
 from made import make_egg, set_mode
 
 IDS = [10, 20, 30, 333]
@@ -110,8 +112,6 @@ def test_the_trainers_last_words_reach_the_panel(ready, monkeypatch, how, words)
     bpy.ops.cloak.train_start()
     job = run_job()
     assert job.state == "failed"
-    import re
-
     assert re.search(words, job.message) and "\n" not in job.message
     assert "Cloak" not in ready.data.color_attributes
 
@@ -288,9 +288,7 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
             setattr(settings, key, value)
         with pytest.raises(RuntimeError, match=words):
             bpy.ops.cloak.train_start()
-        import re
-
-        assert re.search(words, steps.train_reason(bpy.context))
+            assert re.search(words, steps.train_reason(bpy.context))
         for key, value in before.items():
             setattr(settings, key, value)
 
@@ -348,19 +346,19 @@ bpy.ops.cloak.train_start()
 while training_job.current.progress.step < 2:
     training_job.tick(); time.sleep(0.01)
 bpy.ops.wm.save_mainfile()
-print("pid", training_job.current._process.pid, flush=True)
+print("trainer is process", training_job.current._process.pid, flush=True)
 import addon_utils
 if "quit" in {how!r}:
     addon_utils.disable_all()  # what Blender does when it closes
     os._exit(0)
 {how if "kill" in how else "pass"}
 """
-        import subprocess
-        import sys
-
-        other = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
-        assert "pid" in other.stdout, other.stdout + other.stderr
-        pid = int(other.stdout.split("pid")[1].split()[0])
+        (tmp_path / "other.py").write_text(script)
+        command = blender_command(tmp_path / "other.py")
+        other = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        said = re.search(r"trainer is process (\d+)", other.stdout)
+        assert said, other.stdout + other.stderr
+        pid = int(said[1])
         if "kill" in how:  # nobody was left to end the trainer: it goes on by itself, and loses nothing
             os.kill(pid, signal.SIGTERM)
         until = time.monotonic() + 10
