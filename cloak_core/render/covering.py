@@ -75,6 +75,17 @@ class SampleGrid:
         return low.clamp_(min=first), high.clamp_(max=first + count - 1)
 
 
+class PixelGrid(SampleGrid):
+    """The pixels themselves as the grid: a triangle's box holds every pixel that it touches."""
+
+    def __init__(self, window: Window) -> None:
+        super().__init__(window, 1)
+
+    def _span(self, position: Int32[Tensor, "3 N"], first: int, count: int) -> tuple[Tensor, Tensor]:
+        low, high = position.amin(0) >> self.shift, (position.amax(0) - 1) >> self.shift
+        return low.clamp_(min=first), high.clamp_(max=first + count - 1)
+
+
 @dataclass(frozen=True)
 class Candidates:
     """M of a soup's N triangles that may cover a sample, each with the samples in its box."""

@@ -32,6 +32,7 @@ from cloak_core.render.covering import (
     DEPTH_BITS,
     EXACT_EXTENT,
     ID_BITS,
+    Candidates,
     SampleGrid,
     Setup,
     Soup,
@@ -102,8 +103,8 @@ def rasterize(
     samples = SampleGrid(window, grid)
     if keys.numel():
         flat = keys.view(-1)
-        for setup in _setups(screen, triangles, samples, [False] * len(keys) if cull is None else cull.tolist()):
-            for rows in setup.rows():
+        for chunk in candidates(screen, triangles, samples, cull):
+            for rows in Setup.build(samples, chunk.soup, chunk.found, chunk.view, chunk.ids, chunk.exact).rows():
                 for index, key in rows.hits():
                     flat.scatter_reduce_(0, index, key, "amin")
     return Visibility(keys, window, screen.width, screen.height, grid)
@@ -120,15 +121,29 @@ def bounding_window(screen: Screen) -> Window:
     return Window(left, top, right, bottom)
 
 
-def _setups(screen: Screen, triangles: Int64[Tensor, "3 T"], samples: SampleGrid, cull: list[bool]) -> Iterator[Setup]:
-    """All triangles that may cover a sample, chunk by chunk."""
+@dataclass(frozen=True)
+class Chunk:
+    """Some candidates of a soup: M triangles that may matter, whose edge functions are exact in `exact`."""
+
+    soup: Soup
+    found: Candidates
+    view: Int64[Tensor, " M"] | None
+    """None: there is only one."""
+    ids: Int64[Tensor, " M"]
+    exact: torch.dtype
+
+
+def candidates(
+    screen: Screen, triangles: Int64[Tensor, "3 T"], grid: SampleGrid, cull: Bool[Tensor, " B"] | None
+) -> Iterator[Chunk]:
+    """All triangles, clipped where they must be, that have area, are not culled and whose box meets the grid."""
     batch, vertex_count = screen.x.shape
     x0, x1, y0, y1 = screen.bounds
     small = screen.safe is None and max(x1 - x0, y1 - y0) < EXACT_EXTENT
     size = max(1, CHUNK // batch)
-    device = triangles.device
-    base = torch.arange(batch, device=device).unsqueeze(-1) * vertex_count
-    culled = cull[0] if len(set(cull)) == 1 else torch.tensor(cull, device=device)
+    base = torch.arange(batch, device=triangles.device).unsqueeze(-1) * vertex_count
+    culled = [False] if cull is None else cull.tolist()
+    culled = culled[0] if len(set(culled)) == 1 else cull.to(triangles.device)
     for start in range(0, triangles.shape[1], size):
         corner = triangles[:, start : start + size]
         if batch > 1:
@@ -137,16 +152,16 @@ def _setups(screen: Screen, triangles: Int64[Tensor, "3 T"], samples: SampleGrid
         soup = Soup(_at(screen.x, corner), _at(screen.y, corner), corner, screen.nearness.view(-1))
         cut = None if screen.safe is None else ~_at(screen.safe, corner).all(0)
         back = culled if isinstance(culled, bool) else culled.repeat_interleave(per_view)
-        for found, exact in find_candidates(samples, soup, back, cut, small):
-            yield Setup.build(samples, soup, found, *_identify(found.index, per_view, batch, start), exact)
+        for found, exact in find_candidates(grid, soup, back, cut, small):
+            yield Chunk(soup, found, *_identify(found.index, per_view, batch, start), exact)
         if cut is not None:
             index = cut.nonzero().view(-1)
             view = torch.div(index, per_view, rounding_mode="floor")
             soup, owner = _clipped(screen, corner.index_select(1, index), view)
             back = culled if isinstance(culled, bool) else culled[view[owner]]
-            for found, exact in find_candidates(samples, soup, back, None, False):
+            for found, exact in find_candidates(grid, soup, back, None, False):
                 where = index[owner[found.index]]
-                yield Setup.build(samples, soup, found, *_identify(where, per_view, batch, start), exact)
+                yield Chunk(soup, found, *_identify(where, per_view, batch, start), exact)
 
 
 def _identify(index: Tensor, per_view: int, batch: int, start: int) -> tuple[Tensor | None, Tensor]:

@@ -14,10 +14,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
 from cloak_core.errors import InputError
+from cloak_core.render.area import SIDE, area_fragments
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
 from cloak_core.render.projection import Screen, project
 from cloak_core.render.rasterizer import Visibility, Window, bounding_window, rasterize
@@ -27,9 +28,10 @@ from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.exchange import Bodies
 
-DEFAULT_SAMPLES = 16
 GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 """Samples per pixel, and how many of them stand along a pixel's side."""
+AREA_SAMPLES = SIDE * SIDE
+"""Samples per pixel, in doubtful pixels alone, where coverage is measured by area."""
 BATCH_SAMPLES = 1 << 24
 """Samples held at once while views are built (8 bytes each)."""
 
@@ -110,7 +112,8 @@ class DressedView:
 class ViewBank:
     """Builds views of bodies and keeps the latest ones, up to a budget of memory.
 
-    bodies: the scene; light: see `Light`; samples: per pixel, 1, 4, 16 or 64; memory_bytes: for kept views.
+    bodies: the scene; light: see `Light`; memory_bytes: for kept views. samples: where absent, coverage is measured by
+    exact area (see area.py), the best there is for its time (docs/accuracy.md); 1, 4, 16 or 64 count samples instead.
     Raises `InputError` for another number of samples, and for a pose or an outfit that the scene does not have.
     """
 
@@ -118,13 +121,14 @@ class ViewBank:
         self,
         bodies: Bodies,
         light: Light | None = None,
-        samples: int = DEFAULT_SAMPLES,
+        samples: int | None = None,
         device: str | torch.device = "cpu",
         memory_bytes: int = 2 << 30,
     ) -> None:
-        if samples not in GRIDS:
+        if samples is not None and samples not in GRIDS:
             raise InputError(f"samples: {samples} per pixel; there are {', '.join(map(str, GRIDS))}")
-        self.bodies, self.light, self.samples = bodies, light or Light(), samples
+        self.bodies, self.light, self.samples = bodies, light or Light(), samples or AREA_SAMPLES
+        self.by_area = samples is None
         self.device = torch.device(device)
         put = lambda array, dtype: torch.from_numpy(np.ascontiguousarray(array)).to(self.device, dtype)
         self._triangles = put(bodies.triangles.T, torch.int64)
@@ -185,23 +189,31 @@ class ViewBank:
     def visibility(
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
-        """The nearest triangle at every sample. Bodies whose closed surface faces outwards drop their back faces,
-        except in views where the near plane cuts them open."""
+        """The nearest triangle at every sample."""
+        return rasterize(screen, self._triangles, GRIDS[self.samples], self._cull(wanted, screen), window)
+
+    def _cull(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Bool[Tensor, " B"]:
+        """Bodies whose closed surface faces outwards drop their back faces, except in views where the near plane cuts
+        them open."""
         cull = torch.from_numpy(self._outward[[pose for pose, _ in wanted]])
         if screen.safe is not None:
             cull &= (screen.view[2] >= screen.near).all(1).cpu()
-        return rasterize(screen, self._triangles, GRIDS[self.samples], cull, window)
+        return cull
 
     def _fragments(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Fragments:
         window = bounding_window(screen)
         per_row = max(1, (window.x1 - window.x0) * self.samples * len(screen.x))
         rows = max(1, BATCH_SAMPLES // per_row)
         if rows >= window.y1 - window.y0 or len(screen.x) > 1:
-            return merge_samples(self.visibility(wanted, screen, window))
-        bands = [
-            replace(window, y0=y, y1=min(y + rows, window.y1)) for y in range(window.y0, window.y1, rows)
-        ]  # one large view, band by band
-        return Fragments.join([merge_samples(self.visibility(wanted, screen, band)) for band in bands])
+            return self._band(wanted, screen, window)
+        tops = range(window.y0, window.y1, rows)  # one large view, band by band
+        bands = [replace(window, y0=y, y1=min(y + rows, window.y1)) for y in tops]
+        return Fragments.join([self._band(wanted, screen, band) for band in bands])
+
+    def _band(self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window) -> Fragments:
+        if self.by_area:
+            return area_fragments(screen, self._triangles, self._cull(wanted, screen), window)
+        return merge_samples(self.visibility(wanted, screen, window))
 
     def _view_space_light(self, wanted: Sequence[tuple[int, Camera]]) -> tuple[Tensor, Tensor]:
         """Vertex normals [3, B, V] and light positions [3, B], both turned into each view's space, float32."""
