@@ -33,7 +33,9 @@ GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 AREA_SAMPLES = SIDE * SIDE
 """Samples per pixel, in doubtful pixels alone, where coverage is measured by area."""
 BATCH_SAMPLES = 1 << 24
-"""Samples held at once while views are built (8 bytes each)."""
+"""Numbers of 8 bytes held at once while views are built."""
+PIECE_COST = 16
+"""Numbers held for each triangle where coverage is measured by area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +152,7 @@ class ViewBank:
         missing = [key for key, view in found.items() if view is None]
         for size in dict.fromkeys((camera.width, camera.height) for _, camera in missing):
             group = [key for key in missing if (key[1].width, key[1].height) == size]
-            count = max(1, BATCH_SAMPLES // (size[0] * size[1] * self.samples))
+            count = max(1, BATCH_SAMPLES // self._cost(size[0] * size[1]))
             for start in range(0, len(group), count):
                 part = group[start : start + count]
                 for key, view in zip(part, self.build(part), strict=True):
@@ -202,13 +204,20 @@ class ViewBank:
 
     def _fragments(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Fragments:
         window = bounding_window(screen)
-        per_row = max(1, (window.x1 - window.x0) * self.samples * len(screen.x))
+        height = max(1, window.y1 - window.y0)
+        per_row = max(1, self._cost(height * (window.x1 - window.x0)) // height)
         rows = max(1, BATCH_SAMPLES // per_row)
         if rows >= window.y1 - window.y0 or len(screen.x) > 1:
             return self._band(wanted, screen, window)
         tops = range(window.y0, window.y1, rows)  # one large view, band by band
         bands = [replace(window, y0=y, y1=min(y + rows, window.y1)) for y in tops]
         return Fragments.join([self._band(wanted, screen, band) for band in bands])
+
+    def _cost(self, pixels: int) -> int:
+        """What building one view takes, in numbers of 8 bytes held at once: samples, or pieces of triangles."""
+        if not self.by_area:
+            return pixels * self.samples
+        return 2 * pixels + PIECE_COST * self._triangles.shape[1]
 
     def _band(self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window) -> Fragments:
         if self.by_area:
