@@ -30,7 +30,9 @@ from cloak_core.errors import InputError
 from cloak_core.render.covering import DEPTH_BITS
 from cloak_core.render.projection import GRID, GUARD, Screen, project
 from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies
 
 HALF = GRID // 2
 
@@ -58,7 +60,8 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
                 wrong += mismatches(case, grid)
             worst = max(worst, depth_error(case))
         rows[name] = {"cases": count, "mismatches": wrong}
-    for name, check in CHECKS.items():
+    checks = CHECKS | ({"CPU against CUDA": _cuda} if torch.cuda.is_available() else {})
+    for name, check in checks.items():
         rows[name] = {"cases": 1, "mismatches": int(check())}
     total = lambda key: sum(row[key] for row in rows.values())
     return {
@@ -182,18 +185,29 @@ def _space(rng: np.random.Generator, spread: float, camera: Camera, flatten: flo
     return Case(screen, _rows(rng.integers(0, 30, (40, 3))))
 
 
-def _closed(rng: np.random.Generator) -> Case:
-    """An octahedron's subdivision around the camera's axis: its front covers each sample of the window once or never."""
-    from scipy.spatial import ConvexHull
+def _sphere(rng: np.random.Generator, levels: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """A closed, convex, outward body in a random orientation: an octahedron, subdivided. Vertices [V, 3], triangles."""
+    points = [np.array(p, float) for p in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))]
+    triangles = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
+    for _ in range(levels):
+        middle: dict[tuple[int, int], int] = {}
 
-    points = rng.normal(0, 1, (60, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    hull = ConvexHull(points)
-    a, b, c = (points[hull.simplices[:, i]] for i in range(3))
-    flipped = (np.cross(b - a, c - a) * a).sum(1) < 0
-    triangles = np.where(flipped[:, None], hull.simplices[:, ::-1], hull.simplices)
-    # So near and narrow that the body fills the image.
-    camera = Camera(distance=3.0, field_of_view=20.0, width=16, height=16, azimuth=float(rng.uniform(0, 360)))
+        def between(a: int, b: int, middle: dict = middle) -> int:
+            if (key := (min(a, b), max(a, b))) not in middle:
+                middle[key] = len(points)
+                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
+            return middle[key]
+
+        split = [(a, b, c, between(a, b), between(b, c), between(c, a)) for a, b, c in triangles]
+        triangles = [t for a, b, c, d, e, f in split for t in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))]
+    turn = np.linalg.qr(rng.normal(0, 1, (3, 3)))[0]
+    return np.array(points) @ (turn * np.linalg.det(turn)), np.array(triangles)
+
+
+def _closed(rng: np.random.Generator) -> Case:
+    """A convex body that fills the image: its front covers every sample exactly once."""
+    points, triangles = _sphere(rng)
+    camera = Camera(distance=3.0, field_of_view=20.0, width=16, height=16)
     screen = project(torch.from_numpy(points.T.copy()).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
     return Case(screen, _rows(triangles), cover=1, front_only=True, cull=True)
 
@@ -254,11 +268,26 @@ def _batch_and_threads() -> int:
 
 
 def _cuda() -> int:
-    if not torch.cuda.is_available():
-        return 0
     vertices, triangles = _body()
     cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
     return int((_keys(vertices, triangles, cameras) != _keys(vertices.cuda(), triangles.cuda(), cameras)).sum())
+
+
+def _images() -> int:
+    """Weights of views built together on four threads and alone on one, by more than 1e-6."""
+    points, triangles = _sphere(np.random.default_rng(2), 4)
+    bodies = Bodies(vertices=points[None], triangles=triangles)
+    keys = [(0, Camera(azimuth=a, distance=4.0, width=64, height=48)) for a in (0, 80)]
+    wrong = 0
+    for samples in (None, 4):
+        with torch_threads(4):
+            together = ViewBank(bodies, samples=samples).views(keys)
+        with torch_threads(1):
+            apart = [ViewBank(bodies, samples=samples).view(*key) for key in keys]
+        for a, b in zip(together, apart, strict=True):
+            same = torch.equal(a.pixels, b.pixels) and torch.equal(a.face, b.face)
+            wrong += int(((a.weight - b.weight).abs() > 1e-6).sum()) if same else len(a.weight)
+    return wrong
 
 
 def _million_in_one_pixel() -> int:
@@ -284,7 +313,7 @@ def _not_finite() -> int:
 
 CHECKS: dict[str, Callable[[], int]] = {
     "batch and thread independence": _batch_and_threads,
-    "CPU against CUDA": _cuda,
+    "images do not depend on batch and threads": _images,
     "a million triangles in a pixel": _million_in_one_pixel,
     "NaN and infinity are named": _not_finite,
 }
