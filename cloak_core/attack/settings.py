@@ -197,7 +197,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "contrast": "0.8:1.2",
         "brightness": "-0.1:0.1",
         "optimizer": "adam",
-        "lr": 0.02,
+        "lr": 0.05,
         "schedule": "cosine",
     },
 }
