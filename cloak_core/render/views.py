@@ -194,6 +194,11 @@ class ViewBank:
         """The nearest triangle at every sample."""
         return rasterize(screen, self._triangles, GRIDS[self.samples], self._cull(wanted, screen), window)
 
+    def visible(self, wanted: Sequence[tuple[int, Camera]]) -> Visibility | Fragments:
+        """What is seen, without its light: samples, or where coverage is measured by area, fragments."""
+        screen = self.screen(wanted)
+        return self._fragments(wanted, screen) if self.by_area else self.visibility(wanted, screen)
+
     def _cull(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Bool[Tensor, " B"]:
         """Bodies whose closed surface faces outwards drop their back faces, except in views where the near plane cuts
         them open."""
