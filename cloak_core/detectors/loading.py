@@ -57,8 +57,9 @@ def load_detector(
 ) -> Detector:
     """Load the detector that `spec` names, frozen, on `device`.
 
-    Specs: `builtin`; `darknet:CFG:WEIGHTS`; `torchvision:NAME[:CHECKPOINT]`; `python:FILE.py:FUNCTION`. At the end of
-    any, `@224` or `@HEIGHTxWIDTH` sets the network's input size and `@letterbox` (or `@416,letterbox`) keeps the aspect
+    Specs: `builtin`; `darknet:CFG:WEIGHTS`; `torchvision:NAME[:CHECKPOINT]`;
+    `transformers:DIRECTORY_OR_CACHED_NAME`; `onnx:FILE[:LAYOUT]`; `python:FILE.py:FUNCTION`. At the end of any,
+    `@224` or `@HEIGHTxWIDTH` sets the network's input size and `@letterbox` (or `@416,letterbox`) keeps the aspect
     ratio instead of stretching; the arguments `input_size` (a side, or (height, width)) and `letterbox` do the same and
     win. `person_class` is the class to look for, by name or index. `precision` "bfloat16" is for training only (see
     `Detector`); `fold=False` leaves batch norm and memory layout as they were trained, to measure against.
@@ -135,6 +136,29 @@ def _load_torchvision(request: Request) -> Detector:
     )
 
 
+def _load_transformers(request: Request) -> Detector:
+    from cloak_core.detectors.transformers_family import load_transformers
+
+    if request.letterbox or not request.rest:
+        raise InputError(f"detector {request.spec!r}: expected {FAMILIES[request.family].form}, without letterbox")
+    return load_transformers(
+        request.rest, spec=request.spec, input_size=request.input_size, person_class=request.person_class
+    )
+
+
+def _load_onnx(request: Request) -> Detector:
+    from cloak_core.detectors.onnx_model import load_onnx
+
+    file, *layout = request.parts(1, 2)
+    return load_onnx(
+        Path(file).expanduser(),
+        layout[0] if layout else None,
+        spec=request.spec,
+        input_size=request.input_size,
+        person_class=request.person_class,
+    )
+
+
 def _load_python(request: Request) -> Detector:
     from cloak_core.detectors.python_module import load_python
 
@@ -152,5 +176,7 @@ FAMILIES = {
     "builtin": Family("builtin", _load_builtin),
     "darknet": Family("darknet:CFG:WEIGHTS", _load_darknet),
     "torchvision": Family("torchvision:NAME[:CHECKPOINT]", _load_torchvision),
+    "transformers": Family("transformers:DIRECTORY_OR_CACHED_NAME", _load_transformers),
+    "onnx": Family("onnx:FILE[:LAYOUT]", _load_onnx),
     "python": Family("python:FILE.py:FUNCTION", _load_python),
 }

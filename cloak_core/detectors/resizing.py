@@ -27,12 +27,12 @@ class Placement:
 
 
 def fit(
-    images: Float[Tensor, "B 3 H W"], size: tuple[int, int], letterbox: bool = False
+    images: Float[Tensor, "B 3 H W"], size: tuple[int, int], letterbox: bool = False, fill: float = LETTERBOX_GREY
 ) -> tuple[Float[Tensor, "B 3 h w"], Placement]:
     """Resize images to `size` (height, width) as Darknet does: bilinear, corner on corner pixel, no antialiasing.
 
-    Stretches to the size; with `letterbox` keeps the aspect ratio, centred on grey. An image that has the size already
-    passes through unchanged.
+    Stretches to the size; with `letterbox` keeps the aspect ratio, centred on `fill`. An image that has the size
+    already passes through unchanged.
     """
     height, width = images.shape[-2:]
     inner = _letterbox_size((height, width), size) if letterbox else size
@@ -43,7 +43,7 @@ def fit(
         return images, placement
     left, top = (size[1] - inner[1]) // 2, (size[0] - inner[0]) // 2
     right, bottom = size[1] - inner[1] - left, size[0] - inner[0] - top
-    images = F.pad(images, (left, right, top, bottom), value=LETTERBOX_GREY)
+    images = F.pad(images, (left, right, top, bottom), value=fill)
     return images, Placement(placement.scale_x, placement.scale_y, float(left), float(top))
 
 

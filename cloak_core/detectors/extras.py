@@ -1,0 +1,24 @@
+"""Packages only some detector families need."""
+
+import importlib.util
+
+from cloak_core.errors import InputError
+
+EXTRAS = {"transformers": "transformers", "onnxruntime": "onnx"}
+"""Package -> the extra of this project that installs it."""
+
+
+def installed(package: str) -> bool:
+    """Whether a package can be imported, without importing it."""
+    return importlib.util.find_spec(package) is not None
+
+
+def install_command(package: str) -> str:
+    """What to type to get it."""
+    return f"pip install 'cloak-core[{EXTRAS[package]}]'"
+
+
+def require(package: str, spec: str) -> None:
+    """InputError with the pip command when a package that `spec` needs is missing."""
+    if not installed(package):
+        raise InputError(f"detector {spec!r} needs the package {package}: {install_command(package)}")

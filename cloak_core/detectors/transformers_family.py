@@ -1,0 +1,137 @@
+"""The DETR family, and whatever else transformers' AutoModelForObjectDetection loads; local files only."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors.classes import person_index
+from cloak_core.detectors.extras import require
+from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
+from cloak_core.errors import InputError
+
+IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+
+
+@dataclass(frozen=True)
+class Preprocessing:
+    """What a model's image processor does, differentiably: resize (antialiased, as PIL does), then normalise."""
+
+    size: tuple[int, int] | None
+    """(height, width) exactly; None for the short side below."""
+    short_side: int = 800
+    long_side: int = 1333
+    """Upper bound where the short side rules."""
+    mean: tuple[float, ...] = (0.0, 0.0, 0.0)
+    std: tuple[float, ...] = (1.0, 1.0, 1.0)
+
+    def __call__(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 h w"]:
+        size = self.size or self._by_short_side(images.shape[2], images.shape[3])
+        if size != tuple(images.shape[-2:]):
+            images = F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+        mean, std = (torch.tensor(v, device=images.device, dtype=images.dtype) for v in (self.mean, self.std))
+        return (images - mean[:, None, None]) / std[:, None, None]
+
+    def _by_short_side(self, height: int, width: int) -> tuple[int, int]:
+        short, long = sorted((height, width))
+        target = min(self.short_side, round(self.long_side * short / long))
+        scaled = int(target * long / short)
+        return (target, scaled) if height <= width else (scaled, target)
+
+
+class TransformersDetector(Detector):
+    """A transformers object-detection model: one box per query, its class probability for person as the score.
+
+    Models whose logits have a class more than they have labels (DETR, YOLOS) mean "no object" by the last and take a
+    softmax; the others (focal loss) a sigmoid.
+    """
+
+    def __init__(self, model: nn.Module, preprocessing: Preprocessing, person: int, name: str, spec: str) -> None:
+        super().__init__(name, spec)
+        self.model, self.preprocessing, self.person = model, preprocessing, person
+        self.labels: int = model.config.num_labels
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        output = self.model(pixel_values=self.preprocessing(images))
+        logits, boxes = at_least_float32(output.logits), at_least_float32(output.pred_boxes)
+        probability = logits.softmax(dim=-1) if logits.shape[-1] == self.labels + 1 else logits.sigmoid()
+        half = boxes[..., 2:] / 2
+        corners = torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
+        pixels = torch.tensor([images.shape[3], images.shape[2]] * 2, device=boxes.device, dtype=boxes.dtype)
+        return Detections(boxes=corners * pixels, scores=probability[..., self.person])
+
+
+def load_transformers(
+    source: str,
+    *,
+    spec: str,
+    input_size: tuple[int, int] | None = None,
+    person_class: str = "person",
+) -> TransformersDetector:
+    """A model from a directory, or by the name it has in the local cache; nothing is downloaded, no remote code is run.
+
+    InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
+    """
+    require("transformers", spec)
+    import transformers
+
+    transformers.logging.set_verbosity_error()
+    folder = Path(source).expanduser()
+    where = str(folder) if folder.is_dir() else source
+    try:
+        model, info = transformers.AutoModelForObjectDetection.from_pretrained(
+            where, local_files_only=True, output_loading_info=True, trust_remote_code=False
+        )
+    except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
+        raise InputError(f"detector {spec!r}: {_reason(error, source, folder)}") from error
+    if info["missing_keys"] or info["mismatched_keys"]:
+        keys = sorted(map(str, [*info["missing_keys"], *info["mismatched_keys"]]))
+        raise InputError(f"detector {spec!r}: its files lack {len(keys)} of the model's tensors ({keys[0]} ...)")
+    broken = [name for name, p in model.named_parameters() if not bool(p.isfinite().all())]
+    if broken:
+        raise InputError(f"detector {spec!r}: {broken[0]} holds numbers that are not finite")
+    labels = model.config.id2label
+    names = tuple(str(labels.get(index, "")) for index in range(model.config.num_labels))
+    person = person_index(names, person_class, len(names), f"detector {spec!r}")
+    preprocessing = _preprocessing(where, model.config.model_type, input_size)
+    detector = TransformersDetector(model, preprocessing, person, folder.name, spec)
+    detector.freeze()
+    return detector
+
+
+def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | None) -> Preprocessing:
+    """From the model's preprocessor_config.json; without one, what the family was trained with."""
+    from transformers.utils import cached_file
+
+    path = cached_file(
+        where, "preprocessor_config.json", local_files_only=True, _raise_exceptions_for_missing_entries=False,
+        _raise_exceptions_for_connection_errors=False,
+    )  # fmt: skip
+    if path is None:
+        square = model_type.startswith(("rt_detr", "d_fine"))
+        config = {"size": {"height": 640, "width": 640}, "do_normalize": False} if square else {}
+    else:
+        config = json.loads(Path(path).read_text(encoding="utf-8"))
+    size = config.get("size") or {}
+    size = {"shortest_edge": size} if isinstance(size, int) else size
+    exact = (int(size["height"]), int(size["width"])) if "height" in size else None
+    mean, std = (config.get("image_mean") or IMAGENET[0], config.get("image_std") or IMAGENET[1])
+    plain = config.get("do_normalize") is False
+    return Preprocessing(
+        size=input_size or exact,
+        short_side=int(size.get("shortest_edge") or 800),
+        long_side=int(size.get("longest_edge") or config.get("max_size") or 1333),
+        mean=(0.0, 0.0, 0.0) if plain else tuple(map(float, mean)),
+        std=(1.0, 1.0, 1.0) if plain else tuple(map(float, std)),
+    )
+
+
+def _reason(error: Exception, source: str, folder: Path) -> str:
+    if not folder.is_dir() and isinstance(error, OSError):
+        return f"no such folder, and not in the local cache (fetch it once with: hf download {source})"
+    first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    return f"cannot be loaded: {first[:200]}"
