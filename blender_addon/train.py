@@ -41,7 +41,7 @@ from .trainer import TrainRequest, find_python, sample_command, train_command
 from .training_job import Job, TrainingJob
 
 PRINT_SECONDS = 2.0
-PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 48, 15.0
+PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
 
 
 class Stopped(Exception):
@@ -60,7 +60,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--logo", required=True, help="logo on the body (several joined by +), or a face list (.npy)")
     add("--out", required=True, type=Path, help="run folder to write; its input goes to RUN.input")
     add("--save", type=Path, help=".blend file to save with the trained colours")
-    add("--preview", type=Path, help="PNG to render (default: RUN/previews/blender.png)")
+    add("--preview", type=Path, help="PNG to render (default: RUN/blender.png)")
     add("--blend", type=Path, help=".blend file to open first (for the bpy package; Blender takes it before -P)")
     add("--scene", type=Path, help="build the body from this scene package instead of taking it from the file")
     add("--sample", action="store_true", help="take Cloak's sample body")
@@ -232,8 +232,7 @@ def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> Non
     if options.save:
         bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
         say(f"saved {options.save}")
-    preview = (options.preview or run / "previews" / "blender.png").absolute()
-    preview.parent.mkdir(exist_ok=True)
+    preview = (options.preview or run / "blender.png").absolute()
     render_check.render_view(obj, preview, PREVIEW_AZIMUTH, PREVIEW_SIZE, PREVIEW_SAMPLES)
     say(f"rendered {preview}")
 

@@ -19,6 +19,8 @@ from cloak_core.evaluate.store import FOLDER, StoredEvaluation, read_evaluation
 from cloak_core.scene.exchange import read_json
 
 HERE = Path(__file__).parent
+BLENDER = "blender.png"
+"""What a training through Blender leaves in the run folder: the cloaked body as Blender renders it."""
 MAX_PICTURE = 16 << 20
 """Bytes; larger picture files are left out."""
 
@@ -44,6 +46,7 @@ def make_report(run: Path) -> Path:
             "facts": words.fact_rows(config, history),
             "training": _training(history),
             "previews": _previews(run),
+            "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
             "evaluation": _evaluation(stored) if stored else None,
         }
     report = run / "report.html"

@@ -41,7 +41,7 @@ def test_from_blend_to_blend(tmp_path, stub):
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "exported 6 poses" in done.stdout and "Training done: 3/3" in done.stdout
-    assert (tmp_path / "RUN" / "previews" / "blender.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "RUN" / "blender.png").read_bytes().startswith(b"\x89PNG")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     obj = bpy.data.objects["Body"]
     assert np.flatnonzero(reds(obj)).tolist() == [4, 5, 6]

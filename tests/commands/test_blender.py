@@ -1,0 +1,67 @@
+"""Training through Blender, with the Blender that tools/setup_blender.sh brings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core.commands.blender import ROOT, find_blender, follow, train_in_blender
+from cloak_core.errors import InputError
+from cloak_core.evaluate.report import make_report
+from cloak_core.scene.exchange import Bodies, write_scene
+
+RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
+
+
+@pytest.fixture(scope="module")
+def blender() -> str:
+    python = find_blender()
+    assert python, "no Python with bpy: run tools/setup_blender.sh"
+    return python
+
+
+def write_wall(folder: Path) -> None:
+    """A square of four triangles that faces the camera, with its left half as a region."""
+    points = np.array([[[-0.5, 0, 0], [0.5, 0, 0], [0.5, 1, 0], [-0.5, 1, 0], [0, 0.5, 0]]], np.float32)
+    triangles = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], np.int32)
+    write_scene(folder, Bodies(points, triangles, regions={"left": np.array([False, False, False, True])}, name="Wall"))
+
+
+def test_a_scene_goes_through_blender_and_the_report_shows_it(blender: str, tmp_path: Path) -> None:
+    write_wall(tmp_path / "scene")
+    (tmp_path / "settings.toml").write_text(
+        'tv_weight = 0\nlr = 0.1\nbatch = 2\nschedule = "constant"\nsize = 64\ntranslation = 0\npreview_every = 0\n'
+    )
+    words = ["--scene", str(tmp_path / "scene"), "--logo", "left", "--steps", "8", "--angles", "0:0:1"]
+    words += ["--detector", f"python:{RED}:load", "--backgrounds", "procedural:train:2"]
+    words += ["--config", str(tmp_path / "settings.toml")]
+    run = tmp_path / "run"
+    train_in_blender(blender, words, run)
+    assert np.allclose(np.load(run / "colors.npy"), [[1, 0, 0]], atol=1e-6)
+    assert (run / "blender.png").read_bytes().startswith(b"\x89PNG")
+    assert "In Blender" in make_report(run).read_text("utf-8")
+    with pytest.raises(InputError, match="exists already"):
+        train_in_blender(blender, words, run)
+
+
+def test_what_it_says_of_bad_input_comes_through(blender: str, tmp_path: Path) -> None:
+    write_wall(tmp_path / "scene")
+    with pytest.raises(InputError, match="'Wall' has no logo 'hat'"):
+        train_in_blender(blender, ["--scene", str(tmp_path / "scene"), "--logo", "hat"], tmp_path / "run")
+
+
+def test_events_are_told_once_and_old_ones_not_again(tmp_path: Path) -> None:
+    log, told = tmp_path / "events.jsonl", []
+    line = lambda kind, step: json.dumps({"type": kind, "step": step, "steps": 9}) + "\n"
+    log.write_text(line("start", 0) + line("step", 1))
+    answers = iter([True, False])
+
+    def running() -> bool:
+        with log.open("a") as file:
+            file.write(line("resume", 1) + line("step", 2) + '{"type": "st')
+        return next(answers)
+
+    follow(log, running, told.append)
+    assert [event["step"] for event in told if event["type"] == "step"] == [2]
+    assert {event["type"] for event in told} == {"start", "step"}
