@@ -1,0 +1,73 @@
+"""What a detector costs: forward, and forward with the gradient of the images, against the same model used naively."""
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import max_person_score
+
+
+def run_bench_detectors(
+    specs: Sequence[str],
+    *,
+    batch: int = 4,
+    size: int = 416,
+    repeats: int = 9,
+    threads: int | None = None,
+    device: str = "cpu",
+    precision: str = "float32",
+) -> dict[str, dict[str, float]]:
+    """Median milliseconds per image, for `batch` images of `size` x `size` (noise: the work does not depend on it).
+
+    Per spec: {"forward_ms", "gradient_ms": forward and input gradient, "naive_ms": the same with batch norm unfolded,
+    the memory layout as loaded, and gradients for the weights, "speedup": naive_ms / gradient_ms, "batch", "threads"}.
+    The two ways take turns, so that both meet the same machine. A black box has no gradients: those entries are absent.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads or before)
+    try:
+        return {spec: _bench(spec, batch, size, repeats, device, precision) for spec in specs}
+    finally:
+        torch.set_num_threads(before)
+
+
+def _bench(spec: str, batch: int, size: int, repeats: int, device: str, precision: str) -> dict[str, float]:
+    generator = torch.Generator().manual_seed(0)
+    images = torch.rand(batch, 3, size, size, generator=generator).to(device)
+    detector = load_detector(spec, device=device, precision=precision)
+    ways: dict[str, Callable[[], None]] = {"forward_ms": lambda: _forward(detector, images)}
+    if detector.differentiable:
+        naive = load_detector(spec, device=device, fold=False).requires_grad_(True)
+        ways |= {"gradient_ms": lambda: _gradient(detector, images), "naive_ms": lambda: _gradient(naive, images)}
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(repeats + 1):
+        for name, work in ways.items():
+            elapsed = _timed(work, images.device)
+            if turn:  # the first turn warms up
+                times[name].append(elapsed)
+    result = {name: 1e3 * statistics.median(values) / batch for name, values in times.items()}
+    if "naive_ms" in result:
+        result["speedup"] = result["naive_ms"] / result["gradient_ms"]
+    return result | {"batch": batch, "threads": torch.get_num_threads()}
+
+
+@torch.no_grad()
+def _forward(detector: Detector, images: torch.Tensor) -> None:
+    max_person_score(detector(images))
+
+
+def _gradient(detector: Detector, images: torch.Tensor) -> None:
+    detector.zero_grad(set_to_none=True)
+    max_person_score(detector(images.clone().requires_grad_())).sum().backward()
+
+
+def _timed(work: Callable[[], None], device: torch.device) -> float:
+    start = time.perf_counter()
+    work()
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return time.perf_counter() - start
