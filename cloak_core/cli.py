@@ -31,9 +31,12 @@ COMMANDS: dict[str, str] = {
     "logo transfer": "logo:Transfer",
     "print": "printing:Print",
     "reproduce": "reproduce:Reproduce",
+    "detectors list": "detectors:List",
     "detectors check": "detectors:Check",
     "detectors train-builtin": "detectors:TrainBuiltin",
     "bench views": "bench:Views",
+    "bench accuracy": "bench:Accuracy",
+    "bench stability": "bench:Stability",
     "bench step": "bench:Step",
     "bench detectors": "bench:Detectors",
 }
@@ -64,8 +67,9 @@ def main(arguments: list[str] | None = None) -> None:
 def run(command: Command) -> int:
     """Run a command; what it returns goes to standard output as JSON, or as words."""
     if not command.json:
-        command.show(command.run())
-        return 0
+        result = command.run()
+        command.show(result)
+        return _failed(result)
     # Whatever libraries print must not end up inside the JSON.
     with contextlib.redirect_stdout(sys.stderr):
         out.file = sys.stderr
@@ -74,7 +78,14 @@ def run(command: Command) -> int:
     print(json.dumps(result, indent=2, allow_nan=False))
     if stopped:
         raise Stopped(stopped)
-    return 0
+    return _failed(result)
+
+
+def _failed(result: dict) -> int:
+    """1 where a command found a defect in Cloak itself, and says so under "failed"."""
+    if result.get("failed"):
+        err.print(f"cloak: {result['failed']}", style="red", markup=False)
+    return int(bool(result.get("failed")))
 
 
 def find(arguments: list[str]) -> tuple[str, list[str]]:

@@ -106,3 +106,47 @@ class Detectors(Command):
     def show(self, result: dict) -> None:
         for spec, figures in result.items():
             out.print(f"{spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()), markup=False)
+
+
+@dataclass(kw_only=True)
+class Accuracy(Command):
+    """Speed against error: every way to build a view, on the bench scene and on harder ones, against exact areas."""
+
+    scene: str
+    """Scene folder, .npz, or sample."""
+    threads: int = 2
+    """Threads torch may use."""
+    repeats: int = 10
+    """Timed repetitions behind each median."""
+    out: Path | None = None
+    """New folder for a table, a plot and the numbers."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.accuracy import run_bench_accuracy
+
+        return run_bench_accuracy(open_scene(self.scene), threads=self.threads, repeats=self.repeats, out=self.out)
+
+    def show(self, result: dict) -> None:
+        for name, scene in result["scenes"].items():
+            out.print(name, markup=False)
+            for point in scene["points"]:
+                figures = (f"{key} {value:.4g}" for key, value in point.items() if isinstance(value, float))
+                out.print(f"  {point['name']:<12} " + ", ".join(figures), markup=False)
+
+
+@dataclass(kw_only=True)
+class Stability(Command):
+    """Hard cases of visibility, each against exact integer arithmetic; exit code 1 on any mismatch."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.stability import run_bench_stability
+
+        result = run_bench_stability()
+        if result["mismatches"]:
+            result["failed"] = f"{result['mismatches']} of {result['cases']} cases differ from exact arithmetic"
+        return result
+
+    def show(self, result: dict) -> None:
+        for name, row in result["by_case"].items():
+            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches", markup=False)
+        out.print(f"largest error {result['max_error_ulp']:.3g} units in the last place")

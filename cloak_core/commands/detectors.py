@@ -62,6 +62,23 @@ class Check(Command):
 
 
 @dataclass(kw_only=True)
+class List(Command):
+    """Say which detector families there are, what each needs, and how each was verified."""
+
+    def run(self) -> dict:
+        from cloak_core.detectors.catalogue import list_detectors
+
+        return list_detectors()
+
+    def show(self, result: dict) -> None:
+        for family in result["families"]:
+            uses = " and ".join(use for use, can in (("trains", "trains"), ("evaluates", "evaluates")) if family[can])
+            out.print(f"{family['spec']}: {uses}; {family['licence']}; verified: {family['verified']}", markup=False)
+            if not family["installed"]:
+                out.print(f"    not installed: {family['install']}", markup=False)
+
+
+@dataclass(kw_only=True)
 class TrainBuiltin(Command):
     """Train the built-in person detector anew, on renders of the sample bodies; about an hour on two cores."""
 

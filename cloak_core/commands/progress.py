@@ -16,9 +16,10 @@ PLAIN_EVERY = 10.0
 class TrainingProgress:
     """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
 
-    def __init__(self) -> None:
+    def __init__(self, silent: bool = False) -> None:
         self._bar: Progress | None = None
-        if err.is_terminal:
+        self._silent = silent
+        if err.is_terminal and not silent:
             columns = [
                 TextColumn("training"),
                 BarColumn(),
@@ -43,7 +44,9 @@ class TrainingProgress:
             self._bar.stop()
 
     def __call__(self, event: dict) -> None:
-        if event.get("type") == "start":
+        if self._silent:
+            return
+        if event.get("type") in ("start", "resume"):
             self._total = event.get("steps")
         elif event.get("type") == "step":
             self._step(event)

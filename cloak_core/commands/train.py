@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,8 @@ from cloak_core.errors import InputError
 from cloak_core.scene.exchange import face_ids, read_face_list
 
 DEFAULT_PRESET = "best"
+RANK = int(os.environ.get("RANK", 0))
+"""Which of torchrun's processes this is; one alone is 0."""
 
 
 @dataclass(kw_only=True)
@@ -64,7 +67,8 @@ class Train(Command):
         from cloak_core.scene.logo import make_logo
 
         settings = self.settings
-        if self.out.exists() and not self.resume:
+        # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
+        if self.out.exists() and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
         bodies = open_scene(self.scene)
         logo = make_logo(bodies, face_ids(read_face_list(self.logo, bodies), bodies))
@@ -72,7 +76,7 @@ class Train(Command):
         detectors = [load_detector(spec, device=settings.device) for spec in specs]
         backgrounds = open_backgrounds(self.backgrounds)
         inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
-        with TrainingProgress() as progress:
+        with TrainingProgress(silent=bool(RANK)) as progress:
             result = train(
                 settings,
                 bodies,
@@ -87,7 +91,9 @@ class Train(Command):
         return result.record()
 
     def show(self, result: dict) -> None:
-        out.print(f"wrote {result['out']}: step {result['step']}, loss {result['loss']:.4f}", markup=False)
+        loss = f", loss {result['loss']:.4f}" if "loss" in result else ""
+        if not RANK:
+            out.print(f"wrote {result['out']}: step {result['step']}{loss}", markup=False)
         if result.get("stopped"):
             raise Stopped(result["stopped"])
 
