@@ -8,7 +8,7 @@ product (see compositing.py).
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,8 +32,8 @@ GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 """Samples per pixel, and how many of them stand along a pixel's side."""
 AREA_SAMPLES = SIDE * SIDE
 """Samples per pixel, in doubtful pixels alone, where coverage is measured by area."""
-BATCH_SAMPLES = 1 << 24
-"""Numbers of 8 bytes held at once while views are built."""
+BATCH_NUMBERS = {"cpu": 1 << 21, "cuda": 1 << 25}
+"""Numbers of 8 bytes held at once while views are built; more on the CPU leave its caches and take longer."""
 PIECE_COST = 16
 """Numbers held for each triangle where coverage is measured by area."""
 
@@ -141,6 +141,7 @@ class ViewBank:
         closed = is_closed(bodies.triangles)
         self._outward = np.asarray(is_outward(bodies)) if closed else np.zeros(bodies.pose_count, bool)
         self._kept = _Kept(memory_bytes)
+        self._batch_numbers = BATCH_NUMBERS.get(self.device.type, BATCH_NUMBERS["cpu"])
 
     def view(self, pose: int, camera: Camera) -> View:
         """The view, from memory where it was built before."""
@@ -149,15 +150,17 @@ class ViewBank:
     def views(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
         """Many views; those not in memory are built together, image size by image size."""
         found = {key: self._kept.get(("view", *key)) for key in wanted}
-        missing = [key for key, view in found.items() if view is None]
-        for size in dict.fromkeys((camera.width, camera.height) for _, camera in missing):
-            group = [key for key in missing if (key[1].width, key[1].height) == size]
-            count = max(1, BATCH_SAMPLES // self._cost(size[0] * size[1]))
-            for start in range(0, len(group), count):
-                part = group[start : start + count]
-                for key, view in zip(part, self.build(part), strict=True):
-                    found[key] = self._kept.put(("view", *key), view)
+        for part in self.batches([key for key, view in found.items() if view is None]):
+            for key, view in zip(part, self.build(part), strict=True):
+                found[key] = self._kept.put(("view", *key), view)
         return [found[key] for key in wanted]
+
+    def batches(self, wanted: Sequence[tuple[int, Camera]]) -> Iterator[list[tuple[int, Camera]]]:
+        """Views cut into parts that `build` takes at once: of one image size, and within the memory set aside."""
+        for size in dict.fromkeys((camera.width, camera.height) for _, camera in wanted):
+            group = [key for key in wanted if (key[1].width, key[1].height) == size]
+            count = max(1, self._batch_numbers // self._cost(size[0] * size[1]))
+            yield from (group[start : start + count] for start in range(0, len(group), count))
 
     def dress(self, pose: int, camera: Camera, logo_faces: object, outfit: int = 0) -> DressedView:
         """The view with everything but the logo's colours (faces [L], int64) filled in from one of the outfits."""
@@ -211,7 +214,7 @@ class ViewBank:
         window = bounding_window(screen)
         height = max(1, window.y1 - window.y0)
         per_row = max(1, self._cost(height * (window.x1 - window.x0)) // height)
-        rows = max(1, BATCH_SAMPLES // per_row)
+        rows = max(1, self._batch_numbers // per_row)
         if rows >= window.y1 - window.y0 or len(screen.x) > 1:
             return self._band(wanted, screen, window)
         tops = range(window.y0, window.y1, rows)  # one large view, band by band
