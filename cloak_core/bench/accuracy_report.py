@@ -60,5 +60,6 @@ def plot(result: dict, path: Path) -> None:
                 point["name"].removeprefix("ours-"), place, textcoords="offset points", xytext=(5, 4), fontsize=8
             )
         panel.set(xscale="log", yscale="log", title=name, xlabel="new view, ms", ylabel="gradient error, relative")
+        panel.xaxis.set_minor_formatter(lambda value, position: "")
         panel.grid(True, which="major", color="0.92")
     figure.savefig(path, dpi=150)
