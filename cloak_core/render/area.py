@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
-from cloak_core.render.covering import CHUNK, PixelGrid, Window, expand
+from cloak_core.render.covering import PixelGrid, Window, chunk_size, expand
 from cloak_core.render.fragments import Fragments, Points
 from cloak_core.render.projection import GRID, Screen
 from cloak_core.render.rasterizer import Chunk, candidates
@@ -154,7 +154,9 @@ def _seen_share(pieces: Pieces, corners: Triangles, screen: Screen, places: int)
     some = _take(pieces, doubtful)
     _, group, size = torch.unique_consecutive(some.place, return_inverse=True, return_counts=True)
     ends = size.cumsum(0)
-    cuts = torch.searchsorted(ends, torch.arange(0, len(doubtful), max(1, CHUNK // SIDE**2), device=ends.device))
+    cuts = torch.searchsorted(
+        ends, torch.arange(0, len(doubtful), max(1, 4 * chunk_size(ends.device) // SIDE**2), device=ends.device)
+    )
     cuts = sorted({0, *ends.index_select(0, cuts).tolist(), len(doubtful)})
     for start, stop in itertools.pairwise(cuts):
         part = torch.arange(start, stop, device=ends.device)

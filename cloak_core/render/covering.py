@@ -20,8 +20,10 @@ from cloak_core.render.projection import GRID
 
 ID_BITS = 24
 DEPTH_BITS = 39
-CHUNK = 1 << 18
-"""Triangles, rows or samples worked on at once: enough to amortise an operation, small enough for the cache."""
+CHUNK = 1 << 16
+"""Triangles, rows or samples worked on at once on the CPU: enough to amortise an operation, few enough to stay in the
+cache. Devices with slow starts and much memory take `_DEVICE_CHUNKS` times as many."""
+_DEVICE_CHUNKS = 1 << 8
 EXACT_EXTENT = 1 << 25
 """Snapped extent below which edge functions are exact in float64: products stay below 2^50."""
 _FAR = 1 << 40
@@ -301,15 +303,21 @@ class Rows:
             yield pick(self.first).add_(column.to(torch.int64)), key
 
 
+def chunk_size(device: torch.device) -> int:
+    """How many elements to work on at once."""
+    return CHUNK if device.type == "cpu" else CHUNK * _DEVICE_CHUNKS
+
+
 def expand(counts: Int64[Tensor, " N"]) -> Iterator[tuple[Int64[Tensor, " M"], Int64[Tensor, " M"]]]:
-    """Each index i counts[i] times, with its offset 0 .. counts[i] - 1, in pieces of about `CHUNK` elements."""
+    """Each index i counts[i] times, with its offset 0 .. counts[i] - 1, in pieces of about `chunk_size`."""
     if not len(counts):
         return
     ends = counts.cumsum(0)
     total = int(ends[-1])
     cuts = [0, len(counts)]
-    if total > CHUNK:
-        inner = torch.searchsorted(ends, torch.arange(CHUNK, total, CHUNK, device=ends.device))
+    size = chunk_size(ends.device)
+    if total > size:
+        inner = torch.searchsorted(ends, torch.arange(size, total, size, device=ends.device))
         cuts = sorted({0, *inner.tolist(), len(counts)})
     for start, stop in itertools.pairwise(cuts):
         before = int(ends[start - 1]) if start else 0

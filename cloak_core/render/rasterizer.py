@@ -28,7 +28,6 @@ from torch import Tensor
 from cloak_core.errors import InputError
 from cloak_core.render.clipping import clip
 from cloak_core.render.covering import (
-    CHUNK,
     DEPTH_BITS,
     EXACT_EXTENT,
     ID_BITS,
@@ -37,6 +36,7 @@ from cloak_core.render.covering import (
     Setup,
     Soup,
     Window,
+    chunk_size,
     find_candidates,
 )
 from cloak_core.render.projection import GRID, Screen
@@ -91,7 +91,7 @@ def rasterize(
     cull: views in which triangles that show their back are dropped; none where absent.
     window: the part of the image to work on; where absent, the bounding box of the bodies on the screen.
 
-    Nothing is differentiable. Memory follows the window's samples plus a few arrays of `CHUNK` elements.
+    Nothing is differentiable. Memory follows the window's samples plus a few arrays of `covering.chunk_size` elements.
     """
     if triangles.shape[1] > MAX_TRIANGLES:
         raise InputError(f"{triangles.shape[1]} triangles in one body; at most {MAX_TRIANGLES} can be told apart")
@@ -140,7 +140,7 @@ def candidates(
     batch, vertex_count = screen.x.shape
     x0, x1, y0, y1 = screen.bounds
     small = screen.safe is None and max(x1 - x0, y1 - y0) < EXACT_EXTENT
-    size = max(1, CHUNK // batch)
+    size = max(1, chunk_size(triangles.device) // batch)
     base = torch.arange(batch, device=triangles.device).unsqueeze(-1) * vertex_count
     culled = [False] if cull is None else cull.tolist()
     culled = culled[0] if len(set(culled)) == 1 else cull.to(triangles.device)

@@ -6,7 +6,7 @@ import torch
 
 from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.errors import InputError
-from cloak_core.render import covering, rasterizer
+from cloak_core.render import covering
 from cloak_core.render.projection import GRID, GUARD, project
 from cloak_core.render.rasterizer import Window, inverse_depth, rasterize
 from cloak_core.scene.cameras import Camera
@@ -111,7 +111,6 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
     screen = screen_of(corner[:, 0], corner[:, 1], np.full(3, 0.5), 4, 4)
     triangles = triangles_of([[0, 1, 2]] * 50)
     monkeypatch.setattr(covering, "CHUNK", 7)
-    monkeypatch.setattr(rasterizer, "CHUNK", 7)
     assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
 
@@ -121,7 +120,6 @@ def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     triangles = triangles_of(rng.integers(0, 60, (200, 3)))
     whole = rasterize(screen, triangles, 4).keys
     monkeypatch.setattr(covering, "CHUNK", 64)
-    monkeypatch.setattr(rasterizer, "CHUNK", 64)
     assert torch.equal(rasterize(screen, triangles, 4).keys, whole)
 
 
