@@ -40,6 +40,20 @@ class CloakPanel:
         column.use_property_decorate = False
         return column
 
+    def progress(self, context: bpy.types.Context, *labels: str) -> None:
+        """The job that was started from this panel: its progress, or how it ended."""
+        job = training_job.current
+        if job is None or job.label not in labels:
+            return
+        if job.running:
+            row = self.layout.row(align=True)
+            row.progress(factor=job.fraction, text=job.describe())
+            row.operator("cloak.train_cancel", text="", icon="X")
+            if isinstance(job, training_job.TrainingJob) and job.progress.figures():
+                self.layout.label(text=job.progress.figures().capitalize(), icon="BLANK1")
+        elif job.message:
+            wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
+
 
 class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
     """Step 1: the mesh that wears the logo"""
@@ -61,6 +75,7 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         sample = self.layout.column()
         sample.enabled = not training_job.busy()
         sample.operator("cloak.add_sample_body", icon="ADD")
+        self.progress(context, "Sample body")
 
 
 class CLOAK_UL_logos(bpy.types.UIList):
@@ -96,6 +111,7 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
         if not reason and active_body(context).data.attributes.get(HEAT):
             heat.prop(settings, "heat_share")
             heat.operator("cloak.logo_from_heat")
+        self.progress(context, "Heatmap")
 
     def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         row = column.row()
@@ -185,6 +201,7 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
         self._detector(column, settings)
         column.prop(settings, "backgrounds")
         column.prop(settings, "preset")
+        column.prop(settings, "config")
         angles = column.column(align=True)
         angles.prop(settings, "angle_first", text="Angles From")
         angles.prop(settings, "angle_last", text="To")
@@ -195,7 +212,7 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
         live = column.row(align=True, heading="Live Colours")
         live.prop(settings, "live", text="")
         live.prop(settings, "live_seconds", text="Seconds")
-        if reason and not running:
+        if reason and not (isinstance(training_job.current, training_job.TrainingJob) and running):
             wrapped(self.layout, context, reason)
         row = self.layout.row(align=True)
         start = row.row(align=True)
@@ -204,7 +221,7 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
         resume = row.row(align=True)
         resume.enabled = not steps.resume_reason(context)
         resume.operator("cloak.train_resume", icon="FILE_REFRESH")
-        self._progress(context)
+        self.progress(context, "Training")
 
     def _detector(self, column: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
         column.prop(settings, "detector")
@@ -214,19 +231,6 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
             "PYTHON": ("python_file", "python_function"),
         }.get(settings.detector, ()):
             column.prop(settings, name)
-
-    def _progress(self, context: bpy.types.Context) -> None:
-        job = training_job.current
-        if job is None:
-            return
-        if job.running:
-            row = self.layout.row(align=True)
-            row.progress(factor=job.fraction, text=job.describe())
-            row.operator("cloak.train_cancel", text="", icon="X")
-            if isinstance(job, training_job.TrainingJob) and job.progress.figures():
-                self.layout.label(text=job.progress.figures().capitalize(), icon="BLANK1")
-        elif job.message:
-            wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
 
 
 class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
@@ -255,7 +259,9 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
         check = row.row(align=True)
         check.enabled = dressed and not training_job.busy()
         check.operator("cloak.render_check", icon="RENDER_STILL")
-        if not reason and active_body(context).cloak.verdict:
+        self.progress(context, "Render check", "Report")
+        shown = training_job.current is not None and training_job.current.label == "Render check"
+        if not reason and active_body(context).cloak.verdict and not shown:
             wrapped(self.layout, context, active_body(context).cloak.verdict, icon="RENDER_RESULT")
 
 

@@ -176,6 +176,11 @@ class CloakSettings(bpy.types.PropertyGroup):
             ("reference", "Reference", "The settings of the paper's published code"),
         ],
     )
+    config: StringProperty(
+        name="Settings File",
+        description="TOML file with further settings of cloak train; empty for the preset's own",
+        subtype="FILE_PATH",
+    )
     angle_first: IntProperty(
         name="From",
         description="First azimuth to train at, in degrees; 0 looks at the front",
@@ -189,7 +194,7 @@ class CloakSettings(bpy.types.PropertyGroup):
     angle_step: IntProperty(
         name="Step", description="Degrees from one training azimuth to the next", default=5, min=1, max=360
     )
-    steps: IntProperty(name="Steps", description="Updates of the colours", default=1000, min=1, max=10_000_000)
+    steps: IntProperty(name="Steps", description="Updates of the colours", default=600, min=1, max=10_000_000)
     device: EnumProperty(
         name="Device",
         description="What to train on",
@@ -232,6 +237,7 @@ def train_request(settings: CloakSettings) -> TrainRequest:
         preset=settings.preset,
         steps=settings.steps,
         device=settings.device,
+        config=_file(settings.config, "Settings File") if settings.config else "",
         checkpoint_every=LIVE_STEPS if settings.live else None,
     )
 
@@ -239,26 +245,29 @@ def train_request(settings: CloakSettings) -> TrainRequest:
 def detector_spec(settings: CloakSettings) -> str:
     """The detector as the trainer's command line names it."""
     if settings.detector == "DARKNET":
-        return f"darknet:{_file(settings.darknet_cfg, 'Config')}:{_file(settings.darknet_weights, 'Weights')}"
+        cfg = _file(settings.darknet_cfg, "Detector > Config")
+        return f"darknet:{cfg}:{_file(settings.darknet_weights, 'Detector > Weights')}"
     if settings.detector == "TORCHVISION":
         if not settings.torchvision_name.strip():
             raise InputError("Detector > Model is empty: name a torchvision detector")
         checkpoint = settings.torchvision_checkpoint
         name = settings.torchvision_name.strip()
-        return f"torchvision:{name}:{_file(checkpoint, 'Checkpoint')}" if checkpoint else f"torchvision:{name}"
+        return (
+            f"torchvision:{name}:{_file(checkpoint, 'Detector > Checkpoint')}" if checkpoint else f"torchvision:{name}"
+        )
     if settings.detector == "PYTHON":
         if not settings.python_function.strip():
             raise InputError("Detector > Function is empty: name the function that makes the detector")
-        return f"python:{_file(settings.python_file, 'File')}:{settings.python_function.strip()}"
+        return f"python:{_file(settings.python_file, 'Detector > File')}:{settings.python_function.strip()}"
     return "builtin"
 
 
 def _file(path: str, label: str) -> str:
     if not path:
-        raise InputError(f"Detector > {label} is empty: choose a file")
+        raise InputError(f"{label} is empty: choose a file")
     found = absolute(path)
     if not Path(found).is_file():
-        raise InputError(f"Detector > {label}: {found} does not exist")
+        raise InputError(f"{label}: {found} does not exist")
     return found
 
 

@@ -280,6 +280,7 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
         ({"backgrounds": str(tmp_path / "none")}, "Backgrounds folder .* does not exist"),
         ({"detector": "DARKNET"}, "Detector > Config is empty: choose a file"),
         ({"detector": "DARKNET", "darknet_cfg": "/x.cfg"}, "/x.cfg does not exist"),
+        ({"config": "/x.toml"}, "Settings File: /x.toml does not exist"),
         ({"detector": "PYTHON", "python_file": __file__, "python_function": " "}, "Function is empty"),
         ({"detector": "TORCHVISION", "torchvision_name": ""}, "Model is empty"),
     ):

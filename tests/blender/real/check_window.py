@@ -12,7 +12,6 @@ import traceback
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 ZIP, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:3]
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))

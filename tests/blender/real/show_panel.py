@@ -2,8 +2,9 @@
 
     real_blender.sh gui sid OUT.png tests/blender/real/show_panel.py ZIP STATE PYTHON FOLDER
 
-STATE is body, logo, poses, train or result; PYTHON has cloak_core; FOLDER is for runs. When the window shows the state,
-the file named by $SHOT_READY is made; a little later Blender quits. Any error ends Blender with exit code 3.
+STATE is body, logo, poses, train or result; PYTHON has cloak_core; FOLDER is for runs (for result it may be a finished
+run on sample:train). When the window shows the state, the file named by $SHOT_READY is made; a little later Blender
+quits. Any error ends Blender with exit code 3.
 """
 
 import os
@@ -105,7 +106,11 @@ def steps():
         bpy.ops.cloak.logo_stamp(target="NEW")
     if STATE in ("poses", "train", "result"):
         obj.cloak.logo = "chest"
-    if STATE in ("train", "result"):
+    if STATE == "result" and Path(FOLDER, "colors.npy").exists():  # a run of sample:train made beforehand
+        obj.cloak.run = FOLDER
+        bpy.ops.cloak.result_load()
+        bpy.ops.cloak.use_standard_view()
+    elif STATE in ("train", "result"):
         settings.output, settings.live_seconds = FOLDER, 0.5
         settings.frame_end = 3
         settings.steps = 400 if STATE == "train" else 25
