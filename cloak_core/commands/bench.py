@@ -110,7 +110,7 @@ class Detectors(Command):
 
 @dataclass(kw_only=True)
 class Accuracy(Command):
-    """Speed against error: every way to build a view, on the bench scene and on harder ones, against exact areas."""
+    """Speed against error: every way to build a view, on the bench scene and harder ones, against 64 x 64 samples."""
 
     scene: str
     """Scene folder, .npz, or sample."""

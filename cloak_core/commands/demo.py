@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core.attack.settings import make_settings
-from cloak_core.commands.base import Command, err, open_scene, out
+from cloak_core.commands.base import Command, err, open_scene, out, warn
+from cloak_core.commands.blender import find_blender, train_in_blender
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
 
 REGION = "chest+thighs"
+ANGLES = "-10:10:5"
 HARDER = {"loss": "log", "tv_weight": 1.0}
 """Beside preset `best`: the built-in detector's scores saturate, and where they do only "log" still pulls."""
 
@@ -40,10 +43,37 @@ class Demo(Command):
             markup=False,
         )
         if not (self.out / "report.html").exists():
-            settings = make_settings("best", steps=self.steps, seed=self.seed, angles="-10:10:5", **HARDER)
-            Train(scene="sample:train", logo=logo, out=self.out, settings=settings, resume=self.out.exists()).run()
-        result = Evaluate(run_folder=self.out).run()
+            self._train(logo, bodies.pose_count)
+        result = Evaluate(run_folder=self.out, scene="sample:unseen", backgrounds="procedural:test").run()
         return result | Report(run_folder=self.out).run()
+
+    def _train(self, logo: Path, poses: int) -> None:
+        """Through Blender where there is one, which also pictures the result; directly otherwise, and says so."""
+        blender = find_blender()
+        if blender is None:
+            warn("no Blender here (tools/setup_blender.sh brings one): training without, and no picture from it")
+        started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()
+        if blender is None or started_directly:
+            settings = make_settings("best", steps=self.steps, seed=self.seed, angles=ANGLES, **HARDER)
+            Train(scene="sample:train", logo=logo, out=self.out, settings=settings, resume=self.out.exists()).run()
+            return
+        config = self.out.parent.absolute() / f"{self.out.name}-settings.toml"
+        config.write_text(
+            "".join(f"{key} = {json.dumps(value)}\n" for key, value in (HARDER | {"seed": self.seed}).items())
+        )
+        words = [
+            "--sample",
+            "--logo",
+            str(logo.absolute()),
+            "--frames",
+            f"1:{poses}:1",
+            "--preset",
+            "best",
+            "--angles",
+            ANGLES,
+        ]
+        words += ["--steps", str(self.steps), "--config", str(config), "--resume"]
+        train_in_blender(blender, words, self.out)
 
     def show(self, result: dict) -> None:
         show_success(result)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
 from cloak_core.render.sparse import csr
+from cloak_core.render.threads import one_thread
 from cloak_core.render.views import DressedView
 from cloak_core.scene.cameras import Number
 
@@ -170,6 +171,7 @@ class _Compose(torch.autograd.Function):
     """Composite a batch; the gradient of the colours is one product with the transposed matrix."""
 
     @staticmethod
+    @one_thread()
     def forward(
         ctx: object, colors: Tensor, batch: _Batch, backgrounds: Tensor, change: Photometric | None
     ) -> Float32[Tensor, "B 3 H W"]:
@@ -197,6 +199,7 @@ class _Compose(torch.autograd.Function):
         return flat[:-1].view(backgrounds.shape)
 
     @staticmethod
+    @one_thread()
     def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None, None, None]:
         silent, target = ctx.saved_tensors
         upstream = gradient.reshape(-1).index_select(0, target.reshape(-1)).view(-1, 3)

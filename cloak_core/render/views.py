@@ -24,6 +24,7 @@ from cloak_core.render.projection import Screen, project
 from cloak_core.render.rasterizer import Visibility, Window, bounding_window, rasterize
 from cloak_core.render.shading import Light, NormalOperator
 from cloak_core.render.sparse import csr, offsets
+from cloak_core.render.threads import one_thread
 from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.exchange import Bodies
@@ -175,6 +176,7 @@ class ViewBank:
             dressed = self._kept.put(key, dress(view, logo, self._colors[outfit], self.light.color))
         return dressed
 
+    @one_thread()
     def build(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
         """Rasterize and light views of one image size, all at once, without keeping them."""
         screen = self.screen(wanted)
@@ -184,6 +186,7 @@ class ViewBank:
         face = self._triangle_face.index_select(0, fragments.triangle)
         return _assemble(fragments, face, weight, highlight, screen, self._split_faces)
 
+    @one_thread()
     def screen(self, wanted: Sequence[tuple[int, Camera]]) -> Screen:
         """The views' vertices on the screen."""
         poses = [self._pose(pose) for pose, _ in wanted]
@@ -191,12 +194,14 @@ class ViewBank:
         pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
         return project(vertices, [camera for _, camera in wanted], pivots)
 
+    @one_thread()
     def visibility(
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
         """The nearest triangle at every sample."""
         return rasterize(screen, self._triangles, GRIDS[self.samples], self._cull(wanted, screen), window)
 
+    @one_thread()
     def visible(self, wanted: Sequence[tuple[int, Camera]]) -> Visibility | Fragments:
         """What is seen, without its light: samples, or where coverage is measured by area, fragments."""
         screen = self.screen(wanted)
