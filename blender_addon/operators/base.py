@@ -29,3 +29,11 @@ class CloakOperator(bpy.types.Operator):
         if message:
             self.report({"INFO"}, message)
         return {"FINISHED"}
+
+
+def push_undo(message: str) -> None:
+    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
+    windows = bpy.context.window_manager.windows
+    if not bpy.app.background and len(windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message=message)

@@ -14,7 +14,7 @@ from ..preferences import trainer_python, user_folder
 from ..properties import settings_of
 from ..trainer import sample_command
 from ..training_job import Job, launch, require_idle
-from .base import WITH_UNDO, CloakOperator
+from .base import WITH_UNDO, CloakOperator, push_undo
 
 
 class CLOAK_OT_subdivide(CloakOperator):
@@ -72,6 +72,7 @@ def _add(job: Job, scene: Path) -> None:
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
     if "chest" in bodies.regions:
         obj.cloak.logo = "chest"
+    push_undo("Add Sample Body")
     job.message = f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
 
 

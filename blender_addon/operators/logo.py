@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
@@ -18,7 +19,7 @@ from ..properties import pose_choice, settings_of, train_request
 from ..scene_export import export_bodies
 from ..trainer import heatmap_command
 from ..training_job import Job, launch, require_idle
-from .base import WITH_UNDO, CloakOperator
+from .base import WITH_UNDO, CloakOperator, push_undo
 
 HEAT = "cloak_heat"
 """Float face attribute: the last heat map."""
@@ -289,6 +290,8 @@ def _show_heat(job: Job, path: Path, uid: int, expected: str) -> None:
         if obj is None or topology(obj) != expected:
             raise InputError("The body changed while its heat map was made: press Heatmap again")
         show_heat(bpy.context, obj, read_npy(path))
+        push_undo("Heatmap")
+        shutil.rmtree(path.parent, ignore_errors=True)
         job.message = "Heatmap: bright faces move the detector most"
     except InputError as error:
         job.state, job.message = "failed", str(error)

@@ -16,7 +16,7 @@ from ..properties import absolute, output_folder, pose_choice, settings_of, trai
 from ..scene_export import Export, export, read_export
 from ..trainer import train_command
 from ..training_job import Job, TrainingJob, launch, require_idle
-from .base import CloakOperator
+from .base import CloakOperator, push_undo
 from .logo import active_logo
 
 
@@ -130,14 +130,6 @@ class Watch:
             push_undo("Cloak Colours")
         except InputError as error:
             job.message += f"; no colours imported: {error}"
-
-
-def push_undo(message: str) -> None:
-    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
-    windows = bpy.context.window_manager.windows
-    if not bpy.app.background and len(windows):
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message=message)
 
 
 def redraw() -> None:

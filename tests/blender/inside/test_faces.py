@@ -231,6 +231,7 @@ def test_heatmap_and_the_logo_taken_from_it(stub):
     job = run_job()
     assert job.state == "done", job.message
     assert "Cloak Heatmap" in obj.data.color_attributes
+    assert not job.log.parent.exists()  # nothing is left of the measurement but the map
     bpy.context.scene.cloak.heat_share = 0.1
     bpy.ops.cloak.logo_from_heat()
     mask = faces.read_faces(obj, "Heat")
