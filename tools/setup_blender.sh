@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 
 VERSION=${1:-4.5.*}
 FOLDER=.venv-blender${1:+-$1}
-LIBRARIES="libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
+LIBRARIES="libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 libegl1"
 
 missing=
 for package in $LIBRARIES; do
