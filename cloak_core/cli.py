@@ -10,6 +10,7 @@ import importlib
 import io
 import json
 import logging
+import os
 import re
 import sys
 
@@ -59,6 +60,10 @@ def main(arguments: list[str] | None = None) -> None:
     except InputError as error:
         err.print(f"cloak: {error}", style="red", markup=False)
         sys.exit(2)
+    except BrokenPipeError:
+        # Whoever read our output has had enough (`| head`); closing it again at exit must not complain either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except (Stopped, KeyboardInterrupt) as stop:
         warn(str(stop) or "stopped")
         sys.exit(3)
