@@ -25,7 +25,7 @@ class Demo(Command):
 
     out: Path = Path("runs/demo")
     """Run folder; a demo that was interrupted there goes on, one that is complete is evaluated again."""
-    steps: int = 900
+    steps: int = 600
     """Updates of the colours."""
     seed: int = 0
     """Of every random draw."""
