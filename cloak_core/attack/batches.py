@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from cloak_core.attack.parsing import parse_angles, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras
-from cloak_core.attack.settings import TrainSettings, parse_angles, parse_range
+from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
 from cloak_core.render.compositing import Photometric, compose
 from cloak_core.render.views import DressedView, ViewBank

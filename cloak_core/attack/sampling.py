@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloak_core.attack.settings import TrainSettings, parse_angles, parse_range
+from cloak_core.attack.parsing import parse_angles, parse_range
+from cloak_core.attack.settings import TrainSettings
 from cloak_core.scene.cameras import Camera
 
 _EPOCH, _STEP = 0, 1

@@ -43,7 +43,7 @@ class Check(Command):
             return check_image(load_detector(self.spec, device=self.device), self.image, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
-        from cloak_core.attack.settings import parse_angles
+        from cloak_core.attack.parsing import parse_angles
         from cloak_core.evaluate.clean import check_scene
         from cloak_core.scene.backgrounds import open_backgrounds
 

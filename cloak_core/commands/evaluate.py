@@ -37,7 +37,7 @@ class Evaluate(Command):
     settings: OmitArgPrefixes[EvaluateSettings] = field(default_factory=EvaluateSettings)
 
     def run(self) -> dict:
-        from cloak_core.attack.settings import parse_angles
+        from cloak_core.attack.parsing import parse_angles
         from cloak_core.detectors.loading import load_detector
         from cloak_core.evaluate.provenance import training_record
         from cloak_core.evaluate.store import FOLDER

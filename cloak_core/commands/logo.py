@@ -125,7 +125,7 @@ class Heatmap(Command):
 
     def run(self) -> dict:
         from cloak_core.attack.heatmap import heatmap, pick
-        from cloak_core.attack.settings import parse_angles
+        from cloak_core.attack.parsing import parse_angles
         from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backgrounds import open_backgrounds
         from cloak_core.scene.exchange import write_npy

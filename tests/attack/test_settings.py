@@ -3,12 +3,11 @@ import math
 
 import pytest
 
+from cloak_core.attack.parsing import parse_angles, parse_range
 from cloak_core.attack.settings import (
     PRESETS,
     TrainSettings,
     make_settings,
-    parse_angles,
-    parse_range,
     settings_from_record,
     settings_record,
 )
