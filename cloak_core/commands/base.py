@@ -8,7 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from cloak_core.errors import InputError
-from cloak_core.scene.exchange import Bodies, read_scene
+from cloak_core.scene.opening import open_scene
+
+__all__ = ["Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]
 
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 """Progress, warnings and errors: standard error, always."""
@@ -37,18 +39,6 @@ class Command:
 def warn(message: str) -> None:
     """One line on standard error."""
     err.print(f"cloak: {message}", style="yellow", markup=False)
-
-
-def open_scene(spec: str | Path) -> Bodies:
-    """Bodies from a scene folder or .npz, or the embedded ones: "sample", "sample:train", "sample:unseen"."""
-    head, _, split = str(spec).partition(":")
-    if head != "sample":
-        return read_scene(spec)
-    from cloak_core.scene.samples import sample_bodies
-
-    if split not in ("", "all", "train", "unseen"):
-        raise InputError(f"scene '{spec}': the sample bodies come as sample, sample:train and sample:unseen")
-    return sample_bodies(split or "all")
 
 
 def require_new(path: Path) -> None:

@@ -13,6 +13,7 @@ from cloak_core.commands.base import Command, err, open_scene, out
 from cloak_core.errors import InputError
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, read_json
+from cloak_core.scene.selection import split_selection
 
 COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
 """What was kept back from training on embedded material."""
@@ -83,7 +84,7 @@ def read_run(folder: Path) -> dict:
 
 def kept_back(kind: str, config: dict) -> str:
     """The embedded material that training did not see; for anything else the user must say."""
-    spec = config.get("inputs", {}).get(kind, "")
+    spec, _ = split_selection(config.get("inputs", {}).get(kind, ""))
     head, mark, rest = spec.partition(":train")
     if mark and head in ("sample", "procedural"):
         return head + COUNTERPART[":train"][kind] + rest

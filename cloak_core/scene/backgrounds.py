@@ -22,6 +22,7 @@ from torch import Tensor
 
 from cloak_core.errors import InputError
 from cloak_core.scene.procedural import draw_scene
+from cloak_core.scene.selection import select, split_selection
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MEMORY_BYTES = 1 << 30
@@ -109,15 +110,19 @@ class Backgrounds:
 def open_backgrounds(
     spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
 ) -> Backgrounds:
-    """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
+    """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`; `SPEC[0::2]` takes some
+    of them (`scene.selection`).
 
     A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
     at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.
     Raises `InputError` when nothing usable is there.
     """
-    if isinstance(spec, str) and (spec == "procedural" or spec.startswith("procedural:")):
-        return _open_procedural(spec, memory_bytes)
-    return _open_folder(Path(spec), size, memory_bytes)
+    whole, selection = split_selection(str(spec))
+    if isinstance(spec, str) and (whole == "procedural" or whole.startswith("procedural:")):
+        backgrounds = _open_procedural(whole, memory_bytes)
+    else:
+        backgrounds = _open_folder(Path(whole), size, memory_bytes)
+    return backgrounds if selection is None else backgrounds.subset(select(selection, backgrounds.names, str(spec)))
 
 
 # --- procedural ------------------------------------------------------------------------------------------------------

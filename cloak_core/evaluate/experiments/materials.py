@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,7 +11,8 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.errors import InputError
 from cloak_core.scene.backgrounds import Backgrounds, open_backgrounds
-from cloak_core.scene.exchange import Bodies, read_scene, sha256_arrays
+from cloak_core.scene.exchange import Bodies, sha256_arrays
+from cloak_core.scene.opening import open_scene
 from cloak_core.scene.samples import sample_bodies
 
 
@@ -81,18 +81,13 @@ def open_materials(
 
 def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
     if unseen is not None:
-        return _scene(scene), _scene(unseen)
+        return open_scene(scene), open_scene(unseen)
     if scene == "sample":
         return sample_bodies("train"), sample_bodies("unseen")
-    bodies = _scene(scene)
+    bodies = open_scene(scene)
     if bodies.pose_count < 2:
         raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
     return (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
-
-
-def _scene(spec: str) -> Bodies:
-    head, _, split = spec.partition(":")
-    return sample_bodies(split or "all") if head == "sample" else read_scene(Path(spec))
 
 
 def _open_backgrounds(spec: str, unseen: str | None) -> tuple[Backgrounds, Backgrounds]:
