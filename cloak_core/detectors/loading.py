@@ -169,6 +169,7 @@ def _load_python(request: Request) -> Detector:
         spec=request.spec,
         input_size=request.input_size,
         letterbox=request.letterbox,
+        fold=request.fold,
     )
 
 

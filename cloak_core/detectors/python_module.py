@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -15,7 +16,10 @@ from cloak_core.errors import InputError
 class PythonDetector(Detector):
     """Wraps a module that takes images [B, 3, H, W] (RGB, 0..1) and returns boxes [B, N, 4] and person scores [B, N].
 
-    It may return a `Detections` instead. Images are handed over as they are unless an input size is given.
+    It may return a `Detections` instead, with `proposal_scores` where it has a first stage that can be attacked. Images
+    are handed over as they are unless an input size is given, their memory channels last (`channels_last`): the same
+    numbers, and convolutions are faster for it. A module that takes views which that layout does not allow gets the
+    usual one.
     """
 
     def __init__(
@@ -25,16 +29,32 @@ class PythonDetector(Detector):
         spec: str,
         input_size: tuple[int, int] | None = None,
         letterbox: bool = False,
+        channels_last: bool = True,
     ) -> None:
         super().__init__(name, spec)
         self.module, self.input_size, self.letterbox = module, input_size, letterbox
+        self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         inputs, placement = images, Placement()
         if self.input_size is not None:
             inputs, placement = fit(images, self.input_size, self.letterbox)
-        found = self._checked(self.module(inputs), len(images))
+        found = self._checked(self._run(inputs), len(images))
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
+
+    def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
+        try:
+            return self.module(inputs.contiguous(memory_format=self.memory_format))
+        except RuntimeError as error:
+            # torch's words where `Tensor.view` meets strides it cannot join; it never returns wrong numbers instead.
+            if self.memory_format == torch.contiguous_format or "view size is not compatible" not in str(error):
+                raise
+        self._lay_out(torch.contiguous_format)
+        return self.module(inputs.contiguous())
+
+    def _lay_out(self, memory_format: torch.memory_format) -> None:
+        self.memory_format = memory_format
+        self.module.to(memory_format=memory_format)
 
     def _checked(self, output: object, count: int) -> Detections:
         if (
@@ -56,15 +76,24 @@ class PythonDetector(Detector):
 
 
 def load_python(
-    file: Path, function: str, *, spec: str, input_size: tuple[int, int] | None = None, letterbox: bool = False
+    file: Path,
+    function: str,
+    *,
+    spec: str,
+    input_size: tuple[int, int] | None = None,
+    letterbox: bool = False,
+    fold: bool = True,
 ) -> PythonDetector:
-    """Run FILE.py (it is trusted: it is the user's own code), call FUNCTION(), freeze what it returns."""
+    """Run FILE.py (it is trusted: it is the user's own code), call FUNCTION(), freeze what it returns.
+
+    `fold=False` leaves the memory layout alone; the module itself is never changed.
+    """
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     made = _function(file, function)()
     if not isinstance(made, nn.Module):
         raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")
-    detector = PythonDetector(made, file.stem, spec, input_size, letterbox)
+    detector = PythonDetector(made, file.stem, spec, input_size, letterbox, channels_last=fold)
     detector.freeze()
     return detector
 

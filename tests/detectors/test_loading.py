@@ -31,6 +31,19 @@ class Flat(torch.nn.Module):
 class Dict(torch.nn.Module):
     def forward(self, images):
         return {"boxes": images}
+class Convolving(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("kernel", torch.randn(4, 3, 3, 3, generator=torch.Generator().manual_seed(0)))
+    def flat(self, features):
+        return features.flatten(1)
+    def forward(self, images):
+        self.strides = images.stride()
+        scores = self.flat(torch.conv2d(images, self.kernel)).sigmoid()
+        return torch.zeros(*scores.shape, 4), scores
+class Viewing(Convolving):
+    def flat(self, features):
+        return features.view(len(features), -1)
 """
 
 
@@ -133,6 +146,19 @@ def test_python_module(module: Path) -> None:
     assert batch.grad is not None and batch.grad.abs().sum() > 0
     resized = load_detector(f"python:{module}:load@32")(images(2, 40, 60))
     torch.testing.assert_close(resized.boxes, found.boxes)
+
+
+@pytest.mark.parametrize(("function", "layout_kept"), [("Convolving", True), ("Viewing", False)])
+def test_python_module_channels_last_where_it_can(function: str, layout_kept: bool, module: Path) -> None:
+    """A module that takes views of its features gets the usual memory layout; the numbers are the same."""
+    spec = f"python:{module}:{function}"
+    detector, plain = load_detector(spec), load_detector(spec, fold=False)
+    before, batch = state_hash(detector), images(2, 40, 60)
+    for _ in range(2):
+        torch.testing.assert_close(detector(batch).scores, plain(batch).scores)
+    assert (detector.module.strides[1] == 1) == layout_kept
+    assert detector.module.kernel.is_contiguous() != layout_kept and state_hash(detector) == before
+    assert plain.module.strides[1] == 40 * 60
 
 
 @pytest.mark.parametrize(
