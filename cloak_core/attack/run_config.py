@@ -36,7 +36,7 @@ def run_config(
             "poses": list(bodies.names),
             "outfits": bodies.outfit_count,
             "faces": bodies.face_count,
-            "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors),
+            "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),
             "pose_sha256": [sha256_arrays(vertices) for vertices in bodies.vertices],
         },
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},

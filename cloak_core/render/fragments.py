@@ -17,6 +17,7 @@ from torch import Tensor
 from cloak_core.render.projection import Screen
 from cloak_core.render.rasterizer import EMPTY, ID_BITS, Visibility, triangle_ids
 from cloak_core.render.shading import Light, shade
+from cloak_core.render.texture import texture_coordinates
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,10 @@ def light_fragments(
     normals: Float32[Tensor, "3 B V"],
     light_positions: Float32[Tensor, "3 B"],
     light: Light,
-) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"]]:
-    """Weight of the face's colour and highlight of every fragment, each times its share of the pixel.
+    corner_uv: Float32[Tensor, "2 3 T"] | None = None,
+) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None]:
+    """Weight of the face's colour and highlight of every fragment, each times its share of the pixel; and where
+    triangles have texture coordinates, those of the point where each fragment is lit.
 
     normals and light positions are in each view's own space.
     """
@@ -107,9 +110,11 @@ def light_fragments(
     interpolated = torch.stack([at(n, 0) * b0 + at(n, 1) * b1 + at(n, 2) * b2 for n in normals])
     lights = light_positions.index_select(1, points.view) if light_positions.shape[1] > 1 else light_positions
     weight, highlight = shade(position.to(torch.float32), interpolated, lights, light)
+    uv = None if corner_uv is None else texture_coordinates(corner_uv.index_select(2, points.triangle), b1, b2)
     if fragments.point is not None:
         weight, highlight = (t.index_select(0, fragments.point) for t in (weight, highlight))
-    return weight * fragments.area, highlight * fragments.area
+        uv = None if uv is None else uv.index_select(1, fragments.point)
+    return weight * fragments.area, highlight * fragments.area, uv
 
 
 def intersect(

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.errors import InputError
@@ -24,6 +24,7 @@ from cloak_core.render.projection import Screen, project
 from cloak_core.render.rasterizer import Visibility, Window, bounding_window, rasterize
 from cloak_core.render.shading import Light, NormalOperator
 from cloak_core.render.sparse import csr, offsets
+from cloak_core.render.texture import look_up
 from cloak_core.render.threads import one_thread
 from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera, Vector
@@ -56,6 +57,8 @@ class View:
     face: Int64[Tensor, " E"]
     weight: Float32[Tensor, " E"]
     """What a face's colour is multiplied by: its share of the pixel times its light."""
+    uv: Float32[Tensor, "2 E"] | None = None
+    """Where bodies have textures: texture coordinates in the middle of what is seen of the face in the pixel."""
 
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
@@ -137,6 +140,10 @@ class ViewBank:
         self._triangles = put(bodies.triangles.T, torch.int64)
         self._triangle_face = put(bodies.triangle_face, torch.int64)
         self._colors = put(bodies.face_colors, torch.float32)
+        images = [bodies.textures[name] if name else None for name in bodies.outfit_textures]
+        self._textures = [None if image is None else put(image, torch.uint8) for image in images]
+        textured = any(image is not None for image in images)
+        self._corner_uv = put(bodies.uv[bodies.triangle_uv].T, torch.float32) if textured else None
         self._normals = NormalOperator(self._triangles, bodies.vertex_count)
         self._split_faces = not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
         closed = is_closed(bodies.triangles)
@@ -173,7 +180,8 @@ class ViewBank:
                 raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
             view = self.view(pose, camera)
             logo = torch.from_numpy(faces).to(self.device)
-            dressed = self._kept.put(key, dress(view, logo, self._colors[outfit], self.light.color))
+            texture = self._textures[outfit]
+            dressed = self._kept.put(key, dress(view, logo, self._colors[outfit], self.light.color, texture))
         return dressed
 
     @one_thread()
@@ -182,9 +190,11 @@ class ViewBank:
         screen = self.screen(wanted)
         fragments = self._fragments(wanted, screen)
         normals, lights = self._view_space_light(wanted)
-        weight, highlight = light_fragments(fragments, screen, self._triangles, normals, lights, self.light)
+        weight, highlight, uv = light_fragments(
+            fragments, screen, self._triangles, normals, lights, self.light, self._corner_uv
+        )
         face = self._triangle_face.index_select(0, fragments.triangle)
-        return _assemble(fragments, face, weight, highlight, screen, self._split_faces)
+        return _assemble(fragments, face, weight, highlight, uv, screen, self._split_faces)
 
     @one_thread()
     def screen(self, wanted: Sequence[tuple[int, Camera]]) -> Screen:
@@ -298,17 +308,26 @@ class _Kept:
         return item
 
 
-def dress(view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector) -> DressedView:
-    """Fold all faces but the logo's, in their colours, and the highlight into a base image."""
+def dress(
+    view: View,
+    logo: Int64[Tensor, " L"],
+    colors: Float32[Tensor, "F 3"],
+    light_color: Vector,
+    texture: UInt8[Tensor, "h w 3"] | None = None,
+) -> DressedView:
+    """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
     position[logo] = torch.arange(len(logo), device=logo.device)
     place = position.index_select(0, view.face)
     is_logo = place >= 0
     rest = torch.where(is_logo, 0, view.weight)
-    size = (len(view.pixels), len(colors))
-    matrix = csr(view.crow, view.face, rest, size)
+    if texture is None:
+        worn = csr(view.crow, view.face, rest, (len(view.pixels), len(colors))) @ colors
+    else:
+        entries = torch.arange(len(view.face), device=logo.device)
+        worn = csr(view.crow, entries, rest, (len(view.pixels), len(entries))) @ look_up(texture, view.uv)
     tint = torch.tensor(light_color, device=logo.device)
-    planes = ((matrix @ colors + view.specular.unsqueeze(1)) * tint).T
+    planes = ((worn + view.specular.unsqueeze(1)) * tint).T
     entry = is_logo.nonzero().view(-1)
     row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face)).index_select(0, entry)
     per_row = torch.bincount(row, minlength=len(view.pixels))
@@ -334,7 +353,13 @@ def dress(view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"],
 
 
 def _assemble(
-    fragments: Fragments, face: Tensor, weight: Tensor, highlight: Tensor, screen: Screen, split_faces: bool
+    fragments: Fragments,
+    face: Tensor,
+    weight: Tensor,
+    highlight: Tensor,
+    uv: Tensor | None,
+    screen: Screen,
+    split_faces: bool,
 ) -> list[View]:
     """Cut the fragments of a batch into its views' matrices."""
     batch, total = len(screen.x), screen.width * screen.height
@@ -343,7 +368,7 @@ def _assemble(
     fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
     coverage, highlight = fold(fragments.area), fold(highlight)
     if split_faces:
-        row, face, weight = _merge_faces(row, face, weight)
+        row, face, weight, uv = _merge_faces(row, face, weight, uv, fragments.area)
     crow = offsets(row, len(places))
     first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
     row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
@@ -354,18 +379,22 @@ def _assemble(
         pixels = places[rows] - index * total
         own_crow = crow[rows.start : rows.stop + 1] - entries.start
         parts = (t.clone() for t in (coverage[rows], highlight[rows]))
-        views.append(
-            View(screen.height, screen.width, pixels, *parts, own_crow, face[entries].clone(), weight[entries].clone())
-        )
+        matrix = [t[..., entries].clone() if t is not None else None for t in (face, weight, uv)]
+        views.append(View(screen.height, screen.width, pixels, *parts, own_crow, *matrix))
     return views
 
 
-def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sum the weights of a polygon's triangles within each pixel."""
+def _merge_faces(
+    row: Tensor, face: Tensor, weight: Tensor, uv: Tensor | None, area: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """Sum the weights of a polygon's triangles within each pixel; texture coordinates are continuous in a polygon, so
+    that their mean by area is its middle's."""
     count = int(face.max()) + 1 if len(face) else 1
     entry, inverse = torch.unique(row * count + face, return_inverse=True)
     row = torch.div(entry, count, rounding_mode="floor")
-    return row, entry - row * count, weight.new_zeros(len(entry)).index_add_(0, inverse, weight)
+    fold = lambda t: t.new_zeros(*t.shape[:-1], len(entry)).index_add_(-1, inverse, t)
+    uv = None if uv is None else fold(uv * area) / fold(area)
+    return row, entry - row * count, fold(weight), uv
 
 
 def _box(pixels: Tensor, coverage: Tensor, width: int) -> tuple[int, int, int, int]:

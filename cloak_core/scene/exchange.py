@@ -67,6 +67,9 @@ class Bodies:
     """[T, 3] int32 into `uv`."""
     textures: dict[str, np.ndarray] = field(default_factory=dict)
     """Named images, uint8 [H, W, 3], row 0 at the top."""
+    outfit_textures: tuple[str, ...] = ()
+    """For each outfit the name of the texture it wears, "" for one of plain faces; all are plain where absent. The
+    `face_colors` of a textured outfit are the texture's means over the faces, for whoever needs one colour a face."""
     name: str = "scene"
     recorded_topology: str | None = None
     """The hash its file records, for scenes whose polygons' loops are not stored."""
@@ -96,6 +99,7 @@ class Bodies:
             put("uv", _array(self.uv, np.float32, "uv", (None, 2)))
             put("triangle_uv", _array(self.triangle_uv, np.int32, "triangle_uv", (len(self.triangles), 3)))
         put("textures", {k: _array(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()})
+        put("outfit_textures", tuple(str(n) for n in self.outfit_textures) or ("",) * self.outfit_count)
         self._check()
 
     def _check(self) -> None:
@@ -120,6 +124,19 @@ class Bodies:
         if self.uv is not None:
             _finite(self.uv, "uv", ("coordinate",))
             _indices(self.triangle_uv, len(self.uv), "triangle_uv", "uv")
+        self._check_textures()
+
+    def _check_textures(self) -> None:
+        if len(self.outfit_textures) != self.outfit_count:
+            raise InputError(f"outfit_textures: {len(self.outfit_textures)} for {self.outfit_count} outfits")
+        for name, image in self.textures.items():
+            if not image.size:
+                raise InputError(f"texture_{name}: no pixels")
+        for name in filter(None, self.outfit_textures):
+            if name not in self.textures:
+                raise InputError(f"outfit_textures: there is no texture '{name}'")
+            if self.uv is None:
+                raise InputError(f"texture '{name}': the mesh has no texture coordinates (UVs)")
 
     @property
     def pose_count(self) -> int:
@@ -218,6 +235,7 @@ def _bodies_from_arrays(arrays: dict[str, np.ndarray], name: str, topology: obje
         **{key: arrays.get(key) for key in optional},
         regions=named("region_"),
         textures=named("texture_"),
+        outfit_textures=tuple(str(n) for n in arrays.get("outfit_textures", ())),
         names=tuple(str(n) for n in arrays.get("names", ())),
         name=name,
         recorded_topology=topology if isinstance(topology, str) else None,
@@ -235,6 +253,8 @@ def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak
             arrays[key] = getattr(bodies, key)
     arrays |= {f"region_{k}": v for k, v in bodies.regions.items()}
     arrays |= {f"texture_{k}": v for k, v in bodies.textures.items()}
+    if any(bodies.outfit_textures):
+        arrays["outfit_textures"] = np.array(bodies.outfit_textures, np.str_)
     record = {
         "format": "cloak scene",
         "version": FORMAT_VERSION,

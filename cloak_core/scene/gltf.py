@@ -2,8 +2,8 @@
 
 Faces come in the file's order: nodes depth first, their primitives one after the other. glTF splits vertices at every
 seam of normals, texture coordinates and materials; those of one mesh that coincide (and move alike) are joined again,
-so that closed bodies are closed here too. The base colour of a face is its material's, times vertex colours, times the
-texture at its centre.
+so that closed bodies are closed here too. The base colour of a face is its material's, times vertex colours or the
+texture.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from cloak_core.errors import InputError
 from cloak_core.scene.gltf_animation import sample_animation
 from cloak_core.scene.gltf_document import Document
 from cloak_core.scene.mesh_file import MeshFile, to_srgb
+from cloak_core.scene.pictures import put_together
 
 
 def read_gltf(path: Path, frames: int = 0) -> MeshFile:
@@ -32,7 +33,7 @@ def read_gltf(path: Path, frames: int = 0) -> MeshFile:
             np.concatenate([part.posed(moment) for part in parts])
             for moment in (Moment(document, time) for time in times)
         ]
-        return mesh_of(parts, np.stack(poses))
+        return mesh_of(document, parts, np.stack(poses))
     except InputError:
         raise
     except (ValueError, IndexError, KeyError, TypeError, AttributeError, struct.error, RecursionError) as error:
@@ -105,8 +106,9 @@ class Part:
         loose = np.concatenate(triangles)
         self.triangles = rank[inverse.reshape(-1)][loose]
         self.colors = join("colors")
-        self.uv = join("uv") if all(p.uv is not None for p in primitives) else None
-        self.uv_triangles = loose
+        self.picture_of = np.concatenate([np.full(len(p.triangles), p.picture) for p in primitives])
+        self.has_uv = all(p.uv is not None for p in primitives)
+        self.corner_uv = np.concatenate([p.corner_uv() for p in primitives])
         self.skin = None
         if "skin" in record and self.weights.shape[1]:
             skin = document.list("skins")[record["skin"]]
@@ -155,44 +157,61 @@ class Primitive:
         empty = np.zeros((count, 0))
         self.joints = np.concatenate([empty, *[read(f"JOINTS_{i}") for i in sets]], axis=1)
         self.weights = np.concatenate([empty, *[read(f"WEIGHTS_{i}") for i in sets]], axis=1)
-        self.uv = read("TEXCOORD_0")
-        self.colors = self.face_colors(document, record, read("COLOR_0"))
-
-    def face_colors(self, document: Document, record: dict, vertex_colors: np.ndarray | None) -> np.ndarray:
-        """Base colour [F, 3] sRGB of every triangle."""
         index = record.get("material")
         material = {} if index is None else document.list("materials")[index].get("pbrMetallicRoughness", {})
-        linear = np.tile(np.array(material.get("baseColorFactor", (1, 1, 1, 1)), float)[:3], (len(self.triangles), 1))
+        factor = np.array(material.get("baseColorFactor", (1, 1, 1, 1)), float)[:3]
+        texture, vertex_colors = material.get("baseColorTexture"), read("COLOR_0")
+        self.uv = read(f"TEXCOORD_{(texture or {}).get('texCoord', 0)}")
+        if texture is not None and self.uv is None:
+            raise InputError(
+                f"{document.path}: material {index} has a texture, but its mesh no texture coordinates (UVs)"
+            )
+        if texture is not None:
+            self.uv = transformed(self.uv, texture.get("extensions", {}).get("KHR_texture_transform", {}))
+        self.picture = -1 if texture is None else document.base_picture(texture["index"], tuple(factor.tolist()))
+        self.colors = np.tile(to_srgb(factor), (len(self.triangles), 1))
         if vertex_colors is not None:
-            linear = linear * vertex_colors[self.triangles][..., :3].mean(axis=1)
-        srgb = to_srgb(linear)
-        texture = material.get("baseColorTexture")
-        if texture is None or self.uv is None or texture.get("texCoord", 0):
-            return srgb if index is not None or vertex_colors is not None else np.full_like(srgb, 0.5)
-        picture = document.picture(texture["index"])
-        if picture is None:
-            return srgb
-        at = self.uv[self.triangles].mean(axis=1) % 1.0
-        height, width = picture.shape[:2]
-        row, column = (at[:, 1] * height).astype(int) % height, (at[:, 0] * width).astype(int) % width
-        return srgb * picture[row, column] / 255
+            self.colors = to_srgb(factor * vertex_colors[self.triangles][..., :3].mean(axis=1))
+        elif index is None:
+            self.colors[:] = 0.5
+
+    def corner_uv(self) -> np.ndarray:
+        """Texture coordinates of the triangles' corners [3 T, 2], v up (glTF counts it downwards)."""
+        if self.uv is None:
+            return np.zeros((self.triangles.size, 2))
+        return self.uv[self.triangles.reshape(-1)].astype(float) * [1, -1] + [0, 1]
 
 
-def mesh_of(parts: list[Part], poses: np.ndarray) -> MeshFile:
+def transformed(uv: np.ndarray, transform: dict) -> np.ndarray:
+    """Texture coordinates under KHR_texture_transform."""
+    angle = float(transform.get("rotation", 0))
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return uv * np.array(transform.get("scale", (1, 1))) @ turn.T + np.array(transform.get("offset", (0, 0)))
+
+
+def mesh_of(document: Document, parts: list[Part], poses: np.ndarray) -> MeshFile:
     """All parts as one mesh."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     triangles = np.concatenate([part.triangles + offset for part, offset in zip(parts, offsets, strict=False)])
+    loop_total = np.full(len(triangles), 3, np.int64)
+    colors = np.clip(np.concatenate([part.colors for part in parts]), 0, 1)
+    picture_of = np.concatenate([part.picture_of for part in parts])
+    corner_uv = np.concatenate([part.corner_uv for part in parts])
+    used = np.unique(picture_of)
+    picture = None
+    if len(used) == 1 and used[0] >= 0:
+        picture = document.base_pictures[used[0]]
+    elif len(used) > 1:
+        picture, corner_uv = put_together(document.base_pictures, picture_of, colors, corner_uv, loop_total)
     uv = loop_uv = None
-    if all(part.uv is not None for part in parts):
-        offsets = np.cumsum([0] + [len(part.uv) for part in parts])
-        loop_uv = np.concatenate([p.uv_triangles + o for p, o in zip(parts, offsets, strict=False)]).reshape(-1)
-        # glTF counts v downwards.
-        uv = np.concatenate([part.uv for part in parts]).astype(float) * [1, -1] + [0, 1]
+    if picture is not None or all(part.has_uv for part in parts):
+        uv, loop_uv = np.unique(corner_uv, axis=0, return_inverse=True)
     return MeshFile(
         poses=poses,
-        loop_total=np.full(len(triangles), 3, np.int64),
+        loop_total=loop_total,
         loop_vertices=triangles.reshape(-1),
-        face_colors=np.clip(np.concatenate([part.colors for part in parts]), 0, 1),
+        face_colors=colors,
         uv=uv,
-        loop_uv=loop_uv,
+        loop_uv=None if loop_uv is None else loop_uv.reshape(-1),
+        picture=picture,
     )

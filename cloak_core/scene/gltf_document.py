@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.errors import InputError
-from cloak_core.scene.mesh_file import file_beside, read_file
+from cloak_core.scene.mesh_file import file_beside, read_file, to_linear, to_srgb
+from cloak_core.scene.pictures import MAX_PIXELS
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 WIDTHS = {"SCALAR": (1,), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT4": (4, 4)}
 KNOWN_EXTENSIONS = {"KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform"}
 MAX_NODES = 100_000
-MAX_PIXELS = 64 << 20
 
 
 class Document:
@@ -33,6 +33,8 @@ class Document:
             data, self.binary = chunks[b"JSON"], chunks.get(b"BIN\0", b"")
         self.json = json.loads(data)
         self.buffers: dict[int, bytes] = {}
+        self.base_pictures: list[np.ndarray] = []
+        self._base_numbers: dict[tuple, int] = {}
         for extension in self.json.get("extensionsRequired", []):
             if extension not in KNOWN_EXTENSIONS:
                 raise InputError(f"{path}: needs the extension {extension}, which is not read here")
@@ -135,9 +137,22 @@ class Document:
             with Image.open(io.BytesIO(data)) as image:
                 if image.width * image.height > MAX_PIXELS:
                     raise InputError(f"{self.path}: image {source} has too many pixels")
-                return np.asarray(image.convert("RGB"))
+                return np.array(image.convert("RGB"))
         except (OSError, Image.DecompressionBombError, SyntaxError):
             raise InputError(f"{self.path}: image {source} is not a readable picture") from None
+
+    def base_picture(self, texture: int, factor: tuple[float, ...]) -> int:
+        """Number in `base_pictures` of a texture times a linear colour; -1 where there is no picture in it."""
+        key = (texture, factor)
+        if key not in self._base_numbers:
+            picture = self.picture(texture)
+            if picture is not None and factor != (1, 1, 1):
+                tinted = to_srgb(to_linear(np.arange(256) / 255)[:, None] * factor)
+                table = np.rint(tinted * 255).astype(np.uint8)
+                picture = np.stack([table[picture[..., c], c] for c in range(3)], axis=-1)
+            self._base_numbers[key] = -1 if picture is None else len(self.base_pictures)
+            self.base_pictures += [] if picture is None else [picture]
+        return self._base_numbers[key]
 
 
 def glb_chunks(data: bytes) -> list[tuple[bytes, bytes]]:

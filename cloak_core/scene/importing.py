@@ -13,6 +13,7 @@ from cloak_core.scene.gltf import read_gltf
 from cloak_core.scene.mesh_file import MeshFile
 from cloak_core.scene.polygons import triangulate
 from cloak_core.scene.stanford import read_ply
+from cloak_core.scene.textures import dress_in_textures
 from cloak_core.scene.wavefront import read_obj
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
@@ -63,6 +64,7 @@ def import_bodies(
         uv=first.uv,
         triangle_uv=first.triangle_uv,
         textures=first.textures,
+        outfit_textures=first.outfit_textures,
         name=name,
         recorded_topology=first.topology,
     )
@@ -116,7 +118,7 @@ def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
         triangles = mesh.loop_vertices[corners]
         if mesh.uv is not None and mesh.loop_uv is not None:
             shared = {"uv": mesh.uv, "triangle_uv": mesh.loop_uv[corners]}
-    return Bodies(
+    bodies = Bodies(
         vertices=mesh.poses.astype(np.float32),
         triangles=triangles,
         triangle_face=triangle_face,
@@ -127,6 +129,9 @@ def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
         name=name,
         **shared,
     )
+    if mesh.picture is None or not shared:
+        return bodies
+    return dress_in_textures(bodies, {name: mesh.picture})
 
 
 def check_heights(path: Path, vertices: np.ndarray) -> None:

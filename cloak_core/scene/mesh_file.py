@@ -26,12 +26,20 @@ class MeshFile:
     """[U, 2], v up."""
     loop_uv: np.ndarray | None = None
     """[C] int into `uv`."""
+    picture: np.ndarray | None = None
+    """uint8 [H, W, 3], row 0 at the top: the base colour at every texture coordinate."""
 
 
 def to_srgb(linear: np.ndarray) -> np.ndarray:
     """Display-referred sRGB in [0, 1] of scene-linear colours, which are clipped to [0, 1]."""
     linear = np.clip(np.asarray(linear, np.float64), 0, 1)
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def to_linear(srgb: np.ndarray) -> np.ndarray:
+    """Scene-linear colours of display-referred sRGB in [0, 1]."""
+    srgb = np.asarray(srgb, np.float64)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def mean_of_corners(values: np.ndarray, loop_total: np.ndarray, loop: np.ndarray) -> np.ndarray:

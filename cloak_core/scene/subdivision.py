@@ -9,6 +9,7 @@ import numpy as np
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import Bodies
 from cloak_core.scene.polygons import loop_starts, next_corner, polygon_loops, triangulate
+from cloak_core.scene.textures import texture_means
 
 MAX_TRIANGLES = 20_000_000
 
@@ -62,7 +63,12 @@ def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
         recorded_topology=None,
         **new,
     )
-    return divided, parent
+    worn = [divided.textures.get(name) for name in divided.outfit_textures]
+    colors = [
+        plain if image is None else texture_means(divided, image)
+        for plain, image in zip(divided.face_colors, worn, strict=True)
+    ]
+    return replace(divided, face_colors=np.stack(colors)), parent
 
 
 class Midpoints:

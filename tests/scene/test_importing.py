@@ -286,7 +286,7 @@ def test_gltf_materials_transforms_and_seams(tmp_path: Path, binary: bool) -> No
 
 
 def test_gltf_textures_become_base_colours(tmp_path: Path) -> None:
-    """Left half of the picture red, right half blue; the upper triangle's centre lies left, the lower one's right."""
+    """Left half of the picture red, right half blue: of the lower triangle a quarter is red, of the upper one three."""
     Image.fromarray(np.array([[[255, 0, 0], [0, 0, 255]]] * 2, np.uint8)).save(tmp_path / "p.png")
     gltf = Gltf(nodes=[{"mesh": 0}], textures=[{"source": 0}], images=[{"uri": "p.png"}])
     gltf.json["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
@@ -295,7 +295,8 @@ def test_gltf_textures_become_base_colours(tmp_path: Path) -> None:
     indices = gltf.add(np.array([0, 1, 2, 0, 2, 3], np.uint8))
     gltf.json["meshes"] = [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}]
     read = import_bodies([gltf.glb(tmp_path / "c.glb")])
-    assert np.allclose(read.face_colors[0], [[0, 0, 1], [1, 0, 0]])
+    assert np.allclose(read.face_colors[0], [[0.25, 0, 0.75], [0.75, 0, 0.25]])
+    assert read.outfit_textures == ("c",) and read.textures["c"].tolist() == [[[255, 0, 0], [0, 0, 255]]] * 2
     assert np.allclose(read.uv[read.triangle_uv][..., 1], 1 - read.vertices[0][read.triangles][..., 1])
     (tmp_path / "p.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"c\.glb: image 0"):

@@ -1,0 +1,35 @@
+"""Textures: what a picture says about a surface, at points of it. Nothing here is differentiated."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float32, UInt8
+from torch import Tensor
+
+
+def texture_coordinates(
+    corner_uv: Float32[Tensor, "2 3 Q"], b1: Float32[Tensor, " Q"], b2: Float32[Tensor, " Q"]
+) -> Float32[Tensor, "2 Q"]:
+    """Texture coordinates of points given by the weights of their triangles' corners 1 and 2.
+
+    Points may lie a little outside (the middle of a pixel's part of a triangle is that of its extent); they are moved
+    into the triangle, so that no other chart's colours are looked up.
+    """
+    weight = torch.stack([1 - b1 - b2, b1, b2]).clamp(min=0)
+    weight = weight / weight.sum(0)
+    return (corner_uv * weight).sum(1)
+
+
+def look_up(texture: UInt8[Tensor, "h w 3"], uv: Float32[Tensor, "2 N"]) -> Float32[Tensor, "N 3"]:
+    """Colours in [0, 1] at texture coordinates (v up), between the four texels around; the picture repeats."""
+    height, width = texture.shape[:2]
+    x, y = (uv[0] % 1) * width - 0.5, (1 - uv[1] % 1) * height - 0.5
+    left, top = x.floor(), y.floor()
+    fx, fy = (x - left).unsqueeze(1), (y - top).unsqueeze(1)
+    column, row = left.to(torch.int64), top.to(torch.int64)
+    texel = lambda right, down: texture.view(-1, 3).index_select(
+        0, ((row + down) % height) * width + (column + right) % width
+    )
+    upper = texel(0, 0) * (1 - fx) + texel(1, 0) * fx
+    lower = texel(0, 1) * (1 - fx) + texel(1, 1) * fx
+    return (upper * (1 - fy) + lower * fy) / 255
