@@ -50,6 +50,21 @@ def total_variation(
     return ((ends[:, 0] - ends[:, 1]).abs().sum(dim=1) * edge_lengths).sum() / len(colors)
 
 
+def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
+    """Mean over faces of the Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
+
+    The non-printability score of Sharif et al., "Accessorize to a Crime" (CCS 2016), as Thys et al., "Fooling automated
+    surveillance cameras" (CVPR workshops 2019) use it: Sharif's product of the distances to all palette colours
+    vanishes, with its gradient, once there are more than a few of them. A colour of the palette itself has gradient 0.
+    """
+    # Who is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
+    with torch.no_grad():
+        squares = (palette**2).sum(dim=1) - 2 * colors @ palette.T
+        nearest = palette[squares.argmin(dim=1)]
+    # The root's gradient is infinite at 0; below a millionth of a colour there is none.
+    return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
+
+
 def _person_objectness(detections: Detections) -> Float[Tensor, "B N"]:
     if detections.objectness is None or detections.is_person is None:
         raise InputError("--loss objectness: the detector has no objectness; use --loss score")

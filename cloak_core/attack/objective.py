@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch
-from cloak_core.attack.losses import disappearance, total_variation
+from cloak_core.attack.losses import disappearance, non_printability, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
@@ -18,14 +19,24 @@ from cloak_core.scene.logo import Logo
 
 
 class Objective:
-    """What is minimised: the detectors' mean disappearance loss plus weighted total variation."""
+    """What is minimised: the detectors' mean disappearance loss plus weighted total variation and printability."""
 
     def __init__(
-        self, settings: TrainSettings, logo: Logo, detectors: Sequence[Detector], device: torch.device
+        self,
+        settings: TrainSettings,
+        logo: Logo,
+        detectors: Sequence[Detector],
+        device: torch.device,
+        palette: Float[np.ndarray, "P 3"] | None = None,
     ) -> None:
         self.settings, self.detectors = settings, detectors
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
+        self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
+
+    def printability(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
+        """Non-printability against the palette; 0 without one."""
+        return colors.new_zeros(()) if self.palette is None else non_printability(colors, self.palette)
 
     def __call__(
         self, images: Float[Tensor, "B 3 H W"], colors: Float[Tensor, "L 3"]
@@ -45,6 +56,8 @@ class StepFigures:
     loss: float
     disappearance: float
     tv: float
+    nps: float
+    """Non-printability: how far the colours are from the palette's, in the mean; 0 without a palette."""
     success: float
     """Share of the batch (over all detectors) in which no person was found."""
 
@@ -70,16 +83,18 @@ def gradient_step(
     colors = optimizer.colors()
     images = batch.images(colors)
     seen, variation, success, detections = objective(images, colors)
-    weight = objective.settings.tv_weight
-    (share * seen + weight / world.size * variation).backward()
+    unprintable = objective.printability(colors)
+    weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
+    (share * seen + (weight * variation + print_weight * unprintable) / world.size).backward()
     gradient = optimizer.gradient
-    values = torch.stack([share * seen, variation / world.size, share * success]).detach()
+    values = torch.stack([share * seen, variation / world.size, unprintable / world.size, share * success]).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
-        gradient.copy_(message[:-3].view_as(gradient))
-        values = message[-3:]
+        gradient.copy_(message[: -len(values)].view_as(gradient))
+        values = message[-len(values) :]
     finite = torch.isfinite(gradient).all() & torch.isfinite(values).all()
     # One transfer for everything the host wants to know.
-    seen, variation, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
-    figures = StepFigures(seen + weight * variation, seen, variation, success)
+    seen, variation, unprintable, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
+    loss = seen + weight * variation + print_weight * unprintable
+    figures = StepFigures(loss, seen, variation, unprintable, success)
     return Step(figures, bool(is_finite), images.detach(), detections)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from cloak_core import __version__
+from cloak_core.attack.held_out import Material
 from cloak_core.attack.settings import TrainSettings, settings_record
 from cloak_core.detectors.protocol import Detector
 from cloak_core.scene.backgrounds import Backgrounds
@@ -23,8 +24,10 @@ def run_config(
     backgrounds: Backgrounds,
     inputs: Mapping[str, str],
     processes: int = 1,
+    palette: np.ndarray | None = None,
+    held_out: Material | None = None,
 ) -> dict:
-    """config.json: what decides the result (settings, scene, logo, detectors, backgrounds), and where it ran."""
+    """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
@@ -45,6 +48,9 @@ def run_config(
             for detector, state in zip(detectors, states, strict=True)
         ],
         "backgrounds": {"count": len(backgrounds), "identities": backgrounds.identities()},
+        "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
+        "held_out": held_out
+        and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
         "environment": {
             "python": platform.python_version(),

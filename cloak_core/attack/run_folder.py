@@ -6,15 +6,17 @@ config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previe
 import contextlib
 import os
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 
 from cloak_core.attack.checkpoints import sweep
+from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import new_folder, read_json, write_face_list, write_json
 from cloak_core.scene.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds")
-"""What a resumed run may change: nothing of it reaches the colours."""
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette")
+"""What a resumed run may change: nothing of it reaches the colours (of the palette, it is the content that counts)."""
 
 
 class RunFolder:
@@ -66,9 +68,11 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
 
 def _check_same(recorded: dict, config: dict, path: Path) -> None:
     """The parts of a configuration that decide the result must be what the run was started with."""
-    for part in ("settings", "scene", "logo", "detectors", "backgrounds"):
+    for part in ("settings", "scene", "logo", "detectors", "backgrounds", "palette"):
         old, new = recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
+            # What a run of an earlier version had not heard of, it did as the default has it.
+            old = {field.name: field.default for field in fields(TrainSettings)} | old
             old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
         name, before, now = _difference(part, old, new)
         if name:

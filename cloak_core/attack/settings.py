@@ -32,6 +32,12 @@ class TrainSettings:
     """Images per update."""
     max_seconds: float | None = None
     """Stop in order (checkpoint written, resumable) after this much training time, seconds."""
+    held_out: float = 0.0
+    """Share of the training poses and backgrounds that is set aside; the colours that do best on it are kept."""
+    held_out_every: int = 50
+    """Steps between measurements on what is held out."""
+    patience: int = 0
+    """End after so many measurements in a row without a better one; 0 trains to the end."""
 
     # --- views
     angles: str = "-10:10:5"
@@ -75,6 +81,11 @@ class TrainSettings:
     """From an image's boxes to one number: "max", "topk" (mean of the ten best) or "logsumexp" (soft maximum)."""
     tv_weight: float = 2.5
     """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
+
+    nps_weight: float = 0.0
+    """Weight of non-printability: the mean distance of the colours to the nearest one of `palette`."""
+    palette: str | None = None
+    """Palette file of what can be printed: a colour a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
 
     # --- optimiser
     optimizer: str = "sgd"
@@ -122,6 +133,10 @@ class TrainSettings:
         if parse_range(self.contrast, "--contrast")[0] < 0:
             raise InputError(f"--contrast: {self.contrast} is negative")
         parse_range(self.brightness, "--brightness")
+        if self.patience and not self.held_out:
+            raise InputError("--patience: needs a share to be set aside, --held-out 0.2 for instance")
+        if self.nps_weight and self.palette is None:
+            raise InputError("--nps-weight: needs a --palette to measure against")
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
         if not -90 <= self.elevation - 4 * self.elevation_jitter <= self.elevation + 4 * self.elevation_jitter <= 90:
@@ -147,6 +162,9 @@ _BOUNDS: dict[str, tuple[float, float, str]] = {
     "steps": (1, 10_000_000, "[]"),
     "batch": (1, 4096, "[]"),
     "max_seconds": (0, _INF, "()"),
+    "held_out": (0, 0.5, "[]"),
+    "held_out_every": (1, 10_000_000, "[]"),
+    "patience": (0, 10_000_000, "[]"),
     "angle_jitter": (0, 180, "[]"),
     "elevation": (-90, 90, "[]"),
     "elevation_jitter": (0, 22.5, "[]"),
@@ -155,6 +173,7 @@ _BOUNDS: dict[str, tuple[float, float, str]] = {
     "translation": (0, 4096, "[]"),
     "noise": (0, 1, "[]"),
     "tv_weight": (0, _INF, "[)"),
+    "nps_weight": (0, _INF, "[)"),
     "lr": (0, _INF, "()"),
     "momentum": (0, 1, "[)"),
     "lr_epochs": (0, _INF, "()"),

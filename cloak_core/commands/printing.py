@@ -30,10 +30,14 @@ class Print(Command):
     """Paper of the sheets."""
     project: bool = False
     """Replace colours that a four-colour printer cannot mix by the nearest that it can."""
+    palette: Path | None = None
+    """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
 
     def run(self) -> dict:
         from cloak_core.output.printing import print_logo
+        from cloak_core.scene.palette import read_palette
 
+        palette = None if self.palette is None else read_palette(self.palette)
         config = read_run(self.run_folder)
         scene = self.scene or config.get("inputs", {}).get("scene")
         if not scene:
@@ -50,6 +54,7 @@ class Print(Command):
             page=self.page,
             project=self.project,
             title=self.run_folder.resolve().name,
+            palette=palette,
         )
         return {"out": str(self.out)} | report
 

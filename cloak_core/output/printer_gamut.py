@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cloak_core.scene.palette import nearest_in_palette
+
 # Overprints of (cyan, magenta, yellow), each 0 or 1: paper, Y, M, MY, C, CY, CM, CMY, in sRGB bytes.
 OVERPRINTS = np.array([
     [255, 255, 255], [255, 237, 0], [230, 0, 126], [227, 6, 19],
     [0, 158, 224], [0, 150, 64], [49, 39, 131], [38, 35, 33],
 ])  # fmt: skip
 STEPS = 33
-TOLERANCE = 8 / 255
-"""Differences up to this, in the largest channel, count as printable."""
 
 
 def printable() -> Float[np.ndarray, "mixtures 3"]:
@@ -35,11 +35,5 @@ def printable() -> Float[np.ndarray, "mixtures 3"]:
 
 def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Each colour (sRGB in [0, 1]) itself where it can be printed, else the nearest that can; and whether it cannot."""
-    grid = printable()
-    square = (grid**2).sum(axis=1)
-    nearest = np.empty((len(colors), 3))
-    for start in range(0, len(colors), 256):
-        part = colors[start : start + 256].astype(np.float64)
-        nearest[start : start + 256] = grid[(square - 2 * part @ grid.T).argmin(axis=1)]
-    beyond = np.abs(nearest - colors).max(axis=1, initial=0) > TOLERANCE
+    nearest, beyond = nearest_in_palette(colors, printable())
     return np.where(beyond[:, None], nearest, colors), beyond

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Integer
+from jaxtyping import Float, Float32, Integer
 
 from cloak_core.errors import InputError
 from cloak_core.output.baking import bake, dressed
@@ -14,6 +14,7 @@ from cloak_core.output.printer_gamut import nearest_printable
 from cloak_core.output.sheets import PAGES, write_sheets
 from cloak_core.output.textured import png, write_glb, write_obj
 from cloak_core.scene.exchange import Bodies, new_folder, write_json
+from cloak_core.scene.palette import nearest_in_palette
 
 DPI = (10, 1200)
 
@@ -29,12 +30,14 @@ def print_logo(
     outfit: int = 0,
     pose: int = 0,
     title: str = "cloak",
+    palette: Float[np.ndarray, "P 3"] | None = None,
 ) -> dict:
     """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
     and print.json, the report that is also returned.
 
     colors: [L, 3] sRGB in [0, 1]; project: replace colours that a four-colour printer cannot mix by the nearest that it
-    can (they are counted either way). Sizes are those of `pose`. The folder appears whole or not at all; raises
+    can (they are counted either way); palette: the colours there are, sRGB, instead of a four-colour printer's, and
+    `project` then leaves no others. Sizes are those of `pose`. The folder appears whole or not at all; raises
     `InputError` where it exists, and for options out of range.
     """
     out = Path(out)
@@ -48,7 +51,7 @@ def print_logo(
         raise InputError(f"pose {pose}: scene '{bodies.name}' has {bodies.pose_count}")
     if len(colors) != len(face_ids):
         raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
-    near, beyond = nearest_printable(colors)
+    near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
     painted = near.astype(np.float32) if project else colors
     layout = lay_out(bodies, face_ids, pose)
     texture = bake(bodies, layout, dressed(bodies, face_ids, painted, outfit), dpi)

@@ -22,17 +22,17 @@ die_at = int(sys.argv[3])
 def say(event):
     if event["type"] == "step":
         print(event["step"], flush=True)
-from cloak_core.attack import training
+from cloak_core.attack import trainer
 if os.environ["RANK"] == "1" and die_at:
     # This rank vanishes in the middle of a step.
-    before = training.gradient_step
+    before = trainer.gradient_step
     calls = []
     def dying(*args, **kwargs):
         calls.append(1)
         if len(calls) == die_at:
             os._exit(9)
         return before(*args, **kwargs)
-    training.gradient_step = dying
+    trainer.gradient_step = dying
 try:
     run(Path(sys.argv[1]), steps=int(sys.argv[2]), batch=5, resume=True, checkpoint_every=100, on_event=say)
 except InputError as error:

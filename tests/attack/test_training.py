@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 import json
 import os
 import signal
@@ -318,3 +319,54 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
             ends = [objective(colors + sign * 3e-3 * direction).double() for sign in (1, -1)]
         numeric = (ends[0] - ends[1]) / 6e-3
         assert numeric.item() == pytest.approx((colors.grad * direction).sum().item(), rel=0.03, abs=2e-4)
+
+
+# --- what is seen of a run that goes on, and printable colours -------------------------------------------------------
+
+
+def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch):
+    """Every LIVE_SECONDS, without a checkpoint; here after every step."""
+    monkeypatch.setattr("cloak_core.attack.trainer.LIVE_SECONDS", 0.0)
+    shown = []
+
+    def watch(event):
+        path = tmp_path / "run" / "colors.npy"
+        if event["type"] == "step" and path.exists():
+            shown.append(read_colors(path, 16))
+            assert not any((tmp_path / "run" / "checkpoint").iterdir())
+
+    result = run(tmp_path / "run", on_event=watch, checkpoint_every=0)
+    assert len(shown) == 5
+    assert all(not np.array_equal(a, b) for a, b in itertools.pairwise([*shown, result.colors]))
+
+
+def test_a_palette_draws_the_colours_to_it(tmp_path):
+    palette = tmp_path / "cloth.txt"
+    palette.write_text("#202020\n#c02040\n0.2 0.3 0.9\n")
+    options = {"steps": 60, "noise": 0, "tv_weight": 0, "lr": 0.05}
+    free = run(tmp_path / "free", palette=str(palette), **options)
+    bound = run(tmp_path / "bound", palette=str(palette), nps_weight=100, **options)
+    assert bound.figures.nps < 0.05 < free.figures.nps
+    assert bound.figures.loss == pytest.approx(bound.figures.disappearance + 100 * bound.figures.nps, abs=1e-4)
+    config = json.loads((tmp_path / "bound" / "config.json").read_text())
+    assert config["palette"]["colors"] == 3
+    moved = palette.rename(tmp_path / "moved.txt")
+    again = run(tmp_path / "bound", palette=str(moved), nps_weight=100, resume=True, **options)
+    assert np.array_equal(again.colors, bound.colors)
+    moved.write_text("#202020\n")
+    with pytest.raises(InputError, match=r"palette\.colors = 3, not 1"):
+        run(tmp_path / "bound", palette=str(moved), nps_weight=100, resume=True, **options)
+    with pytest.raises(InputError, match="--nps-weight: needs a --palette"):
+        settings(nps_weight=1)
+
+
+def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
+    done = run(tmp_path / "run")
+    record = json.loads((tmp_path / "run" / "config.json").read_text())
+    for name in ("patience", "nps_weight"):
+        del record["settings"][name]
+    del record["palette"]
+    (tmp_path / "run" / "config.json").write_text(json.dumps(record))
+    assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
+    with pytest.raises(InputError, match=r"settings\.held_out = 0\.0, not 0\.2"):
+        run(tmp_path / "run", resume=True, held_out=0.2)

@@ -1,0 +1,136 @@
+"""Early stopping: part of the training material is set aside, and tells when more steps no longer help.
+
+A share of the poses and of the backgrounds is never trained on. Every `held_out_every` steps the colours are measured
+on one fixed set of images of them, drawn as training draws; the best colours so far are kept. What was set aside chose
+the colours, so it counts as seen: test material is never touched, and a run's figures on it are no test.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.attack.batches import Batcher
+from cloak_core.attack.objective import Objective
+from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.world import World
+from cloak_core.errors import InputError
+from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.exchange import Bodies
+
+IMAGES = 64
+"""A measurement takes at least so many images."""
+_STREAM = 2
+"""Of random numbers, apart from those of `sampling`."""
+_STATE = "held_out."
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Material:
+    """Bodies and backgrounds of which images are made."""
+
+    bodies: Bodies
+    backgrounds: Backgrounds
+
+
+def set_aside(settings: TrainSettings, material: Material) -> tuple[Material, Material | None]:
+    """What is trained on, and what is held out (None where `settings.held_out` is 0).
+
+    At least one background is held out, and at least one pose where there are several; a single pose serves both.
+    InputError: a single background.
+    """
+    if not settings.held_out:
+        return material, None
+    random = np.random.default_rng([settings.seed, _STREAM])
+    bodies, backgrounds = material.bodies, material.backgrounds
+    if len(backgrounds) < 2:
+        raise InputError(f"--held-out {settings.held_out:g}: a single background cannot be split")
+    image, held_image = _split(random, len(backgrounds), settings.held_out)
+    pose, held_pose = _split(random, bodies.pose_count, settings.held_out) if bodies.pose_count > 1 else ([0], [0])
+    return (
+        Material(bodies.select_poses(pose), backgrounds.subset(image)),
+        Material(bodies.select_poses(held_pose), backgrounds.subset(held_image)),
+    )
+
+
+def _split(random: np.random.Generator, count: int, share: float) -> tuple[list[int], list[int]]:
+    order = random.permutation(count)
+    held = min(count - 1, max(1, round(share * count)))
+    return sorted(order[held:].tolist()), sorted(order[:held].tolist())
+
+
+def held_out_settings(settings: TrainSettings) -> TrainSettings:
+    """Settings whose `steps` batches are the images of one measurement."""
+    return dataclasses.replace(settings, epochs=None, steps=math.ceil(IMAGES / settings.batch), seed=settings.seed ^ 1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Best:
+    """The colours that did best on what is held out."""
+
+    step: int
+    disappearance: float
+    success: float
+    colors: Float[Tensor, "L 3"]
+
+
+class HeldOut:
+    """Measures colours on a fixed set of images and remembers the best."""
+
+    def __init__(self, settings: TrainSettings, batcher: Batcher, objective: Objective, world: World) -> None:
+        self.settings, self.batcher, self.objective, self.world = settings, batcher, objective, world
+        self.best: Best | None = None
+
+    def is_due(self, step: int, steps: int) -> bool:
+        """Whether the colours after `step` of `steps` updates are to be measured."""
+        return step == steps or step % self.settings.held_out_every == 0
+
+    def consider(self, step: int, colors: Float[Tensor, "L 3"]) -> dict[str, float]:
+        """Measure the colours after `step` updates; returns what to tell: disappearance, success, best_step."""
+        seen, success = self._measure(colors)
+        # Not "<=": of equals the earlier stays, so that a loss at its floor ends the run, too.
+        if self.best is None or seen < self.best.disappearance:
+            self.best = Best(step, seen, success, colors.detach().clone())
+        return {"disappearance": seen, "success": success, "best_step": self.best.step}
+
+    def is_over(self, step: int) -> bool:
+        """Whether `patience` measurements in a row, up to `step`, brought nothing better."""
+        if not self.settings.patience or self.best is None:
+            return False
+        since = step // self.settings.held_out_every - self.best.step // self.settings.held_out_every
+        return since >= self.settings.patience
+
+    def state(self) -> dict[str, Tensor]:
+        """For a checkpoint."""
+        if self.best is None:
+            return {}
+        figures = torch.tensor([self.best.step, self.best.disappearance, self.best.success], dtype=torch.float64)
+        return {_STATE + "colors": self.best.colors, _STATE + "figures": figures}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state()`. ValueError where the tensors belong to another run."""
+        colors, figures = tensors.get(_STATE + "colors"), tensors.get(_STATE + "figures")
+        if colors is None or figures is None:
+            return
+        if colors.shape != tensors["parameter"].shape or figures.shape != (3,):
+            raise ValueError("the best colours are of another shape")
+        step, seen, success = figures.tolist()
+        self.best = Best(int(step), seen, success, colors.to(self.batcher.device))
+
+    @torch.no_grad()
+    def _measure(self, colors: Float[Tensor, "L 3"]) -> tuple[float, float]:
+        """Mean disappearance loss and success over all images, in all processes together."""
+        sampler = self.batcher.sampler
+        total = torch.zeros(2, dtype=torch.float64, device=self.batcher.device)
+        for step in range(sampler.steps):
+            batch = self.batcher.batch(step, self.world.rank, self.world.size)
+            if batch.views:
+                seen, _, success, _ = self.objective(batch.images(colors), colors)
+                total += len(batch.views) * torch.stack([seen, success]).double()
+        seen, success = (self.world.sum(total) / sampler.images).tolist()
+        return seen, success

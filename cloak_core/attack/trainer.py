@@ -1,0 +1,254 @@
+"""The loop of one run: from its last checkpoint, or its start, to its end, and everything about losing nothing."""
+
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.attack.batches import Batcher, Prefetcher
+from cloak_core.attack.checkpoints import (
+    Checkpoint,
+    load_checkpoint,
+    receive_checkpoint,
+    save_checkpoint,
+    send_checkpoint,
+)
+from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
+from cloak_core.attack.held_out import HeldOut
+from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
+from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
+from cloak_core.attack.previews import save_preview
+from cloak_core.attack.run_folder import RunFolder
+from cloak_core.attack.stopping import StopRequest
+from cloak_core.attack.world import LostProcess, World
+from cloak_core.errors import InputError
+from cloak_core.scene.exchange import write_colors
+
+LIVE_SECONDS = 2.0
+"""Between writes of colors.npy while a run goes on: Blender shows them on the model."""
+
+
+class TrainingError(InputError):
+    """Training cannot go on: the loss or its gradient is not finite. The last checkpoint stands; exit code 2.
+
+    Colours cannot overflow (they stay in [0, 1]), so it is the detector that returned NaN or infinity.
+    """
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RunResult:
+    """How a run ended."""
+
+    out: Path
+    step: int
+    steps: int
+    seconds: float
+    """Training time, earlier parts of a resumed run included."""
+    figures: StepFigures | None
+    """Of the last step, from the event log where this call had nothing left to do; None when even that is lost."""
+    stopped: str
+    """Why it was ended early ("SIGINT", "cancel file", "time budget"); "" when it is complete."""
+    colors: np.ndarray
+    """[L, 3] float32: those in colors.npy. The last ones, or those that did best on what was held out."""
+    colors_step: int
+    """The step they are of."""
+    enough: str = ""
+    """Why it was complete before its last step: nothing better on what was held out."""
+
+    def record(self) -> dict:
+        """As the command line prints it."""
+        figures = dataclasses.asdict(self.figures) if self.figures else {}
+        record = {
+            "out": str(self.out),
+            "step": self.step,
+            "steps": self.steps,
+            "colors_step": self.colors_step,
+            "seconds": round(self.seconds, 2),
+        }
+        record |= {"enough": self.enough} if self.enough else {}
+        return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
+
+
+class Trainer:
+    """One run from its last checkpoint (or its start) to its end."""
+
+    def __init__(
+        self,
+        run: RunFolder,
+        batcher: Batcher,
+        objective: Objective,
+        optimizer: ColorOptimizer,
+        held_out: HeldOut | None,
+        on_event: OnEvent | None,
+        world: World,
+    ) -> None:
+        self.run, self.batcher, self.objective = run, batcher, objective
+        self.settings, self.sampler = batcher.settings, batcher.sampler
+        self.optimizer, self.held_out, self.world = optimizer, held_out, world
+        self.step = 0
+        self._earlier = 0.0
+        self._started = self._shown = time.perf_counter()
+        self._damaged = self._restore()
+        # Rank 0 alone writes; the others only compute.
+        self.log = EventLog(run.events, on_event) if world.is_first else None
+        self.batches = Prefetcher(batcher, world.rank, world.size)
+
+    def run_to_end(self, stop: StopRequest) -> RunResult:
+        """Steps until done or told to stop; a checkpoint and the colours are written either way."""
+        try:
+            figures, reason = self._steps(stop)
+        finally:
+            self.batches.close()
+            if self.log:
+                self.log.close()
+        colors, colors_step = self._final_colors()
+        return RunResult(
+            out=self.run.path,
+            step=self.step,
+            steps=self.sampler.steps,
+            seconds=self.seconds,
+            figures=figures or self._recorded_figures(),
+            stopped=reason,
+            colors=colors,
+            colors_step=colors_step,
+            enough=self._enough(),
+        )
+
+    def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
+        figures, reason = None, ""
+        self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged)
+        try:
+            while not self._is_done() and not reason:
+                figures = self._one_step()
+                self._hold_out()
+                reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
+                if self._is_done() or reason:
+                    self._save(final=True)
+                elif self._due(self.settings.checkpoint_every):
+                    self._save()
+                else:
+                    self._show()
+        except LostProcess as lost:
+            self._save(final=True)
+            message = f"{self.run.path}: lost another process of this run after step {self.step} ({lost})"
+            raise TrainingError(f"{message}; a checkpoint is written, --resume goes on") from None
+        except InputError:
+            # A background that vanished, a detector gone wrong: keep what was reached, unless the disk is the trouble.
+            with contextlib.suppress(InputError):
+                self._save(final=True)
+            raise
+        reason = "" if self._is_done() else reason
+        outcome = "stopped" if reason else "done"
+        self._tell("end", outcome=outcome, reason=reason or self._enough(), colors_step=self._final_colors()[1])
+        return figures, reason
+
+    def _is_done(self) -> bool:
+        return self.step >= self.sampler.steps or bool(self._enough())
+
+    def _enough(self) -> str:
+        """Why no more steps are needed before the last one; "" when they are."""
+        if self.held_out is None or self.step >= self.sampler.steps or not self.held_out.is_over(self.step):
+            return ""
+        return f"nothing better on what is held out since step {self.held_out.best.step}"
+
+    def _hold_out(self) -> None:
+        if self.held_out is not None and self.held_out.is_due(self.step, self.sampler.steps):
+            self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.colors().detach()))
+
+    def _recorded_figures(self) -> StepFigures | None:
+        """Of the last step in the event log: what a run that was complete before has to tell."""
+        names = [field.name for field in dataclasses.fields(StepFigures)]
+        for event in reversed(read_events(self.run.events) if self.world.is_first else []):
+            if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
+                return StepFigures(*(event[name] for name in names))
+        return None
+
+    @property
+    def seconds(self) -> float:
+        """Training time so far, earlier parts included; from a clock that cannot run backwards."""
+        return self._earlier + time.perf_counter() - self._started
+
+    def _one_step(self) -> StepFigures:
+        lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
+        batch = self.batches.batch(self.step)
+        share = len(batch.views) / self.sampler.images_of(self.step)
+        step = gradient_step(self.objective, self.optimizer, batch, self.world, share)
+        if not step.is_finite:
+            self._refuse(step)
+        self.optimizer.update(lr)
+        self.step += 1
+        self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
+        if self.world.is_first and self._due(self.settings.preview_every):
+            path = self.run.previews / f"step-{self.step:08d}.png"
+            save_preview(path, step.images, step.detections[0], self.settings.threshold)
+            self._tell("preview", path=f"previews/{path.name}")
+        return step.figures
+
+    def _refuse(self, step: Step) -> None:
+        names = [
+            detector.spec
+            for detector, said in zip(self.objective.detectors, step.detections, strict=True)
+            if not (torch.isfinite(said.scores).all() and torch.isfinite(said.boxes).all())
+        ]
+        blame = f"; not finite: the output of {', '.join(names)}" if names else ""
+        what = "its loss" if not np.isfinite(step.figures.loss) else "the gradient of its loss"
+        self._tell("error", message=f"{what} is not finite")
+        raise TrainingError(
+            f"{self.run.path}: step {self.step}: {what} is not finite{blame}; colours are left as before"
+        )
+
+    def _due(self, every: int) -> bool:
+        return every > 0 and self.step % every == 0
+
+    def _tell(self, kind: str, **more: object) -> None:
+        if self.log:
+            self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
+
+    def _colors_array(self) -> Float[np.ndarray, "L 3"]:
+        return _as_array(self.optimizer.colors())
+
+    def _final_colors(self) -> tuple[Float[np.ndarray, "L 3"], int]:
+        """The colours the run ends with, and the step they are of."""
+        if self.held_out is None or self.held_out.best is None:
+            return self._colors_array(), self.step
+        return _as_array(self.held_out.best.colors), self.held_out.best.step
+
+    def _save(self, final: bool = False) -> None:
+        """A checkpoint, and the colours: the latest, or those the run ends with."""
+        if self.world.is_first:
+            write_colors(self.run.colors, self._final_colors()[0] if final else self._colors_array())
+            tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
+            save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
+            self._shown = time.perf_counter()
+            self._tell("checkpoint")
+
+    def _show(self) -> None:
+        """The latest colours, for whoever watches, every now and then."""
+        if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
+            write_colors(self.run.colors, self._colors_array())
+            self._shown = time.perf_counter()
+
+    def _restore(self) -> list[str]:
+        """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
+        checkpoint, damaged = self.world.first_does(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
+        checkpoint = receive_checkpoint(self.world.spread(send_checkpoint(checkpoint)))
+        if checkpoint is not None:
+            try:
+                self.optimizer.load(checkpoint.tensors)
+                if self.held_out is not None:
+                    self.held_out.load(checkpoint.tensors)
+            except (KeyError, ValueError) as error:
+                raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
+            self.step, self._earlier = checkpoint.step, checkpoint.time
+        if self.world.is_first:
+            rewind_events(self.run.events, self.step)
+        return damaged
+
+
+def _as_array(colors: Tensor) -> Float[np.ndarray, "L 3"]:
+    return colors.detach().cpu().numpy().astype(np.float32, copy=True)
