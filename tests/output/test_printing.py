@@ -191,16 +191,6 @@ def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodie
     ("options", "says"),
     [({"page": "A5"}, "A4 or A3"), ({"dpi": 5}, "dpi"), ({"pose": 4}, "pose 4"), ({"outfit": 99}, "outfit 99")],
 )
-def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path: Path) -> None:
-    palette = np.array([[0, 0, 0], [1, 0.5, 0]])
-    ids = select_region(body, "chest")[:4]
-    colors = np.float32([[0.9, 0.5, 0.1], [0, 0, 0], [0.1, 0, 0.2], [1, 0.5, 0]])
-    report = print_logo(body, ids, colors, tmp_path / "p", dpi=50, project=True, palette=palette)
-    assert report["unprintable_colors"] == 2
-    picture = np.asarray(Image.open(tmp_path / "p" / "cloak.png").convert("RGB")).reshape(-1, 3)
-    assert {(0, 0, 0), (255, 128, 0)} <= set(map(tuple, picture.tolist()))
-
-
 def test_bad_options(
     tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray, options: dict, says: str
 ) -> None:
@@ -213,3 +203,13 @@ def test_bad_options(
     (tmp_path / "q" / "x").write_text("mine")
     with pytest.raises(InputError, match="exists"):
         print_logo(body, logo, colors, tmp_path / "q")
+
+
+def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path: Path) -> None:
+    palette = np.array([[0, 0, 0], [1, 0.5, 0]])
+    ids = select_region(body, "chest")[:4]
+    colors = np.float32([[0.9, 0.5, 0.1], [0, 0, 0], [0.1, 0, 0.2], [1, 0.5, 0]])
+    report = print_logo(body, ids, colors, tmp_path / "p", dpi=50, project=True, palette=palette)
+    assert report["unprintable_colors"] == 2
+    picture = np.asarray(Image.open(tmp_path / "p" / "cloak.png").convert("RGB")).reshape(-1, 3)
+    assert {(0, 0, 0), (255, 128, 0)} <= set(map(tuple, picture.tolist()))
