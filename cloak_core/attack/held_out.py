@@ -130,7 +130,7 @@ class HeldOut:
         for step in range(sampler.steps):
             batch = self.batcher.batch(step, self.world.rank, self.world.size)
             if batch.views:
-                seen, _, success, _ = self.objective(batch.images(colors), colors)
-                total += len(batch.views) * torch.stack([seen, success]).double()
+                said = self.objective.ask(batch.images(colors))
+                total += len(batch.views) * torch.stack([said.disappearance, said.success]).double()
         seen, success = (self.world.sum(total) / sampler.images).tolist()
         return seen, success

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
-from cloak_core.detectors.scoring import max_objectness, max_person_score
+from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
 from cloak_core.errors import InputError
 
 TOP = 10
@@ -23,7 +23,12 @@ SHARPNESS = 20.0
 
 
 def disappearance(detections: Detections, kind: str = "score", reduce: str = "max") -> Float[Tensor, ""]:
-    """Batch mean of each image's person evidence, in [0, 1] for "score" and "objectness", in [0, inf) for "log".
+    """Batch mean of `evidence`."""
+    return evidence(detections, kind, reduce).mean()
+
+
+def evidence(detections: Detections, kind: str = "score", reduce: str = "max") -> Float[Tensor, "B"]:
+    """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for "log".
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
     without objectness) or "log"; reduce, over the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0.
@@ -35,7 +40,19 @@ def disappearance(detections: Detections, kind: str = "score", reduce: str = "ma
     if kind == "log":
         # 2^-24: the largest float32 below 1, so that a saturated score gives 16.6 and not infinity.
         best = -torch.log1p(-best.clamp(max=1 - 2**-24))
-    return best.mean()
+    return best
+
+
+def proposal_evidence(detections: Detections, reduce: str = "max") -> Float[Tensor, "B"]:
+    """Of two-stage detectors: the first stage's objectness of the proposals, each as far as it became a person.
+
+    The product of both, its gradient reaching the first stage alone (the second has `evidence`); a proposal that the
+    second stage takes for something else may stay. InputError where there are no proposal scores.
+    """
+    if detections.proposal_scores is None:
+        raise InputError("--rpn-weight: the detector gives no scores of proposals")
+    values = detections.proposal_scores * detections.scores.detach()
+    return row_max(values) if reduce == "max" else _reduce(values, reduce)
 
 
 def total_variation(

@@ -9,17 +9,33 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch
-from cloak_core.attack.losses import disappearance, non_printability, total_variation
+from cloak_core.attack.ensemble import Ensemble
+from cloak_core.attack.losses import evidence, non_printability, proposal_evidence, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.protocol import Detections, Detector, join_detections
 from cloak_core.detectors.scoring import is_detected
+from cloak_core.errors import InputError
 from cloak_core.scene.logo import Logo
 
 
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the detectors say of images, and the gradient of it."""
+
+    disappearance: Float[Tensor, ""]
+    """Mean over the images of the ensemble's loss."""
+    success: Float[Tensor, ""]
+    """Share of images in which no person was found, mean over the detectors that were asked."""
+    gradient: Float[Tensor, "B 3 H W"]
+    """Of `disappearance`, with respect to the images."""
+    detections: dict[int, Detections]
+    """By the number of the detector, those that were asked."""
+
+
 class Objective:
-    """What is minimised: the detectors' mean disappearance loss plus weighted total variation and printability."""
+    """What is minimised: the ensemble's disappearance loss plus weighted total variation and printability."""
 
     def __init__(
         self,
@@ -30,23 +46,60 @@ class Objective:
         palette: Float[np.ndarray, "P 3"] | None = None,
     ) -> None:
         self.settings, self.detectors = settings, detectors
+        self.ensemble = Ensemble(settings, len(detectors))
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
         self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
+        self._without_proposals: set[int] = set()
 
     def printability(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
         """Non-printability against the palette; 0 without one."""
         return colors.new_zeros(()) if self.palette is None else non_printability(colors, self.palette)
 
-    def __call__(
-        self, images: Float[Tensor, "B 3 H W"], colors: Float[Tensor, "L 3"]
-    ) -> tuple[Tensor, Tensor, Tensor, list[Detections]]:
-        """Disappearance loss, total variation, success (share of images without a person), what each detector said."""
+    def total_variation(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
+        """How restless the colours are."""
+        return total_variation(colors, self.edges, self.edge_lengths)
+
+    def ask(self, images: Float[Tensor, "B 3 H W"], step: int | None = None) -> Answer:
+        """Show the images to the detectors of `step` (None: to all), `microbatch` at a time.
+
+        Each detector's activations are gone before the next one starts (but for the maximum, which needs all). Under
+        `torch.no_grad` there are none, and the gradient is zero.
+        """
+        groups = self.ensemble.asked(step)
+        asked = [number for group in groups for number in group]
+        said: dict[int, list[Detections]] = {number: [] for number in asked}
+        disappearance, found = images.new_zeros(()), images.new_zeros(())
+        gradient = torch.zeros_like(images)
+        size = self.settings.microbatch or max(len(images), 1)
+        for first in range(0, len(images), size):
+            part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
+            for group in groups:
+                heard = {number: self.detectors[number](part) for number in group}
+                losses = {number: self._loss(detections, number) for number, detections in heard.items()}
+                loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
+                if part.requires_grad:
+                    loss.backward()
+                disappearance += loss.detach()
+                for number, detections in heard.items():
+                    said[number].append(join_detections([detections]))
+                    found += is_detected(detections, self.settings.threshold).sum() / (len(images) * len(asked))
+            if part.grad is not None:
+                gradient[first : first + size] = part.grad
+        detections = {number: join_detections(parts) for number, parts in said.items() if parts}
+        return Answer(disappearance, 1 - found, gradient, detections)
+
+    def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
         settings = self.settings
-        detections = [detector(images) for detector in self.detectors]
-        seen = torch.stack([disappearance(d, settings.loss, settings.reduce) for d in detections]).mean()
-        found = torch.stack([is_detected(d, settings.threshold).to(seen.dtype).mean() for d in detections]).mean()
-        return seen, total_variation(colors, self.edges, self.edge_lengths), 1 - found, detections
+        loss = evidence(detections, settings.loss, settings.reduce)
+        if not settings.rpn_weight:
+            return loss
+        if detections.proposal_scores is not None:
+            return loss + settings.rpn_weight * proposal_evidence(detections, settings.reduce)
+        self._without_proposals.add(number)
+        if len(self._without_proposals) == len(self.detectors):
+            raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
+        return loss
 
 
 @dataclass(frozen=True)
@@ -71,23 +124,30 @@ class Step:
     """Loss and gradient are."""
     images: Float[Tensor, "B 3 H W"]
     """This process's share of the batch."""
-    detections: list[Detections]
-    """Of these images, by detector."""
+    detections: dict[int, Detections]
+    """Of these images, by the number of the detector, those that were asked."""
 
 
 def gradient_step(
-    objective: Objective, optimizer: ColorOptimizer, batch: Batch, world: World = ALONE, share: float = 1.0
+    objective: Objective,
+    optimizer: ColorOptimizer,
+    batch: Batch,
+    world: World = ALONE,
+    share: float = 1.0,
+    step: int = 0,
 ) -> Step:
     """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
-    seen, variation, success, detections = objective(images, colors)
-    unprintable = objective.printability(colors)
+    answer = objective.ask(images, step)
+    variation, unprintable = objective.total_variation(colors), objective.printability(colors)
     weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
-    (share * seen + (weight * variation + print_weight * unprintable) / world.size).backward()
+    restless = (weight * variation + print_weight * unprintable) / world.size
+    torch.autograd.backward([images, restless], [share * answer.gradient, None])
     gradient = optimizer.gradient
-    values = torch.stack([share * seen, variation / world.size, unprintable / world.size, share * success]).detach()
+    shares = [share * answer.disappearance, variation / world.size, unprintable / world.size, share * answer.success]
+    values = torch.stack(shares).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
         gradient.copy_(message[: -len(values)].view_as(gradient))
@@ -97,4 +157,4 @@ def gradient_step(
     seen, variation, unprintable, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
     loss = seen + weight * variation + print_weight * unprintable
     figures = StepFigures(loss, seen, variation, unprintable, success)
-    return Step(figures, bool(is_finite), images.detach(), detections)
+    return Step(figures, bool(is_finite), images.detach(), answer.detections)

@@ -45,6 +45,14 @@ def parse_range(spec: str, name: str) -> tuple[float, float]:
     return parts[0], parts[-1]
 
 
+def parse_weights(spec: str, name: str) -> tuple[float, ...]:
+    """Weights from "A,B,C": none negative, not all zero."""
+    weights = tuple(_number(part, spec, name) for part in spec.split(","))
+    if min(weights) < 0 or not max(weights) > 0:
+        raise InputError(f"{name}: {spec!r} holds a negative weight, or none that counts")
+    return weights
+
+
 def option(name: str) -> str:
     """A field's name as the command line spells it."""
     return "--" + name.replace("_", "-")

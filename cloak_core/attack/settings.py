@@ -12,7 +12,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cloak_core.attack.parsing import check_bounds, convert, option, parse_angles, parse_range
+from cloak_core.attack.parsing import check_bounds, convert, option, parse_angles, parse_range, parse_weights
 from cloak_core.errors import InputError
 
 
@@ -79,6 +79,15 @@ class TrainSettings:
     (-log(1 - score), which keeps its gradient where the score saturates)."""
     reduce: str = "max"
     """From an image's boxes to one number: "max", "topk" (mean of the ten best) or "logsumexp" (soft maximum)."""
+    rpn_weight: float = 0.0
+    """Two-stage detectors: weight of the objectness that their first stage gives the proposals behind person boxes;
+    what lowers it kills the proposal itself."""
+    ensemble: str = "mean"
+    """Of several detectors' losses for an image: "mean", "max" (the detector that sees most) or "weighted"."""
+    detector_weights: str | None = None
+    """For ensemble "weighted": one weight for each detector, A,B,C; only their ratios count."""
+    detectors_per_step: int | None = None
+    """Ask only so many of the detectors in each step, drawn anew; None asks all."""
     tv_weight: float = 2.5
     """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
 
@@ -108,6 +117,9 @@ class TrainSettings:
     """Every random draw derives from it."""
     threads: int | None = None
     """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
+    microbatch: int | None = None
+    """Images that a detector sees at a time, which bounds its memory; None shows it the whole batch. The gradient is
+    that of the whole batch either way, but for rounding."""
     device: str = "cpu"
     """torch device: "cpu", "cuda", "cuda:1"."""
     threshold: float = 0.6
@@ -139,6 +151,10 @@ class TrainSettings:
             raise InputError("--nps-weight: needs a --palette to measure against")
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
+        if (self.ensemble == "weighted") != (self.detector_weights is not None):
+            raise InputError("--ensemble weighted and --detector-weights: one needs the other")
+        if self.detector_weights is not None:
+            parse_weights(self.detector_weights, "--detector-weights")
         if not -90 <= self.elevation - 4 * self.elevation_jitter <= self.elevation + 4 * self.elevation_jitter <= 90:
             raise InputError("--elevation-jitter: would carry the camera over the pole")
         if 2 * self.translation >= self.size:
@@ -174,11 +190,14 @@ _BOUNDS: dict[str, tuple[float, float, str]] = {
     "noise": (0, 1, "[]"),
     "tv_weight": (0, _INF, "[)"),
     "nps_weight": (0, _INF, "[)"),
+    "rpn_weight": (0, _INF, "[)"),
+    "detectors_per_step": (1, 4096, "[]"),
     "lr": (0, _INF, "()"),
     "momentum": (0, 1, "[)"),
     "lr_epochs": (0, _INF, "()"),
     "seed": (0, 2**63 - 1, "[]"),
     "threads": (1, 4096, "[]"),
+    "microbatch": (1, 4096, "[]"),
     "threshold": (0, 1, "()"),
     "checkpoint_every": (0, _INF, "[)"),
     "preview_every": (0, _INF, "[)"),
@@ -191,6 +210,7 @@ _CHOICES: dict[str, tuple] = {
     "photometric_on": ("logo", "render"),
     "loss": ("score", "objectness", "log"),
     "reduce": ("max", "topk", "logsumexp"),
+    "ensemble": ("mean", "max", "weighted"),
     "optimizer": ("sgd", "adam"),
     "schedule": ("constant", "step", "cosine"),
     "gamut": ("projection", "sigmoid"),

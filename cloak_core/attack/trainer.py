@@ -177,7 +177,7 @@ class Trainer:
         lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
         batch = self.batches.batch(self.step)
         share = len(batch.views) / self.sampler.images_of(self.step)
-        step = gradient_step(self.objective, self.optimizer, batch, self.world, share)
+        step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
         if not step.is_finite:
             self._refuse(step)
         self.optimizer.update(lr)
@@ -185,14 +185,14 @@ class Trainer:
         self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
         if self.world.is_first and self._due(self.settings.preview_every):
             path = self.run.previews / f"step-{self.step:08d}.png"
-            save_preview(path, step.images, step.detections[0], self.settings.threshold)
+            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.threshold)
             self._tell("preview", path=f"previews/{path.name}")
         return step.figures
 
     def _refuse(self, step: Step) -> None:
         names = [
-            detector.spec
-            for detector, said in zip(self.objective.detectors, step.detections, strict=True)
+            self.objective.detectors[number].spec
+            for number, said in step.detections.items()
             if not (torch.isfinite(said.scores).all() and torch.isfinite(said.boxes).all())
         ]
         blame = f"; not finite: the output of {', '.join(names)}" if names else ""

@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
+from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.held_out import HeldOut, Material, held_out_settings, set_aside
 from cloak_core.attack.objective import Objective
@@ -49,8 +50,9 @@ def train(
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
-    The loss is the mean over `detectors` of their disappearance loss, plus weighted total variation. `on_event` hears
-    every event that goes to events.jsonl. `inputs` (paths and specs, as the user gave them) are recorded.
+    The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
+    weighted total variation and printability. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
+    and specs, as the user gave them) are recorded.
     SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
     `resume` then continues to the bit-identical result on the same device and number of threads.
 
@@ -62,6 +64,7 @@ def train(
     for detector in detectors:
         if not detector.differentiable:
             raise InputError(f"--detector {detector.spec}: gives no gradients, so nothing can be trained against it")
+    Ensemble(settings, len(detectors))  # refuses what does not fit
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
     device = local_device(settings.device)

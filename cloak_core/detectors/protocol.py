@@ -1,9 +1,11 @@
 """The one call every detector answers, and the hash that shows a run left it untouched."""
 
 import hashlib
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
@@ -70,6 +72,20 @@ class Detector(nn.Module):
         tensor = next(iter(self.parameters()), None)
         tensor = next(iter(self.buffers()), None) if tensor is None else tensor
         return torch.device("cpu") if tensor is None else tensor.device
+
+
+def join_detections(parts: Sequence[Detections]) -> Detections:
+    """What a detector said of several batches as if of one, padded to the most boxes; no gradients."""
+    most = max(part.scores.shape[1] for part in parts)
+
+    def joined(name: str) -> Tensor | None:
+        values = [getattr(part, name) for part in parts]
+        if values[0] is None:
+            return None
+        ends = [(0, 0) * (value.dim() - 2) + (0, most - value.shape[1]) for value in values]
+        return torch.cat([F.pad(value.detach(), end) for value, end in zip(values, ends, strict=True)])
+
+    return Detections(*(joined(name) for name in Detections._fields))
 
 
 def at_least_float32(x: Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -11,7 +11,7 @@ from cloak_core.errors import InputError
 
 def max_person_score(detections: Detections) -> Float[Tensor, "B"]:
     """The best person score of each image, 0 where there are no boxes; differentiable, never cut at a threshold."""
-    return _row_max(detections.scores)
+    return row_max(detections.scores)
 
 
 def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
@@ -21,7 +21,7 @@ def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
     """
     if detections.objectness is None or detections.is_person is None:
         raise InputError("the objectness loss needs a detector with objectness (darknet, builtin); use the score loss")
-    return _row_max(torch.where(detections.is_person, detections.objectness, 0.0))
+    return row_max(torch.where(detections.is_person, detections.objectness, 0.0))
 
 
 def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, "B"]:
@@ -66,7 +66,8 @@ def _suppress(boxes: Tensor, scores: Tensor, threshold: float, nms: float) -> Te
     return torch.stack(kept) if kept else rows.new_zeros(0, 5)
 
 
-def _row_max(values: Tensor) -> Tensor:
+def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, "B"]:
+    """The largest of each row, 0 where rows are empty."""
     # A detector may return no box at all (N = 0); the empty sum is 0 and keeps the graph.
     return values.max(dim=1).values if values.shape[1] else values.sum(dim=1)
 
