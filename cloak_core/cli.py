@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "demo": "demo:Demo",
     "scene import": "scene:Import",
     "scene import-smpl": "scene:ImportSmpl",
+    "scene import-anny": "scene:ImportAnny",
     "scene sample": "scene:Sample",
     "scene info": "scene:Info",
     "logo select": "logo:Select",

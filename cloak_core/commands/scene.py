@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.base import Command, open_scene, out, require_new, warn
 from cloak_core.scene.exchange import Bodies, write_scene
 
 
@@ -21,6 +22,7 @@ def describe(bodies: Bodies) -> dict:
         "topology": bodies.topology,
         "name": bodies.name,
         "outfits": bodies.outfit_count,
+        "textures": [name for name in bodies.outfit_textures if name],
         "regions": {name: int(mask.sum()) for name, mask in bodies.regions.items()},
         "names": list(bodies.names),
         "height_m": [round(float(h), 3) for h in (bodies.vertices[..., 1].max(1) - bodies.vertices[..., 1].min(1))],
@@ -32,32 +34,29 @@ def show_scene(result: dict) -> None:
         out.print(f"wrote {result['out']}", markup=False)
     for key in ("poses", "vertices", "triangles", "faces", "outfits", "topology"):
         out.print(f"{key:<10} {result[key]}", markup=False)
+    if result["textures"]:
+        out.print("textures   " + ", ".join(result["textures"]), markup=False)
     if result["regions"]:
         out.print("regions    " + ", ".join(f"{k} ({v})" for k, v in result["regions"].items()), markup=False)
 
 
 @dataclass(kw_only=True)
-class Import(Command):
-    """Make a scene from posed meshes (.obj, .glb, .ply, .npz): one topology, one pose per file."""
+class Writes(Command):
+    """A command that makes bodies and writes them as a scene."""
 
-    files: Positional[tuple[Path, ...]]
-    """One mesh file per pose."""
     out: Path
     """Scene folder to write."""
-    subdivide: int = 0
-    """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
-    scale: float | None = None
-    """Metres in one unit of the files, 0.01 for centimetres (default: metres, refused where heights make no sense)."""
-    frames: int = 0
-    """Take this many moments of a glTF file's first animation as poses."""
+
+    def bodies(self) -> Bodies:
+        raise NotImplementedError
 
     def run(self) -> dict:
-        from cloak_core.scene.bodies import import_bodies, subdivide
-
         require_new(self.out)
-        bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
-        if self.subdivide:
-            bodies, _ = subdivide(bodies, self.subdivide)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", UserWarning)
+            bodies = self.bodies()
+        for message in dict.fromkeys(str(warning.message) for warning in said):
+            warn(message)
         write_scene(self.out, bodies)
         return {"out": str(self.out), **describe(bodies)}
 
@@ -65,54 +64,98 @@ class Import(Command):
 
 
 @dataclass(kw_only=True)
-class ImportSmpl(Command):
+class Import(Writes):
+    """Make a scene from posed or animated meshes of one topology (.obj, .glb, .ply, .npz; with Blender .abc, .usd)."""
+
+    files: Positional[tuple[Path, ...]]
+    """One mesh file per pose, or animated files."""
+    subdivide: int = 0
+    """Levels of midpoint subdivision (1 splits every triangle and quad in four)."""
+    scale: float | None = None
+    """Metres in one unit of the files, 0.01 for centimetres (default: metres, refused where heights make no sense)."""
+    frames: int = 0
+    """Take this many moments of each animated file as poses (default: the resting pose)."""
+    texture: UseAppendAction[tuple[Path, ...]] = ()
+    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own (repeatable)."""
+    uv: Path | None = None
+    """Take the UV map from this file (.obj of the same mesh, or .npz with vt and ft)."""
+
+    def bodies(self) -> Bodies:
+        from cloak_core.scene.bodies import import_bodies, subdivide
+
+        bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
+        return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
+
+
+@dataclass(kw_only=True)
+class ImportSmpl(Writes):
     """Make a scene from your own SMPL, SMPL+H or SMPL-X model file and a file of poses."""
 
     model: Path
     """Model file, .npz or the original .pkl (read without running anything in it)."""
     poses: Path
     """Poses: AMASS-like .npz, SURREAL _info.mat, .npy or .csv rows of 72 pose and 10 shape numbers."""
-    out: Path
-    """Scene folder to write."""
     every: int = 1
     """Take each n-th pose."""
     limit: int | None = None
     """At most so many poses."""
     subdivide: int = 0
     """Levels of midpoint subdivision."""
+    texture: UseAppendAction[tuple[Path, ...]] = ()
+    """Picture on SMPL's UV map (SURREAL's), or folder of pictures; one outfit each (repeatable)."""
+    uv: Path | None = None
+    """SMPL's UV map: .obj with texture coordinates, or .npz with vt and ft (default: the model file's own, if any)."""
 
-    def run(self) -> dict:
+    def bodies(self) -> Bodies:
         from cloak_core.scene.bodies import subdivide
         from cloak_core.scene.smpl import import_smpl
 
-        require_new(self.out)
         bodies = import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
-        if self.subdivide:
-            bodies, _ = subdivide(bodies, self.subdivide)
-        write_scene(self.out, bodies)
-        return {"out": str(self.out), **describe(bodies)}
-
-    show = staticmethod(show_scene)
+        return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
 
 
 @dataclass(kw_only=True)
-class Sample(Command):
+class ImportAnny(Writes):
+    """Draw bodies of random adult shapes and poses from Anny (extra `anny`), on the sample bodies' mesh."""
+
+    count: int = 64
+    """How many bodies; as many as training shows images make each image's body a new one."""
+    seed: int = 0
+    """Same seed, same bodies."""
+    poses: str = "natural"
+    """natural (standing, walking, running, waving in turn), stand, walk, run or wave; or a file of Anny's own
+    pose_parameters [P, 104, 4, 4] (.npy, .npz)."""
+    subdivide: int = 0
+    """Levels of midpoint subdivision."""
+
+    def bodies(self) -> Bodies:
+        from cloak_core.scene.anny_bodies import anny_bodies
+        from cloak_core.scene.bodies import subdivide
+
+        bodies = anny_bodies(self.count, self.seed, self.poses, self.out.name)
+        return subdivide(bodies, self.subdivide)[0]
+
+
+@dataclass(kw_only=True)
+class Sample(Writes):
     """Write the embedded sample bodies as a scene."""
 
-    out: Path
-    """Scene folder to write."""
     split: Literal["all", "train", "unseen"] = "all"
     """All bodies, those for training, or those kept back for evaluation."""
 
-    def run(self) -> dict:
+    def bodies(self) -> Bodies:
         from cloak_core.scene.samples import sample_bodies
 
-        require_new(self.out)
-        bodies = sample_bodies(self.split)
-        write_scene(self.out, bodies)
-        return {"out": str(self.out), **describe(bodies)}
+        return sample_bodies(self.split)
 
-    show = staticmethod(show_scene)
+
+def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:
+    """The bodies with the UV map of a file, if one is given, and in the textures, if there are any."""
+    from cloak_core.scene.textures import dress_in_textures, read_textures, with_uv_of
+
+    if uv is not None:
+        bodies = with_uv_of(bodies, uv)
+    return dress_in_textures(bodies, read_textures(textures)) if textures else bodies
 
 
 @dataclass(kw_only=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cloak_core.pretrain.body_skeleton import Arm, Leg, Pose
+from cloak_core.scene.motions import running, standing, walking
+from cloak_core.scene.skeleton import Arm, Leg, Pose
 
 PARTS = ("torso", "hips", "arms", "forearms", "hands", "thighs", "shins", "feet", "head", "hair", "eyes", "mouth")
 
@@ -21,43 +22,6 @@ class BodySpec:
 
 def shape(gender: float, age: float, muscle: float, weight: float, height: float, **more: float) -> dict[str, float]:
     return {"gender": gender, "age": age, "muscle": muscle, "weight": weight, "height": height, **more}
-
-
-def standing(**changes: object) -> Pose:
-    return Pose(**changes)
-
-
-def walking(step: float, left_first: bool = True, swing: float = 24.0, **changes: object) -> Pose:
-    """A double-support or mid-stance moment of walking; `step` is the leading thigh's angle, `swing` the arms'."""
-    lead = Leg(hip=step, abduction=1.5, outward=5, knee=4, heel_up=-0.55 * step)
-    trail = Leg(hip=-0.72 * step, abduction=1.5, outward=6, knee=0.5 * step + 3, heel_up=1.15 * step)
-    back = Arm(shoulder=-0.85 * swing, abduction=12, inward=10, elbow=10, pronation=22)
-    front = Arm(shoulder=swing, abduction=11, inward=14, elbow=12 + 0.6 * swing, pronation=14)
-    legs = {"left_leg": lead, "right_leg": trail} if left_first else {"left_leg": trail, "right_leg": lead}
-    arms = {"left_arm": back, "right_arm": front} if left_first else {"left_arm": front, "right_arm": back}
-    turn = (-4.0 if left_first else 4.0) * step / 25
-    base = {"turn": turn, "spine_turn": -2 * turn, "lean": 2.0, **legs, **arms}
-    return Pose(**(base | changes))
-
-
-def running(
-    knee_up: float,
-    left_first: bool = True,
-    drive: float = 35.0,
-    folded: float = 85.0,
-    lean: float = 7.0,
-    **changes: object,
-) -> Pose:
-    """A push-off moment of running: one knee comes up, the other leg pushes, the arms counter it."""
-    lead = Leg(hip=knee_up, abduction=1, outward=2, knee=folded, heel_up=12)
-    trail = Leg(hip=-16, abduction=1, outward=4, knee=22, heel_up=42)
-    back = Arm(shoulder=-drive * 1.2, abduction=25, inward=-8, elbow=88, pronation=8, curl=42)
-    front = Arm(shoulder=drive * 0.8, abduction=12, inward=24, elbow=96, pronation=12, curl=42)
-    legs = {"left_leg": lead, "right_leg": trail} if left_first else {"left_leg": trail, "right_leg": lead}
-    arms = {"left_arm": back, "right_arm": front} if left_first else {"left_arm": front, "right_arm": back}
-    turn = -7.0 if left_first else 7.0
-    base = {"turn": turn, "spine_turn": -2 * turn, "lean": lean, "spine_lean": 4.0, **legs, **arms}
-    return Pose(**(base | changes))
 
 
 RELAXED = Arm()

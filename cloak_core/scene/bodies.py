@@ -91,14 +91,12 @@ def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
     return outward
 
 
-def connected_parts(
-    triangles: Integer[np.ndarray, "triangles 3"], vertex_count: int
-) -> Integer[np.ndarray, " vertices"]:
-    """A label per vertex: the lowest vertex that it is joined to by triangles."""
+def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:
+    """A label per vertex: the lowest vertex that it is joined to by faces."""
     label = np.arange(vertex_count)
     while True:
         lowest = label.copy()
-        np.minimum.at(lowest, triangles, label[triangles].min(axis=1, keepdims=True))
+        np.minimum.at(lowest, faces, label[faces].min(axis=1, keepdims=True))
         # Following the labels as pointers halves the way each round.
         lowest = lowest[lowest]
         if np.array_equal(lowest, label):

@@ -1,4 +1,4 @@
-"""Bodies from what a user calls them: a scene folder, an .npz, the embedded samples, or some bodies of these."""
+"""Bodies from what a user calls them: a scene folder, an .npz, the embedded samples, drawn ones, or some of these."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from cloak_core.scene.selection import select, split_selection
 
 
 def open_scene(spec: str | Path) -> Bodies:
-    """Bodies of a scene folder, of an .npz, or the embedded ones: "sample", "sample:train", "sample:unseen".
+    """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", or drawn from
+    Anny on the spot: "anny:COUNT[:SEED[:POSES]]" (`scene.anny_bodies`).
 
     `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`scene.selection`). Raises `InputError`.
     """
@@ -23,6 +24,8 @@ def open_scene(spec: str | Path) -> Bodies:
 
 def _open_whole(spec: str) -> Bodies:
     head, _, split = spec.partition(":")
+    if head == "anny" and not Path(spec).exists():
+        return _drawn(spec)
     if head != "sample":
         return read_scene(spec)
     from cloak_core.scene.samples import sample_bodies
@@ -30,3 +33,12 @@ def _open_whole(spec: str) -> Bodies:
     if split not in ("", "all", "train", "unseen"):
         raise InputError(f"scene '{spec}': the sample bodies come as sample, sample:train and sample:unseen")
     return sample_bodies(split or "all")
+
+
+def _drawn(spec: str) -> Bodies:
+    from cloak_core.scene.anny_bodies import anny_bodies
+
+    count, seed, poses = [*spec.split(":", 3)[1:], "", "", ""][:3]
+    if not count.isdigit() or not (seed or "0").isdigit():
+        raise InputError(f"scene '{spec}': bodies are drawn by anny:COUNT[:SEED[:POSES]], such as anny:64:0:walk")
+    return anny_bodies(int(count), int(seed or 0), poses or "natural")

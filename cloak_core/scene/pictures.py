@@ -32,7 +32,7 @@ def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def put_together(
-    pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
+    pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]],
     picture_of: Integer[np.ndarray, " faces"],
     plain: Float[np.ndarray, "faces 3"],
     corner_uv: Float[np.ndarray, "corners 2"],

@@ -43,6 +43,10 @@ class SmplModel:
     """[J] int64, -1 for the root; parents come before children."""
     triangles: np.ndarray
     """[F, 3] int64."""
+    uv: np.ndarray | None = None
+    """[U, 2] texture coordinates, v up, in files that have them (SMPL-X's `vt` and `ft`)."""
+    triangle_uv: np.ndarray | None = None
+    """[F, 3]."""
 
     @property
     def joint_count(self) -> int:
@@ -101,6 +105,7 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
         weights=arrays["weights"].astype(np.float32),
         parents=parents,
         triangles=triangles,
+        **({"uv": arrays["vt"], "triangle_uv": arrays["ft"]} if {"vt", "ft"} <= arrays.keys() else {}),
     )
 
 
@@ -196,7 +201,10 @@ def import_smpl(
         vertices = vertices[..., [0, 2, 1]] * np.array([1, 1, -1], np.float32)
     stem = Path(poses_path).stem
     names = tuple(f"{stem} {index:04}" for index in range(len(vertices)))
-    return Bodies(vertices=vertices, triangles=model.triangles, names=names, name=name)
+    try:
+        return Bodies(vertices, model.triangles, uv=model.uv, triangle_uv=model.triangle_uv, names=names, name=name)
+    except InputError as error:
+        raise InputError(f"{model_path}: {error}") from None
 
 
 def rooted(sequence: PoseSequence, keep: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

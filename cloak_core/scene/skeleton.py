@@ -11,30 +11,32 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from cloak_core.scene.cameras import Number
+
 DOWN = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True)
 class Leg:
-    hip: float = 0.0
-    abduction: float = 3.0
-    outward: float = 6.0
-    knee: float = 3.0
+    hip: Number = 0.0
+    abduction: Number = 3.0
+    outward: Number = 6.0
+    knee: Number = 3.0
     # The sole against the ground: 0 flat, positive with the heel up.
-    heel_up: float = 0.0
+    heel_up: Number = 0.0
 
 
 @dataclass(frozen=True)
 class Arm:
-    shoulder: float = 0.0
-    abduction: float = 10.0
+    shoulder: Number = 0.0
+    abduction: Number = 10.0
     # Turns the upper arm about itself: positive brings a bent forearm in front of the belly.
-    inward: float = 10.0
-    elbow: float = 12.0
+    inward: Number = 10.0
+    elbow: Number = 12.0
     # Turns the palm, from facing the thigh (0) to facing backwards (90).
-    pronation: float = 10.0
+    pronation: Number = 10.0
     # Mean flexion of the finger joints.
-    curl: float = 14.0
+    curl: Number = 14.0
 
 
 @dataclass(frozen=True)
@@ -44,17 +46,17 @@ class Pose:
     left_arm: Arm = field(default_factory=Arm)
     right_arm: Arm = field(default_factory=Arm)
     # Of the pelvis: forwards, to the left, sideways to the left.
-    lean: float = 0.0
-    turn: float = 0.0
-    tilt: float = 0.0
+    lean: Number = 0.0
+    turn: Number = 0.0
+    tilt: Number = 0.0
     # Of the chest against the pelvis, spread over the spine.
-    spine_lean: float = 0.0
-    spine_turn: float = 0.0
-    spine_tilt: float = 0.0
+    spine_lean: Number = 0.0
+    spine_turn: Number = 0.0
+    spine_tilt: Number = 0.0
     # Of the head against the world: where it looks.
-    look_down: float = 0.0
-    look_left: float = 0.0
-    head_tilt: float = 0.0
+    look_down: Number = 0.0
+    look_left: Number = 0.0
+    head_tilt: Number = 0.0
 
 
 class Skeleton:
@@ -72,7 +74,7 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-def turn_about(axis: np.ndarray, degrees: float) -> np.ndarray:
+def turn_about(axis: np.ndarray, degrees: Number) -> np.ndarray:
     """Rotation matrix about an axis (Rodrigues)."""
     x, y, z = unit(np.asarray(axis, float))
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -80,15 +82,15 @@ def turn_about(axis: np.ndarray, degrees: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
-def about_x(degrees: float) -> np.ndarray:
+def about_x(degrees: Number) -> np.ndarray:
     return turn_about(np.array([1.0, 0.0, 0.0]), degrees)
 
 
-def about_y(degrees: float) -> np.ndarray:
+def about_y(degrees: Number) -> np.ndarray:
     return turn_about(np.array([0.0, 1.0, 0.0]), degrees)
 
 
-def about_z(degrees: float) -> np.ndarray:
+def about_z(degrees: Number) -> np.ndarray:
     return turn_about(np.array([0.0, 0.0, 1.0]), degrees)
 
 
@@ -107,7 +109,7 @@ def frame(along: np.ndarray, across: np.ndarray) -> np.ndarray:
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
-def part_of(rotation: np.ndarray, share: float) -> np.ndarray:
+def part_of(rotation: np.ndarray, share: Number) -> np.ndarray:
     """A share of a rotation, about the same axis."""
     angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
     if angle < 1e-7:
@@ -168,13 +170,13 @@ def arm_rotations(skeleton: Skeleton, side: str, arm: Arm, chest: np.ndarray) ->
     return rotations | finger_rotations(skeleton, side, arm.curl, rotations[f"wrist.{side}"])
 
 
-def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, share: float) -> np.ndarray:
+def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, share: Number) -> np.ndarray:
     """`target` with only a share of its twist about `along` against the twist-free rotation from `parent`."""
     swing = smallest_turn(parent @ along, target @ along) @ parent
     return swing @ part_of(swing.T @ target, share)
 
 
-def finger_rotations(skeleton: Skeleton, side: str, curl: float, wrist: np.ndarray) -> dict[str, np.ndarray]:
+def finger_rotations(skeleton: Skeleton, side: str, curl: Number, wrist: np.ndarray) -> dict[str, np.ndarray]:
     # Across the palm, from the index to the little finger on the left hand, mirrored on the right.
     across = skeleton.direction(f"finger2-1.{side}", f"finger5-1.{side}") * (1.0 if side == "L" else -1.0)
     rotations = {}
