@@ -5,36 +5,37 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.parsing import parse_angles, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
-from cloak_core.render.compositing import Photometric, compose
-from cloak_core.render.views import DressedView, ViewBank
+from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Everything of B images but the logo's colours."""
+    """B images that lack nothing but the logo's colours."""
 
-    views: list[DressedView]
-    backgrounds: Float[Tensor, "B 3 H W"]
-    shifts: Int[Tensor, "B 2"]
+    empty: Float[Tensor, "0 3 H W"]
+    """What there is to see where a short batch left this process no image."""
+    canvas: Canvas | None
+    """None there."""
     on_logo: "LogoChange | None"
-    on_render: Photometric | None
+
+    def __len__(self) -> int:
+        return self.canvas.shape[0] if self.canvas else 0
 
     def images(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B 3 H W"]:
-        """The images, in [0, 1], differentiable in the colours; none where a short batch left this process none."""
-        if not self.views:
-            return self.backgrounds + 0 * colors.sum()
-        if self.on_logo is not None:
-            colors = self.on_logo(colors)
-        return compose(self.views, colors, self.backgrounds, self.shifts, self.on_render)
+        """The images, in [0, 1], differentiable in the colours. The next call draws into the same memory."""
+        if self.canvas is None:
+            return self.empty + 0 * colors.sum()
+        return self.canvas.paint(colors if self.on_logo is None else self.on_logo(colors))
 
 
 class Batcher:
@@ -55,21 +56,24 @@ class Batcher:
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """The images of `step`, or one process's share of them."""
         draws = self.sampler.draw(step).share(rank, ranks)
-        settings = self.settings
+        settings, size = self.settings, self.settings.size
+        empty = torch.empty(0, 3, size, size, device=self.device)
+        if not len(draws):
+            return Batch(empty, None, None)
         views = [
             self.bank.dress(int(pose), camera, self.logo_faces, int(outfit))
             for pose, outfit, camera in zip(draws.pose, draws.outfit, cameras(draws, settings), strict=True)
         ]
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
+        rows = blank(len(views), size, size, self.device)
+        self.backgrounds.fill(pixels_of(rows, (len(views), 3, size, size)), draws.background.tolist())
+        shifts = torch.from_numpy(draws.shift).to(self.device, non_blocking=True)
+        on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
         return Batch(
-            views,
-            self.backgrounds.batch(draws.background.tolist(), settings.size, settings.size).to(
-                self.device, non_blocking=True
-            ),
-            torch.from_numpy(draws.shift).to(self.device, non_blocking=True),
-            LogoChange.draw(draws, settings, self.device) if changes and on_logo else None,
-            render_change(draws, settings, self.device) if changes and not on_logo else None,
+            empty,
+            Canvas.of(views, rows, shifts, on_render),
+            LogoChange.draw(draws, settings, len(self.logo_faces), self.device) if changes and on_logo else None,
         )
 
 
@@ -81,7 +85,8 @@ class Prefetcher:
 
     def __init__(self, batcher: Batcher, rank: int = 0, ranks: int = 1) -> None:
         self._batcher, self._rank, self._ranks = batcher, rank, ranks
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="batches")
+        # On one CPU thread: a second team of threads would fight the detector's for the cores.
+        self._pool = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
         self._next: tuple[int, Future] | None = None
 
     def batch(self, step: int) -> Batch:
@@ -91,6 +96,11 @@ class Prefetcher:
         if step + 1 < self._batcher.sampler.steps:
             self._next = (step + 1, self._pool.submit(self._batcher.batch, step + 1, self._rank, self._ranks))
         return ready
+
+    def finish(self) -> None:
+        """Wait until the batch that was begun is there."""
+        if self._next is not None:
+            self._next[1].exception()
 
     def close(self) -> None:
         """Wait for the thread; what it was building is dropped."""
@@ -105,24 +115,22 @@ class LogoChange:
     """
 
     factor: Float[Tensor, "B 1 1"]
-    summand: Float[Tensor, "B 1 1"]
-    noise: float
-    seeds: tuple[int, ...]
+    summand: Float[Tensor, "B L 3"] | Float[Tensor, "B 1 1"]
 
     @staticmethod
-    def draw(draws: Draws, settings: TrainSettings, device: torch.device) -> "LogoChange":
+    def draw(draws: Draws, settings: TrainSettings, faces: int, device: torch.device) -> "LogoChange":
         put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True).view(-1, 1, 1)
-        return LogoChange(put(draws.contrast), put(draws.brightness), settings.noise, tuple(draws.seed.tolist()))
+        factor, summand = put(draws.contrast), put(draws.brightness)
+        if settings.noise:
+            generator = torch.Generator(device=device)
+            drawn = torch.empty(len(draws), faces, 3, device=device)
+            for image, seed in zip(drawn, draws.seed.tolist(), strict=True):
+                image.uniform_(-settings.noise, settings.noise, generator=generator.manual_seed(seed))
+            summand = drawn.add_(summand)
+        return LogoChange(factor, summand)
 
     def __call__(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
-        summand = self.summand
-        if self.noise:
-            generator = torch.Generator(device=colors.device)
-            drawn = colors.new_empty(len(self.seeds), *colors.shape)
-            for image, seed in zip(drawn, self.seeds, strict=True):
-                image.uniform_(-self.noise, self.noise, generator=generator.manual_seed(seed))
-            summand = drawn.add_(summand)
-        return torch.addcmul(summand, colors, self.factor)
+        return torch.addcmul(self.summand, colors, self.factor)
 
 
 def is_photometric(settings: TrainSettings) -> bool:

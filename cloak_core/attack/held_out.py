@@ -129,8 +129,8 @@ class HeldOut:
         total = torch.zeros(2, dtype=torch.float64, device=self.batcher.device)
         for step in range(sampler.steps):
             batch = self.batcher.batch(step, self.world.rank, self.world.size)
-            if batch.views:
+            if len(batch):
                 said = self.objective.ask(batch.images(colors))
-                total += len(batch.views) * torch.stack([said.disappearance, said.success]).double()
+                total += len(batch) * torch.stack([said.disappearance, said.success]).double()
         seen, success = (self.world.sum(total) / sampler.images).tolist()
         return seen, success

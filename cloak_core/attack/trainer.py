@@ -176,7 +176,7 @@ class Trainer:
     def _one_step(self) -> StepFigures:
         lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
         batch = self.batches.batch(self.step)
-        share = len(batch.views) / self.sampler.images_of(self.step)
+        share = len(batch) / self.sampler.images_of(self.step)
         step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
         if not step.is_finite:
             self._refuse(step)

@@ -15,6 +15,7 @@ from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.held_out import HeldOut, Material, held_out_settings, set_aside
+from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
 from cloak_core.attack.run_config import run_config
@@ -68,6 +69,7 @@ def train(
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
     device = local_device(settings.device)
+    keep_freed_memory()
     try:
         with _threads(settings.threads), join_world(device) as world:
             return _train(settings, bodies, logo, detectors, backgrounds, Path(out), resume, on_event, inputs, world)

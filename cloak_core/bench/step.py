@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import torch
 
-from cloak_core.attack.batches import Batcher
-from cloak_core.attack.losses import disappearance
+from cloak_core.attack.batches import Batcher, Prefetcher
+from cloak_core.attack.events import EventLog
+from cloak_core.attack.losses import disappearance, total_variation
+from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.attack.training import make_bank
 from cloak_core.bench.views import chest_and_thighs, machine, torch_threads
 from cloak_core.detectors.protocol import Detector
 from cloak_core.errors import InputError
-from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.exchange import Bodies
 from cloak_core.scene.logo import make_logo
+
+WARM_UP = 3
+"""Rounds that are not counted: what allocates, compiles and plans on first use."""
 
 
 def run_bench_step(
@@ -37,14 +46,21 @@ def run_bench_step(
 ) -> dict:
     """C6's record: {SPEC: {"batch", "floor_ms", "step_ms", "ratio", "overhead_ms_per_image", "parts_ms", ...}}.
 
-    Floor and step take turns, so that whatever else the machine does hits both; medians of `repeats`, after a first
-    round that builds the views and warms up. `settings` (default: preset best, batch 8) decide batch, size, device and
-    views; with a range of distances every image pays for a view of its own. Logo: chest and thighs unless given.
+    Floor and step take turns, so that whatever else the machine does hits both; medians of `repeats`. The floor sees
+    images of the step's own, in the step's memory layout. A step is the whole of it: the batch that a thread built
+    ahead, loss, gradient, update, event; it ends when the thread has built the next batch, too, which would otherwise
+    be charged to the floor. Parts are timed alone, on a machine that does nothing else meanwhile: "next_batch" is the
+    thread's work, "paint" the logo's way into the images and its gradient's way back, "update" the optimiser with total
+    variation and the event; "rest" is what they leave of step - floor: negative where the thread's work fits beside
+    the detector's, positive where both fight for cores and caches. `settings` (default: preset best, batch 8) decide
+    batch, size, device and views; with a range of distances every image pays for a view of its own. Logo: chest and
+    thighs unless given.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     settings = settings or make_settings("best")
-    settings = dataclasses.replace(settings, epochs=None, steps=10_000)
+    settings = dataclasses.replace(settings, epochs=None, steps=1_000_000)
+    keep_freed_memory()
     with torch_threads(threads):
         bench = _Bench(bodies, logo_faces, backgrounds, settings)
         return {detector.spec: bench.measure(detector, repeats) for detector in detectors} | {
@@ -61,67 +77,118 @@ class _Bench:
         self.device = torch.device(settings.device)
         faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
         self.logo = make_logo(bodies, faces)
-        sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-        bank = ViewBank(bodies, device=self.device, **({"samples": settings.samples} if settings.samples else {}))
-        self.batcher = Batcher(settings, sampler, bank, self.logo.face_ids, backgrounds, self.device)
-        self.optimizer = ColorOptimizer(settings, torch.full((len(self.logo), 3), 0.5, device=self.device))
+        self.sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
+        bank = make_bank(bodies, settings, self.device)
+        self.batcher = Batcher(settings, self.sampler, bank, self.logo.face_ids, backgrounds, self.device)
+        # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
+        for number in range(self._warm_up_steps()):
+            self.batcher.batch(number)
 
     def measure(self, detector: Detector, repeats: int) -> dict:
         settings = self.settings
-        size = (settings.batch, 3, settings.size, settings.size)
-        ready = torch.rand(size, device=self.device, requires_grad=True)
         objective = Objective(settings, self.logo, [detector], self.device)
-        parts: dict[str, list[float]] = {"batch": [], "floor": [], "step": []}
+        optimizer = ColorOptimizer(settings, torch.full((len(self.logo), 3), 0.5, device=self.device))
+        ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
+        upstream = torch.zeros_like(ready)
+        prefetcher = Prefetcher(self.batcher)
 
         def floor() -> None:
             ready.grad = None
             disappearance(detector(ready), settings.loss, settings.reduce).backward()
 
         def step(number: int) -> None:
-            batch = self.batcher.batch(number)
-            gradient_step(objective, self.optimizer, batch)
-            self.optimizer.update(settings.lr)
+            figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures
+            optimizer.update(settings.lr)
+            log.write({"type": "step", "step": number, "time": 0.0} | dataclasses.asdict(figures))
+            prefetcher.finish()
 
-        # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
-        for number in range(self._warm_up_steps()):
-            self.batcher.batch(number)
-        for number in range(repeats + 2):
-            # Two rounds more, for what allocates and compiles on first use.
-            for name, action in (
-                ("floor", floor),
-                ("step", lambda n=number: step(n)),
-                ("batch", lambda n=number: self.batcher.batch(5000 + n)),
-            ):
-                parts[name].append(self._milliseconds(action))
-        median = {name: statistics.median(values[2:]) for name, values in parts.items()}
-        over = (median["step"] - median["floor"]) / settings.batch
-        return {
-            "batch": settings.batch,
-            "floor_ms": round(median["floor"], 3),
-            "step_ms": round(median["step"], 3),
-            "ratio": round(median["step"] / median["floor"], 4),
-            "overhead_ms_per_image": round(over, 3),
-            "parts_ms": {
-                "batch": round(median["batch"], 3),
-                "compose_loss_update": round(median["step"] - median["floor"] - median["batch"], 3),
-            },
-            "logo_faces": len(self.logo),
-        }
+        def paint(number: int) -> None:
+            optimizer.clear()
+            batches[number].images(optimizer.colors()).backward(upstream)
+
+        def update() -> None:
+            optimizer.clear()
+            colors = optimizer.colors()
+            total_variation(colors, objective.edges, objective.edge_lengths).backward()
+            optimizer.update(settings.lr)
+            log.write({"type": "step", "step": 0, "time": 0.0})
+
+        clock = _Clock(self.device)
+        batches = {}
+        with _event_log() as log:
+            for number in range(repeats + WARM_UP):
+                clock.start_round(counts=number >= WARM_UP)
+                clock.time("floor", floor)
+                clock.time("step", lambda n=number: step(n))
+                clock.time("next_batch", lambda n=number: batches.update({n: self.batcher.batch(500_000 + n)}))
+                clock.time("paint", lambda n=number: paint(n))
+                clock.time("update", update)
+                batches.clear()
+        prefetcher.close()
+        return clock.record(settings.batch) | {"logo_faces": len(self.logo)}
 
     def _warm_up_steps(self) -> int:
-        sampler = self.batcher.sampler
+        sampler = self.sampler
         views = sampler.pose_count * len(sampler.angles) * sampler.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
         wanted = 0 if is_fresh(self.settings) else views * (np.log(views) + 3)
         return int(np.ceil(wanted / self.settings.batch)) + 1
 
-    def _milliseconds(self, action: Callable[[], None]) -> float:
+
+class _Clock:
+    """Milliseconds and page faults of named actions, by round."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.device, self.counts = device, False
+        self.milliseconds: dict[str, list[float]] = {}
+        self.faults: dict[str, list[int]] = {}
+
+    def start_round(self, counts: bool) -> None:
+        self.counts = counts
+
+    def time(self, name: str, action: Callable[[], None]) -> None:
         self._wait()
-        started = time.perf_counter()
+        faults, started = _minor_faults(), time.perf_counter()
         action()
         self._wait()
-        return 1e3 * (time.perf_counter() - started)
+        took = 1e3 * (time.perf_counter() - started)
+        if self.counts:
+            self.milliseconds.setdefault(name, []).append(took)
+            self.faults.setdefault(name, []).append(_minor_faults() - faults)
+
+    def record(self, batch: int) -> dict:
+        median = {name: statistics.median(values) for name, values in self.milliseconds.items()}
+        floor, step = median.pop("floor"), median.pop("step")
+        rest = step - floor - sum(median.values())
+        return {
+            "batch": batch,
+            "floor_ms": round(floor, 3),
+            "step_ms": round(step, 3),
+            "ratio": round(step / floor, 4),
+            "overhead_ms_per_image": round((step - floor) / batch, 3),
+            "parts_ms": {name: round(value, 3) for name, value in (median | {"rest": rest}).items()},
+            "page_faults": {name: int(statistics.median(self.faults[name])) for name in ("floor", "step")},
+        }
 
     def _wait(self) -> None:
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
+
+
+def _minor_faults() -> int:
+    """Pages that the system has handed this process so far; 0 where it does not say."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+
+
+@contextmanager
+def _event_log() -> Iterator[EventLog]:
+    with tempfile.TemporaryDirectory() as folder:
+        log = EventLog(Path(folder) / "events.jsonl")
+        try:
+            yield log
+        finally:
+            log.close()

@@ -2,6 +2,9 @@
 
 For each pixel a body covers: image = body + (1 - coverage) * background, clamped to [0, 1]. Only the logo's entries
 take part in the gradient; the clamp passes it where the sum lies within [0, 1], bounds included.
+
+All that the colours do not decide is done first, on a `Canvas`; what is left for them is one sparse product and a
+scatter. Images are channels-last in memory: three neighbouring numbers a pixel, as detectors like them best.
 """
 
 from __future__ import annotations
@@ -47,19 +50,80 @@ def compose(
     colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
     by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
     """
-    batch = len(views)
-    if len(backgrounds) != batch or any((v.height, v.width) != backgrounds.shape[2:] for v in views):
+    _check(views, (len(backgrounds), *backgrounds.shape[2:]))
+    canvas = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
+    pixels_of(canvas, backgrounds.shape).copy_(backgrounds)
+    return Canvas.of(views, canvas, shifts, photometric).paint(colors)
+
+
+def blank(count: int, height: int, width: int, device: torch.device | str = "cpu") -> Float32[Tensor, "P 3"]:
+    """Memory for a canvas: a row for each pixel of `count` images, and one more that takes what leaves them."""
+    return torch.empty(count * height * width + 1, 3, device=device)
+
+
+def pixels_of(rows: Float32[Tensor, "P 3"], shape: Sequence[int]) -> Float32[Tensor, "B 3 H W"]:
+    """The rows of a canvas as images of this shape; the same memory."""
+    batch, _, height, width = shape
+    return rows[:-1].view(batch, height, width, 3).permute(0, 3, 1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """B images, finished but for the M pixels (of all of them) that show the logo."""
+
+    rows: Float32[Tensor, "P 3"]
+    """Every pixel's colour, and one more row; see `blank`."""
+    shape: tuple[int, int, int, int]
+    """B, 3, H, W."""
+    base: Float32[Tensor, "M 3"]
+    """What the logo's pixels show beside the logo: the rest of the body, the highlight, the background at an edge."""
+    target: Int64[Tensor, " M"]
+    """Their rows. Pixels that a shift moved out of the image have the last."""
+    lost: Bool[Tensor, " M"] | None
+    """Which those are; None: no shift."""
+    forward: Tensor
+    """CSR [M, B * L]."""
+    backward: Tensor
+    """CSR [B * L, M], its transpose."""
+    scale: Float32[Tensor, "B 1 1"] | Float32[Tensor, "1 3"] | Float32[Tensor, "B 1 3"] | None
+    """What the logo's colours are multiplied by: the light's colour, the contrast of the render."""
+    change: Photometric | None
+    """Of the logo's colours."""
+    logo_count: int
+    """L."""
+
+    @staticmethod
+    def of(
+        views: Sequence[DressedView],
+        rows: Float32[Tensor, "P 3"],
+        shifts: Integer[Tensor, "B 2"] | None = None,
+        photometric: Photometric | None = None,
+    ) -> Canvas:
+        """Put B bodies without their logo before the backgrounds that `rows` holds (see `blank`); it is drawn into."""
+        with one_thread():
+            return _canvas(views, rows, shifts, photometric)
+
+    def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
+        """The images with these colours, as `compose` gives them. The next call draws into the same memory."""
+        batch = self.shape[0]
+        if self.logo_count != colors.shape[-2]:
+            raise ValueError(f"views are dressed for another logo than these {colors.shape[-2]} colours")
+        if self.change is not None:
+            if colors.ndim == 2:
+                colors = colors.expand(batch, -1, -1)
+            colors = _change(colors, self.change)
+        if self.scale is not None:
+            colors = colors * self.scale
+        if colors.ndim == 2:
+            colors = colors.expand(batch, -1, -1)
+        return _Paint.apply(colors, self)
+
+
+def _check(views: Sequence[DressedView], wanted: tuple[int, int, int]) -> None:
+    if len(views) != wanted[0] or any((view.height, view.width) != wanted[1:] for view in views):
         raise ValueError("views and backgrounds differ in number or size")
-    if any(v.logo_count != colors.shape[-2] for v in views):
-        raise ValueError(f"views are dressed for another logo than these {colors.shape[-2]} colours")
-    if colors.ndim == 2:
-        colors = colors.unsqueeze(0).expand(batch, -1, -1)
-    if photometric is not None and photometric.on == "logo":
-        colors = _change(colors, photometric)
-        photometric = None
-    if views[0].light_color != (1.0, 1.0, 1.0):
-        colors = colors * torch.tensor(views[0].light_color, device=colors.device)
-    return _Compose.apply(colors, _Batch.join(views, shifts), backgrounds, photometric)
+    if any(view.logo_count != views[0].logo_count for view in views):
+        raise ValueError("views are dressed for logos of different sizes")
 
 
 def true_boxes(views: Sequence[DressedView], shifts: Integer[Tensor, "B 2"] | None = None) -> Float32[Tensor, "B 4"]:
@@ -82,74 +146,69 @@ def _noise(shape: Sequence[int], change: Photometric, device: torch.device) -> T
     return (torch.rand(shape, generator=generator, device=device) * 2 - 1) * change.noise
 
 
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """B dressed views as one block-diagonal matrix: N pixels, the logo's M and the front ones of all views first."""
+def _canvas(
+    views: Sequence[DressedView], rows: Tensor, shifts: Tensor | None, photometric: Photometric | None
+) -> Canvas:
+    height, width, count = views[0].height, views[0].width, views[0].logo_count
+    _check(views, (len(views), height, width))
+    # The logo's pixels of all views first, then those at whose edge the background shows, then the rest.
+    parts = [
+        (i, start, stop)
+        for bounds in (lambda v: (0, v.logo_pixels), lambda v: (v.logo_pixels, v.front_count),
+                       lambda v: (v.front_count, len(v.pixels)))
+        for i, (start, stop) in enumerate(map(bounds, views))
+    ]  # fmt: skip
+    pixel = _cat([views[i].pixels[start:stop] for i, start, stop in parts])
+    image = torch.cat([pixel.new_full((stop - start,), i) for i, start, stop in parts])
+    target = pixel + image * (height * width)
+    lost = None
+    if shifts is not None:
+        target, lost = _shifted(pixel, image, shifts.to(pixel), width, height)
+        target.masked_fill_(lost, len(rows) - 1)
+    front, logo = sum(view.front_count for view in views), sum(view.logo_pixels for view in views)
+    coverage = _cat([views[i].coverage[start:stop] for i, start, stop in parts])[:front].unsqueeze(1)
+    body = torch.cat([views[i].planes[:, start:stop].T for i, start, stop in parts])
+    scale, change = None, photometric
+    if views[0].light_color != (1.0, 1.0, 1.0):
+        scale = torch.tensor([views[0].light_color], device=rows.device)
+    if photometric is not None and photometric.on == "render":
+        body = _change_render(body, image, coverage, photometric)
+        scale, change = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale), None
+    body[:front] += rows.index_select(0, target[:front]).mul_(1 - coverage)
+    # One number at a time: torch is twice as fast at that as at rows of three.
+    rows.view(-1).scatter_(0, _numbers(target[logo:]), body[logo:].clamp_(0, 1).view(-1))
+    forward, backward = _matrices(views, count)
+    lost = None if lost is None else lost[:logo].clone()
+    shape = (len(views), 3, height, width)
+    return Canvas(
+        rows, shape, body[:logo].clone(), target[:logo].clone(), lost, forward, backward, scale, change, count
+    )
 
-    image: Int64[Tensor, " N"] | None
-    """Which image each pixel belongs to; None: there is but one."""
-    target: Int64[Tensor, " N"]
-    """Flat position of the pixel's first channel in [B, 3, H, W]; the next channels are H * W further on. Pixels that a
-    shift moved out of the image have the position behind the last."""
-    lost: Bool[Tensor, " N"] | None
-    """Which those are; None: no shift."""
-    front: int
-    """Pixels, from the first on, behind which the background may show."""
-    coverage: Float32[Tensor, " K"]
-    """Of the front pixels."""
-    planes: Float32[Tensor, "3 N"]
-    logo: int
-    """M."""
-    forward: Tensor
-    """CSR [M, B * L]."""
-    backward: Tensor
-    """CSR [B * L, M], its transpose."""
 
-    @staticmethod
-    def join(views: Sequence[DressedView], shifts: Tensor | None) -> _Batch:
-        height, width, count = views[0].height, views[0].width, views[0].logo_count
-        parts = [
-            (i, start, stop)
-            for bounds in (lambda v: (0, v.logo_pixels), lambda v: (v.logo_pixels, v.front_count),
-                           lambda v: (v.front_count, len(v.pixels)))
-            for i, (start, stop) in enumerate(map(bounds, views))
-        ]  # fmt: skip
-        gather = lambda pick: _cat([pick(views[i])[..., start:stop] for i, start, stop in parts])
-        pixel = gather(lambda view: view.pixels) if len(views) > 1 else views[0].pixels
-        image = None
-        if len(views) > 1:
-            image = torch.cat([pixel.new_full((stop - start,), i) for i, start, stop in parts])
-        lost = None
-        if shifts is not None:
-            pixel, lost = _shifted(pixel, image, shifts.to(pixel), width, height)
-        target = pixel if image is None else pixel + image * (3 * height * width)
-        logo_starts = _starts([view.logo_pixels for view in views])
-        faces = [view.logo_face + i * count if i else view.logo_face for i, view in enumerate(views)]
-        forward = _csr([v.logo_crow for v in views], faces, [v.logo_weight for v in views], count * len(views))
-        flipped = [view.transposed for view in views]
-        columns = [t[1] + start if start else t[1] for t, start in zip(flipped, logo_starts, strict=False)]
-        front = sum(view.front_count for view in views)
-        return _Batch(
-            image,
-            target,
-            lost,
-            front,
-            gather(lambda view: view.coverage)[:front] if len(views) > 1 else views[0].coverage[:front],
-            gather(lambda view: view.planes) if len(views) > 1 else views[0].planes,
-            logo_starts[-1],
-            forward,
-            _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], logo_starts[-1]),
-        )
+def _matrices(views: Sequence[DressedView], count: int) -> tuple[Tensor, Tensor]:
+    """The views' matrices as one of blocks, [M, B * L], and its transpose."""
+    starts = _starts([view.logo_pixels for view in views])
+    faces = [view.logo_face + i * count if i else view.logo_face for i, view in enumerate(views)]
+    forward = _csr([v.logo_crow for v in views], faces, [v.logo_weight for v in views], count * len(views))
+    flipped = [view.transposed for view in views]
+    columns = [t[1] + start if start else t[1] for t, start in zip(flipped, starts, strict=False)]
+    return forward, _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], starts[-1])
 
 
 def _shifted(
-    pixel: Tensor, image: Tensor | None, shifts: Tensor, width: int, height: int
+    pixel: Tensor, image: Tensor, shifts: Tensor, width: int, height: int
 ) -> tuple[Int64[Tensor, " N"], Bool[Tensor, " N"]]:
-    """Pixels moved by their image's (dx, dy), and which of them left the image."""
-    dx, dy = (t if image is None else t.index_select(0, image) for t in shifts.unbind(1))
-    x = pixel % width + dx
-    y = torch.div(pixel, width, rounding_mode="floor") + dy
-    return y * width + x, (x < 0) | (x >= width) | (y < 0) | (y >= height)
+    """The rows of pixels moved by their image's (dx, dy), and which of them left the image."""
+    dx, dy = (t.index_select(0, image) for t in shifts.unbind(1))
+    y = torch.div(pixel, width, rounding_mode="floor")
+    x = pixel - y * width + dx
+    y += dy
+    return (image * height + y) * width + x, (x < 0) | (x >= width) | (y < 0) | (y >= height)
+
+
+def _numbers(row: Int64[Tensor, " N"]) -> Int64[Tensor, " N3"]:
+    """Positions of the three numbers of each row."""
+    return (row.unsqueeze(1) * 3 + torch.arange(3, device=row.device)).view(-1)
 
 
 def _starts(sizes: Sequence[int]) -> list[int]:
@@ -167,60 +226,42 @@ def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Te
     return csr(crow, _cat(columns), _cat(values), (len(crow) - 1, width))
 
 
-class _Compose(torch.autograd.Function):
-    """Composite a batch; the gradient of the colours is one product with the transposed matrix."""
+class _Paint(torch.autograd.Function):
+    """Draw the logo; the gradient of the colours is one product with the transposed matrix."""
 
     @staticmethod
     @one_thread()
-    def forward(
-        ctx: object, colors: Tensor, batch: _Batch, backgrounds: Tensor, change: Photometric | None
-    ) -> Float32[Tensor, "B 3 H W"]:
-        # One more element than the images have takes what leaves them: no data-dependent shape, no wait for the device.
-        flat = torch.cat([backgrounds.reshape(-1), backgrounds.new_zeros(1)])
-        plane, end = backgrounds.shape[2] * backgrounds.shape[3], backgrounds.numel()
-        channel = torch.tensor([[0], [plane], [2 * plane]], device=flat.device)
-        target = batch.target + channel
-        if batch.lost is not None:
-            target.masked_fill_(batch.lost, end)
-        body = batch.planes.clone()
-        body[:, : batch.logo] += (batch.forward @ colors.reshape(-1, 3)).T
-        if change is not None:
-            body = _change_render(body, batch, change)
-        front = target[:, : batch.front]
-        body[:, : batch.front] += flat.index_select(0, front.reshape(-1)).view(3, -1).mul_(1 - batch.coverage)
+    def forward(ctx: object, colors: Float32[Tensor, "B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
+        body = torch.addmm(canvas.base, canvas.forward, colors.reshape(-1, 3))
         values = body.clamp(0, 1)
-        flat.scatter_(0, target.view(-1), values.view(-1))
-        logo = slice(0, batch.logo)
-        silent = values[:, logo] != body[:, logo]
-        if batch.lost is not None:
-            silent |= batch.lost[logo]
-        ctx.batch, ctx.change, ctx.shape = batch, change, colors.shape
-        ctx.save_for_backward(silent.T, target[:, logo].T.clamp(max=end - 1))
-        return flat[:-1].view(backgrounds.shape)
+        canvas.rows.view(-1).scatter_(0, _numbers(canvas.target), values.view(-1))
+        silent = values != body
+        if canvas.lost is not None:
+            silent |= canvas.lost.unsqueeze(1)
+        ctx.shape, ctx.matrix = colors.shape, canvas.backward
+        ctx.save_for_backward(silent, canvas.target.clamp(max=len(canvas.rows) - 2))
+        return pixels_of(canvas.rows, canvas.shape)
 
     @staticmethod
     @one_thread()
-    def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None]:
         silent, target = ctx.saved_tensors
-        upstream = gradient.reshape(-1).index_select(0, target.reshape(-1)).view(-1, 3)
-        upstream = upstream.masked_fill_(silent, 0)
-        if ctx.change is not None:
-            contrast = _of_pixels(ctx.change.contrast, ctx.batch)
-            upstream = upstream * contrast[: ctx.batch.logo].unsqueeze(1)
-        return (ctx.batch.backward @ upstream).view(ctx.shape), None, None, None
+        if gradient.is_contiguous(memory_format=torch.channels_last):
+            upstream = gradient.permute(0, 2, 3, 1).view(-1, 3).index_select(0, target)
+        else:
+            plane = gradient.shape[2] * gradient.shape[3]
+            first = target + torch.div(target, plane, rounding_mode="floor") * (2 * plane)
+            channel = torch.arange(3, device=target.device) * plane
+            upstream = gradient.reshape(-1).index_select(0, (first.unsqueeze(1) + channel).view(-1)).view(-1, 3)
+        return (ctx.matrix @ upstream.masked_fill_(silent, 0)).view(ctx.shape), None
 
 
-def _change_render(body: Float32[Tensor, "3 N"], batch: _Batch, change: Photometric) -> Float32[Tensor, "3 N"]:
+def _change_render(
+    body: Float32[Tensor, "N 3"], image: Int64[Tensor, " N"], coverage: Float32[Tensor, "K 1"], change: Photometric
+) -> Float32[Tensor, "N 3"]:
     """The body's own pixels, weighted by coverage as they are."""
-    added = _of_pixels(change.brightness, batch).expand_as(body).contiguous()
+    added = change.brightness.index_select(0, image).unsqueeze(1).expand_as(body).contiguous()
     if change.noise:
-        added = added + _noise(body.shape, change, body.device)
-    added[:, : batch.front] *= batch.coverage
-    return body * _of_pixels(change.contrast, batch) + added
-
-
-def _of_pixels(values: Float32[Tensor, " B"], batch: _Batch) -> Float32[Tensor, " N"]:
-    """Each image's value at its pixels."""
-    if batch.image is None:
-        return values.expand(len(batch.target))
-    return values.index_select(0, batch.image)
+        added += _noise(body.shape, change, body.device)
+    added[: len(coverage)] *= coverage
+    return torch.addcmul(added, body, change.contrast.index_select(0, image).unsqueeze(1))

@@ -81,14 +81,21 @@ class Backgrounds:
         key = (self._indices[index], *size)
         image = self._cache.get(key)
         if image is None:
-            image = torch.from_numpy(self._draw(*key).transpose(2, 0, 1).copy())
+            image = torch.from_numpy(np.ascontiguousarray(self._draw(*key))).permute(2, 0, 1)
             self._cache.put(key, image)
         return image
 
     def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
-        """The images at `indices` as float32 in [0, 1]."""
-        images = [self.image(int(i), (height, width)) for i in indices]
-        return torch.stack(images).float().div_(255) if images else torch.empty(0, 3, height, width)
+        """The images at `indices` as float32 in [0, 1], channels-last in memory."""
+        images = torch.empty(len(indices), height, width, 3).permute(0, 3, 1, 2)
+        return self.fill(images, indices)
+
+    def fill(self, images: Float[Tensor, "B 3 H W"], indices: Sequence[int] | Tensor) -> Float[Tensor, "B 3 H W"]:
+        """The same into memory that is there already, on any device; bytes travel, numbers are made where they go."""
+        size = tuple(images.shape[2:])
+        for image, index in zip(images, indices, strict=True):
+            image.copy_(self.image(int(index), size).to(images.device, non_blocking=True))
+        return images.div_(255)
 
     def subset(self, indices: Sequence[int] | range) -> Backgrounds:
         """The images at `indices`, in that order."""
@@ -173,7 +180,7 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
         lambda i: hashlib.sha256(good[i].read_bytes()).hexdigest(),
     )
     for i, image in enumerate(ready):
-        backgrounds._cache.put((i, *size), torch.from_numpy(image.transpose(2, 0, 1).copy()))
+        backgrounds._cache.put((i, *size), torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1))
     return backgrounds
 
 

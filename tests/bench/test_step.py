@@ -33,7 +33,7 @@ def test_the_record_holds_together(changes):
 
 def test_a_fresh_view_for_every_image_costs_more():
     cached, fresh = measure()["tiny:0"], measure(angle_jitter=5)["tiny:0"]
-    assert fresh["parts_ms"]["batch"] > 2 * cached["parts_ms"]["batch"]
+    assert fresh["parts_ms"]["next_batch"] > 1.5 * cached["parts_ms"]["next_batch"]
 
 
 def test_bad_input():
