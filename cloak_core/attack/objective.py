@@ -28,8 +28,8 @@ class Answer:
     """Mean over the images of the ensemble's loss."""
     success: Float[Tensor, ""]
     """Share of images in which no person was found, mean over the detectors that were asked."""
-    gradient: Float[Tensor, "B 3 H W"]
-    """Of `disappearance`, with respect to the images."""
+    gradient: Float[Tensor, "B 3 H W"] | None
+    """Of `disappearance`, with respect to the images; None under `torch.no_grad`, and where there are no images."""
     detections: dict[int, Detections]
     """By the number of the detector, those that were asked."""
 
@@ -64,13 +64,13 @@ class Objective:
         """Show the images to the detectors of `step` (None: to all), `microbatch` at a time.
 
         Each detector's activations are gone before the next one starts (but for the maximum, which needs all). Under
-        `torch.no_grad` there are none, and the gradient is zero.
+        `torch.no_grad` there are none.
         """
         groups = self.ensemble.asked(step)
         asked = [number for group in groups for number in group]
         said: dict[int, list[Detections]] = {number: [] for number in asked}
         disappearance, found = images.new_zeros(()), images.new_zeros(())
-        gradient = torch.zeros_like(images)
+        gradients: list[Tensor] = []
         size = self.settings.microbatch or max(len(images), 1)
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
@@ -85,8 +85,9 @@ class Objective:
                     said[number].append(join_detections([detections]))
                     found += is_detected(detections, self.settings.threshold).sum() / (len(images) * len(asked))
             if part.grad is not None:
-                gradient[first : first + size] = part.grad
+                gradients.append(part.grad)
         detections = {number: join_detections(parts) for number, parts in said.items() if parts}
+        gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
         return Answer(disappearance, 1 - found, gradient, detections)
 
     def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
@@ -144,7 +145,8 @@ def gradient_step(
     variation, unprintable = objective.total_variation(colors), objective.printability(colors)
     weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
     restless = (weight * variation + print_weight * unprintable) / world.size
-    torch.autograd.backward([images, restless], [share * answer.gradient, None])
+    gradient = torch.zeros_like(images) if answer.gradient is None else answer.gradient
+    torch.autograd.backward([images, restless], [gradient if share == 1 else gradient.mul_(share), None])
     gradient = optimizer.gradient
     shares = [share * answer.disappearance, variation / world.size, unprintable / world.size, share * answer.success]
     values = torch.stack(shares).detach()

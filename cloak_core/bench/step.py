@@ -16,7 +16,7 @@ import torch
 
 from cloak_core.attack.batches import Batcher, Prefetcher
 from cloak_core.attack.events import EventLog
-from cloak_core.attack.losses import disappearance, total_variation
+from cloak_core.attack.losses import disappearance
 from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
@@ -108,8 +108,7 @@ class _Bench:
 
         def update() -> None:
             optimizer.clear()
-            colors = optimizer.colors()
-            total_variation(colors, objective.edges, objective.edge_lengths).backward()
+            objective.total_variation(optimizer.colors()).backward()
             optimizer.update(settings.lr)
             log.write({"type": "step", "step": 0, "time": 0.0})
 
