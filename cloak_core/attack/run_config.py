@@ -26,6 +26,7 @@ def run_config(
     processes: int = 1,
     palette: np.ndarray | None = None,
     held_out: Material | None = None,
+    start: np.ndarray | None = None,
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
@@ -49,6 +50,7 @@ def run_config(
         ],
         "backgrounds": {"count": len(backgrounds), "identities": backgrounds.identities()},
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
+        "start": None if start is None else {"sha256": sha256_arrays(start)},
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),

@@ -9,14 +9,24 @@ from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float32
+
 from cloak_core.attack.checkpoints import sweep
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
-from cloak_core.scene.exchange import new_folder, read_json, write_face_list, write_json
+from cloak_core.scene.exchange import (
+    new_folder,
+    read_colors,
+    read_face_list,
+    read_json,
+    write_face_list,
+    write_json,
+)
 from cloak_core.scene.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette")
-"""What a resumed run may change: nothing of it reaches the colours (of the palette, it is the content that counts)."""
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette", "init")
+"""What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
 
 
 class RunFolder:
@@ -31,6 +41,19 @@ class RunFolder:
         self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
         self.cancel = path / "cancel"
+
+
+def read_start(path: Path, logo: Logo) -> Float32[np.ndarray, "L 3"]:
+    """Colours [L, 3] to begin with: a file of them, or a run folder of the same logo. Raises `InputError`."""
+    if not path.is_dir():
+        return read_colors(path, len(logo.face_ids))
+    run = RunFolder(path)
+    if not run.config.exists():
+        raise InputError(f"--init {path}: not a run folder (no config.json in it)")
+    trained = read_face_list(run.logo)
+    if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
+        raise InputError(f"--init {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
+    return read_colors(run.colors, len(logo.face_ids))
 
 
 @contextlib.contextmanager
@@ -68,7 +91,7 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
 
 def _check_same(recorded: dict, config: dict, path: Path) -> None:
     """The parts of a configuration that decide the result must be what the run was started with."""
-    for part in ("settings", "scene", "logo", "detectors", "backgrounds", "palette"):
+    for part in ("settings", "scene", "logo", "detectors", "backgrounds", "palette", "start"):
         old, new = recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.

@@ -111,6 +111,8 @@ class TrainSettings:
     """Colours stay in [0, 1] by "projection" after every update, or as the "sigmoid" of free parameters."""
     initial: str = "grey"
     """First colours: "grey", "random" (uniform per face and channel) or "clothing" (the first outfit's own)."""
+    init: str | None = None
+    """Go on from these colours instead: a run folder of the same logo, or colours [L, 3] (`cloak logo transfer`)."""
 
     # --- the run
     seed: int = 0

@@ -19,7 +19,7 @@ from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
 from cloak_core.attack.run_config import run_config
-from cloak_core.attack.run_folder import RunFolder, open_run
+from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import stop_request
@@ -95,8 +95,11 @@ def _train(
     trained, held = set_aside(settings, Material(bodies, backgrounds))
     batcher = make_batcher(settings, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings)
+    start = None if settings.init is None else read_start(Path(settings.init), logo)
     states = [state_hash(detector) for detector in detectors]
-    config = run_config(settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size, palette, held)
+    config = run_config(
+        settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size, palette, held, start
+    )
     with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.max_seconds))
@@ -106,7 +109,8 @@ def _train(
             held_batcher = make_batcher(held_out_settings(settings), held, logo, device)
             held_out = HeldOut(settings, held_batcher, objective, world)
         clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
-        optimizer = ColorOptimizer(settings, initial_colors(settings, clothing))
+        first = initial_colors(settings, clothing) if start is None else torch.from_numpy(start).to(device)
+        optimizer = ColorOptimizer(settings, first)
         result = Trainer(run, batcher, objective, optimizer, held_out, on_event, world).run_to_end(stop)
     for detector, state in zip(detectors, states, strict=True):
         if state_hash(detector) != state:
