@@ -45,7 +45,13 @@ def run_config(
         },
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [
-            {"spec": detector.spec, "name": detector.name, "sha256": state}
+            {
+                "spec": detector.spec,
+                "name": detector.name,
+                "sha256": state,
+                "precision": detector.precision,
+                "compiled": detector.compiled,
+            }
             for detector, state in zip(detectors, states, strict=True)
         ],
         "backgrounds": {"count": len(backgrounds), "identities": backgrounds.identities()},

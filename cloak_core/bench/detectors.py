@@ -19,29 +19,32 @@ def run_bench_detectors(
     repeats: int = 9,
     threads: int | None = None,
     device: str = "cpu",
-    precision: str = "float32",
+    **options: object,
 ) -> dict[str, dict[str, float]]:
     """Median milliseconds per image, for `batch` images of `size` x `size` (noise: the work does not depend on it).
 
     Per spec: {"forward_ms", "gradient_ms": forward and input gradient, "naive_ms": the same with batch norm unfolded,
-    the memory layout as loaded, and gradients for the weights, "speedup": naive_ms / gradient_ms, "batch", "threads"}.
+    the memory layout as loaded, in float32, and gradients for the weights, "speedup": naive_ms / gradient_ms, "batch",
+    "threads"}.
     The two ways take turns, so that both meet the same machine. A black box has no gradients: those entries are absent.
+    `options` go to `load_detector`.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(threads or before)
     try:
-        return {spec: _bench(spec, batch, size, repeats, device, precision) for spec in specs}
+        return {spec: _bench(spec, batch, size, repeats, device, options) for spec in specs}
     finally:
         torch.set_num_threads(before)
 
 
-def _bench(spec: str, batch: int, size: int, repeats: int, device: str, precision: str) -> dict[str, float]:
+def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options: dict) -> dict[str, float]:
     generator = torch.Generator().manual_seed(0)
     images = torch.rand(batch, 3, size, size, generator=generator).to(device)
-    detector = load_detector(spec, device=device, precision=precision)
+    detector = load_detector(spec, device=device, **options)
     ways: dict[str, Callable[[], None]] = {"forward_ms": lambda: _forward(detector, images)}
     if detector.differentiable:
-        naive = load_detector(spec, device=device, fold=False).requires_grad_(True)
+        plain = {name: value for name, value in options.items() if name not in ("precision", "compiled")}
+        naive = load_detector(spec, device=device, fold=False, **plain).requires_grad_(True)
         ways |= {"gradient_ms": lambda: _gradient(detector, images), "naive_ms": lambda: _gradient(naive, images)}
     times: dict[str, list[float]] = {name: [] for name in ways}
     for turn in range(repeats + 1):

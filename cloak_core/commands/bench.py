@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import UseAppendAction
+from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out
+from cloak_core.commands.detector_options import DetectorOptions
 
 
 @dataclass(kw_only=True)
@@ -94,13 +95,19 @@ class Detectors(Command):
     """Timed repetitions behind each median."""
     device: str = "cpu"
     """Torch device."""
+    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
         from cloak_core.bench.detectors import run_bench_detectors
 
         specs = self.detector or ("builtin",)
         return run_bench_detectors(
-            specs, batch=self.batch, threads=self.threads, repeats=self.repeats, device=self.device
+            specs,
+            batch=self.batch,
+            threads=self.threads,
+            repeats=self.repeats,
+            device=self.device,
+            **self.options.arguments(),
         )
 
     def show(self, result: dict) -> None:

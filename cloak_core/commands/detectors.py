@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from cloak_core.commands.base import Command, err, open_scene, out, require_new
+from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.errors import InputError
 
 
@@ -29,10 +30,9 @@ class Check(Command):
     """With --scene: azimuths in degrees."""
     device: str = "cpu"
     """Torch device."""
+    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
-        from cloak_core.detectors.loading import load_detector
-
         if (self.image is None) == (self.scene is None):
             raise InputError("detectors check: give either --image, or --scene and --backgrounds")
         if self.image is not None:
@@ -40,14 +40,14 @@ class Check(Command):
 
             if self.out is not None:
                 require_new(self.out)
-            return check_image(load_detector(self.spec, device=self.device), self.image, out=self.out)
+            return check_image(self.options.load([self.spec], self.device)[0], self.image, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.attack.parsing import parse_angles
         from cloak_core.evaluate.clean import check_scene
         from cloak_core.scene.backgrounds import open_backgrounds
 
-        detector = load_detector(self.spec, device=self.device)
+        detector = self.options.load([self.spec], self.device)[0]
         return check_scene(
             detector, open_scene(self.scene), open_backgrounds(self.backgrounds), parse_angles(self.angles)
         )

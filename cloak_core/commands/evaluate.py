@@ -10,6 +10,7 @@ from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from cloak_core.commands.base import Command, err, open_scene, out
+from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.errors import InputError
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, read_json
@@ -35,11 +36,11 @@ class Evaluate(Command):
     """Azimuths in degrees: A:B:STEP or a comma list."""
     device: str = "cpu"
     """Torch device."""
+    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
     settings: OmitArgPrefixes[EvaluateSettings] = field(default_factory=EvaluateSettings)
 
     def run(self) -> dict:
         from cloak_core.attack.parsing import parse_angles
-        from cloak_core.detectors.loading import load_detector
         from cloak_core.evaluate.provenance import training_record
         from cloak_core.evaluate.store import FOLDER
         from cloak_core.evaluate.success import evaluate
@@ -53,7 +54,7 @@ class Evaluate(Command):
         logo = make_logo(bodies, face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies))
         colors = read_colors(self.run_folder / "colors.npy", len(logo.face_ids))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
-        detectors = {spec: load_detector(spec, device=self.device) for spec in specs}
+        detectors = dict(zip(specs, self.options.load(specs, self.device), strict=True))
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("evaluating", total=None)
             return evaluate(

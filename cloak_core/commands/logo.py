@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import tyro
+from tyro.conf import OmitArgPrefixes
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import Bodies, write_face_list
 
@@ -122,11 +124,11 @@ class Heatmap(Command):
     """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
     device: str = "cpu"
     """Torch device."""
+    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
         from cloak_core.attack.heatmap import heatmap, pick
         from cloak_core.attack.parsing import parse_angles
-        from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backgrounds import open_backgrounds
         from cloak_core.scene.exchange import write_npy
 
@@ -136,7 +138,7 @@ class Heatmap(Command):
         for path in [self.out] + [logo] * (self.pick is not None):
             require_new(path)
         bodies = open_scene(self.scene)
-        detector = load_detector(self.detector, device=self.device)
+        detector = self.options.load([self.detector], self.device)[0]
         heat = heatmap(bodies, detector, open_backgrounds(self.backgrounds), parse_angles(self.angles))
         write_npy(self.out, np.asarray(heat, np.float32))
         result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}

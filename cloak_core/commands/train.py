@@ -12,6 +12,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.attack.settings import PRESETS, TrainSettings, make_settings
 from cloak_core.commands.base import Command, Stopped, open_scene, out
+from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import face_ids, read_face_list
@@ -43,6 +44,7 @@ class Train(Command):
     """Go on with the run in --out from its last checkpoint."""
     config: Path | None = None
     """TOML file of settings (the options below, without dashes); options given here win."""
+    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
     settings: OmitArgPrefixes[TrainSettings] = field(default_factory=lambda: make_settings(DEFAULT_PRESET))
 
     @classmethod
@@ -62,7 +64,6 @@ class Train(Command):
 
     def run(self) -> dict:
         from cloak_core.attack.training import train
-        from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backgrounds import open_backgrounds
         from cloak_core.scene.logo import make_logo
 
@@ -73,7 +74,7 @@ class Train(Command):
         bodies = open_scene(self.scene)
         logo = make_logo(bodies, face_ids(read_face_list(self.logo, bodies), bodies))
         specs = self.detector or ("builtin",)
-        detectors = [load_detector(spec, device=settings.device) for spec in specs]
+        detectors = self.options.load(specs, settings.device)
         backgrounds = open_backgrounds(self.backgrounds)
         inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
         with TrainingProgress(silent=bool(RANK)) as progress:

@@ -10,7 +10,12 @@ CLASS_NAMES = ("person",)
 
 
 def load_builtin(
-    *, spec: str = "builtin", input_size: tuple[int, int] | None = None, letterbox: bool = False, fold: bool = True
+    *,
+    spec: str = "builtin",
+    input_size: tuple[int, int] | None = None,
+    letterbox: bool = False,
+    person_class: str = "person",
+    fold: bool = True,
 ) -> DarknetDetector:
     """The embedded detector, frozen."""
     return load_darknet(
@@ -20,6 +25,7 @@ def load_builtin(
         spec=spec,
         input_size=input_size,
         letterbox=letterbox,
+        person_class=person_class,
         fold=fold,
         class_names=CLASS_NAMES,
     )

@@ -5,14 +5,16 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 
+from cloak_core.detectors.compiling import compile_detector
 from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.specs import PERSON, parse_spec, with_person_class
 from cloak_core.errors import InputError
 
-OPTIONS = re.compile(r"^(?P<rest>.*)@(?P<options>(\d+(x\d+)?|letterbox)(,(\d+(x\d+)?|letterbox))*)$")
-PRECISIONS = ("float32", "bfloat16")
+PRECISIONS = ("float32", "bfloat16", "auto")
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,10 @@ class Request:
     letterbox: bool
     person_class: str
     fold: bool
+    layout: str | None
+    """Of an ONNX model's outputs."""
+    download: bool
+    """Whether missing official weights may be fetched."""
 
     def parts(self, least: int, most: int | None = None) -> list[str]:
         """The colon-separated parts after the family; InputError when there are too few, too many or empty ones."""
@@ -50,48 +56,60 @@ def load_detector(
     *,
     input_size: int | tuple[int, int] | None = None,
     letterbox: bool = False,
-    person_class: str = "person",
+    person_class: str | None = None,
     device: str | torch.device = "cpu",
     precision: str = "float32",
+    compiled: bool = False,
+    layout: str | None = None,
+    download: bool = False,
     fold: bool = True,
 ) -> Detector:
     """Load the detector that `spec` names, frozen, on `device`.
 
     Specs: `builtin`; `darknet:CFG:WEIGHTS`; `torchvision:NAME[:CHECKPOINT]`;
-    `transformers:DIRECTORY_OR_CACHED_NAME`; `onnx:FILE[:LAYOUT]`; `python:FILE.py:FUNCTION`. At the end of any,
-    `@224` or `@HEIGHTxWIDTH` sets the network's input size and `@letterbox` (or `@416,letterbox`) keeps the aspect
-    ratio instead of stretching; the arguments `input_size` (a side, or (height, width)) and `letterbox` do the same and
-    win. `person_class` is the class to look for, by name or index. `precision` "bfloat16" is for training only (see
-    `Detector`); `fold=False` leaves batch norm and memory layout as they were trained, to measure against.
+    `transformers:DIRECTORY_OR_CACHED_NAME`; `onnx:FILE[:LAYOUT]`; `python:FILE.py:FUNCTION`. At the end of any, options
+    after an @ and joined by commas: `224` or `HEIGHTxWIDTH` sets the network's input size, `letterbox` keeps the aspect
+    ratio instead of stretching, `person=CLASS` says which class to look for, by name or index ("person" unless told).
+    The arguments `input_size` (a side, or (height, width)), `letterbox` and `person_class` do the same and win, and
+    `layout` is that of an ONNX model's outputs. The detector's own `spec` always says which class it looks for.
+
+    `precision`: "float32"; "bfloat16" (see `Detector`); "auto", bfloat16 where the device gains. `compiled` runs it
+    through torch.compile. `download` allows official weights to be fetched where they are missing; without it nothing
+    is. `fold=False` leaves batch norm and memory layout as they were trained, to measure against.
     InputError names whatever cannot be found, read or understood.
     """
-    family, rest, size, boxed = _take_apart(spec)
+    parsed = parse_spec(spec)
+    size = parsed.size
     if input_size is not None:
         size = (input_size, input_size) if isinstance(input_size, int) else (int(input_size[0]), int(input_size[1]))
     if size is not None and min(size) < 1:
         raise InputError(f"detector {spec}: an input size of {size} is not possible")
-    if family not in FAMILIES:
+    if parsed.family not in FAMILIES:
         forms = " | ".join(known.form for known in FAMILIES.values())
-        raise InputError(f"detector {spec!r}: unknown family {family!r}; expected {forms}, @SIZE at the end if wanted")
-    if precision not in PRECISIONS:
-        raise InputError(f"precision {precision!r}: expected {' or '.join(PRECISIONS)}")
-    request = Request(spec, family, rest, size, letterbox or boxed, person_class, fold)
-    detector = FAMILIES[family].load(request).to(device)
+        raise InputError(
+            f"detector {spec!r}: unknown family {parsed.family!r}; expected {forms}, @SIZE at the end if wanted"
+        )
+    if layout is not None and parsed.family != "onnx":
+        raise InputError(f"detector {spec!r}: --layout is for onnx:FILE")
+    precision = _precision(precision, torch.device(device))
+    if person_class is not None:
+        spec = with_person_class(spec, person_class)
+    person = person_class or parsed.person_class or PERSON
+    letterbox = letterbox or parsed.letterbox
+    request = Request(spec, parsed.family, parsed.rest, size, letterbox, person, fold, layout, download)
+    detector = FAMILIES[parsed.family].load(request).to(device)
     detector.precision = precision
-    return detector
+    return compile_detector(detector) if compiled else detector
 
 
-def _take_apart(spec: str) -> tuple[str, str, tuple[int, int] | None, bool]:
-    """Family, the rest, input size, letterbox."""
-    match = OPTIONS.match(spec)
-    rest, options = (match["rest"], match["options"].split(",")) if match else (spec, [])
-    size = None
-    for option in options:
-        if option != "letterbox":
-            sides = [int(side) for side in option.split("x")]
-            size = (sides[0], sides[-1])
-    family, _, rest = rest.partition(":")
-    return family, rest, size, "letterbox" in options
+def _precision(wanted: str, device: torch.device) -> Literal["float32", "bfloat16"]:
+    if wanted not in PRECISIONS:
+        raise InputError(f"--precision: {wanted!r} is not one of {', '.join(PRECISIONS)}")
+    if wanted != "auto":
+        return wanted
+    # Tensor cores for bfloat16 came with compute capability 8; CPUs gained nothing where it was measured.
+    fast = device.type == "cuda" and torch.cuda.get_device_capability(device)[0] >= 8
+    return "bfloat16" if fast else "float32"
 
 
 def _load_builtin(request: Request) -> Detector:
@@ -100,7 +118,11 @@ def _load_builtin(request: Request) -> Detector:
     if request.rest:
         raise InputError(f"detector {request.spec!r}: builtin takes nothing after it but @SIZE")
     return load_builtin(
-        spec=request.spec, input_size=request.input_size, letterbox=request.letterbox, fold=request.fold
+        spec=request.spec,
+        input_size=request.input_size,
+        letterbox=request.letterbox,
+        person_class=request.person_class,
+        fold=request.fold,
     )
 
 
@@ -133,6 +155,7 @@ def _load_torchvision(request: Request) -> Detector:
         input_size=request.input_size,
         person_class=request.person_class,
         fold=request.fold,
+        download=request.download,
     )
 
 
@@ -142,7 +165,11 @@ def _load_transformers(request: Request) -> Detector:
     if request.letterbox or not request.rest:
         raise InputError(f"detector {request.spec!r}: expected {FAMILIES[request.family].form}, without letterbox")
     return load_transformers(
-        request.rest, spec=request.spec, input_size=request.input_size, person_class=request.person_class
+        request.rest,
+        spec=request.spec,
+        input_size=request.input_size,
+        person_class=request.person_class,
+        download=request.download,
     )
 
 
@@ -150,9 +177,11 @@ def _load_onnx(request: Request) -> Detector:
     from cloak_core.detectors.onnx_model import load_onnx
 
     file, *layout = request.parts(1, 2)
+    if layout and request.layout:
+        raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
     return load_onnx(
         Path(file).expanduser(),
-        layout[0] if layout else None,
+        request.layout or (layout[0] if layout else None),
         spec=request.spec,
         input_size=request.input_size,
         person_class=request.person_class,
@@ -163,6 +192,11 @@ def _load_python(request: Request) -> Detector:
     from cloak_core.detectors.python_module import load_python
 
     file, function = request.parts(2)
+    if request.person_class != PERSON:
+        raise InputError(
+            f"detector {request.spec!r}: a python module returns the person's scores itself, it has no class to choose "
+            "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"
+        )
     return load_python(
         Path(file).expanduser(),
         function,

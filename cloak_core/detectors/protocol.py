@@ -44,6 +44,8 @@ class Detector(nn.Module):
     """What `load_detector` was given; loading it again gives the same detector."""
     differentiable: bool = True
     precision: Literal["float32", "bfloat16"] = "float32"
+    compiled: bool = False
+    """Whether it runs through torch.compile."""
 
     def __init__(self, name: str, spec: str) -> None:
         super().__init__()

@@ -71,9 +71,11 @@ def load_transformers(
     spec: str,
     input_size: tuple[int, int] | None = None,
     person_class: str = "person",
+    download: bool = False,
 ) -> TransformersDetector:
-    """A model from a directory, or by the name it has in the local cache; nothing is downloaded, no remote code is run.
+    """A model from a directory, or by its name from the local cache, fetched there where `download` allows it.
 
+    No remote code is run.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
     """
     require("transformers", spec)
@@ -84,7 +86,7 @@ def load_transformers(
     where = str(folder) if folder.is_dir() else source
     try:
         model, info = transformers.AutoModelForObjectDetection.from_pretrained(
-            where, local_files_only=True, output_loading_info=True, trust_remote_code=False
+            where, local_files_only=not download, output_loading_info=True, trust_remote_code=False
         )
     except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
         raise InputError(f"detector {spec!r}: {_reason(error, source, folder)}") from error
@@ -97,18 +99,18 @@ def load_transformers(
     labels = model.config.id2label
     names = tuple(str(labels.get(index, "")) for index in range(model.config.num_labels))
     person = person_index(names, person_class, len(names), f"detector {spec!r}")
-    preprocessing = _preprocessing(where, model.config.model_type, input_size)
+    preprocessing = _preprocessing(where, model.config.model_type, input_size, download)
     detector = TransformersDetector(model, preprocessing, person, folder.name, spec)
     detector.freeze()
     return detector
 
 
-def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | None) -> Preprocessing:
+def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | None, download: bool) -> Preprocessing:
     """From the model's preprocessor_config.json; without one, what the family was trained with."""
     from transformers.utils import cached_file
 
     path = cached_file(
-        where, "preprocessor_config.json", local_files_only=True, _raise_exceptions_for_missing_entries=False,
+        where, "preprocessor_config.json", local_files_only=not download, _raise_exceptions_for_missing_entries=False,
         _raise_exceptions_for_connection_errors=False,
     )  # fmt: skip
     if path is None:
@@ -132,6 +134,6 @@ def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | No
 
 def _reason(error: Exception, source: str, folder: Path) -> str:
     if not folder.is_dir() and isinstance(error, OSError):
-        return f"no such folder, and not in the local cache (fetch it once with: hf download {source})"
+        return f"no such folder, and not in the local cache (allow --download, or fetch it with: hf download {source})"
     first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
     return f"cannot be loaded: {first[:200]}"

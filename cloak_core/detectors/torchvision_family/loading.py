@@ -46,18 +46,22 @@ def load_torchvision(
     input_size: tuple[int, int] | None = None,
     person_class: str = "person",
     fold: bool = True,
+    download: bool = False,
 ) -> Detector:
     """A torchvision detection model as a frozen detector, batch norm folded unless told not to.
 
-    `checkpoint` is a file, None for the official one in the torch cache, or "random". An input size (one side) is the
-    short side for the R-CNNs, RetinaNet and FCOS, the side of the square for SSD; a (height, width) that is not square
-    is taken exactly. InputError names what is unknown, missing or does not fit.
+    `checkpoint` is a file, None for the official one in the torch cache (fetched there where `download` allows it), or
+    "random". An input size (one side) is the short side for the R-CNNs, RetinaNet and FCOS, the side of the square for
+    SSD; a (height, width) that is not square is taken exactly. InputError names what is unknown, missing or does not
+    fit.
     """
     if model_name not in model_names():
         raise InputError(f"detector {spec!r}: torchvision has no {model_name!r}; it has {', '.join(model_names())}")
     meta = models.get_model_weights(model_name).DEFAULT
     categories = tuple(meta.meta["categories"])
-    path = None if checkpoint == RANDOM else Path(checkpoint).expanduser() if checkpoint else _cached(meta, spec)
+    path = None
+    if checkpoint != RANDOM:
+        path = Path(checkpoint).expanduser() if checkpoint else _cached(meta, spec, download)
     state = None if path is None else read_state_dict(path)
     model = _build(model_name, len(categories))
     count = len(categories)
@@ -85,12 +89,21 @@ def _build(name: str, classes: int) -> nn.Module:
         return models.get_model(name, weights=None, weights_backbone=None, num_classes=classes)
 
 
-def _cached(weights: models.WeightsEnum, spec: str) -> Path:
+def _cached(weights: models.WeightsEnum, spec: str, download: bool) -> Path:
     path = Path(torch.hub.get_dir()) / "checkpoints" / weights.url.rsplit("/", 1)[1]
-    if not path.is_file():
+    if path.is_file():
+        return path
+    if not download:
         raise InputError(
-            f"detector {spec!r}: no checkpoint at {path}; put {weights.url} there or give torchvision:NAME:CHECKPOINT"
+            f"detector {spec!r}: no checkpoint at {path}; put {weights.url} there, give torchvision:NAME:CHECKPOINT, "
+            "or allow --download"
         )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        # The name ends in the first digits of the file's SHA-256, which torch checks.
+        torch.hub.download_url_to_file(weights.url, str(path), path.stem.rsplit("-", 1)[1], progress=False)
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"detector {spec!r}: {weights.url} cannot be fetched ({error})") from error
     return path
 
 
