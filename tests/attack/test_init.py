@@ -40,7 +40,7 @@ def test_resuming_needs_the_same_first_colours(tmp_path: Path) -> None:
 
 def test_colours_that_do_not_fit(tmp_path: Path) -> None:
     write_colors(tmp_path / "c.npy", np.zeros((3, 3)))
-    run(tmp_path / "back", logo=back_logo(box_bodies()))
+    run(tmp_path / "back", logo=back_logo(box_bodies()), angles="180")
     (tmp_path / "empty").mkdir()
     for init, says in (
         ("c.npy", "colours for 3 faces, but the logo has 16"),
