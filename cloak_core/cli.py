@@ -14,7 +14,7 @@ import os
 import re
 import sys
 
-from cloak_core.commands.base import Command, Stopped, err, out, warn
+from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
 from cloak_core.errors import InputError
 
 COMMANDS: dict[str, str] = {
@@ -32,6 +32,7 @@ COMMANDS: dict[str, str] = {
     "logo heatmap": "logo:Heatmap",
     "logo transfer": "logo:Transfer",
     "print": "printing:Print",
+    "sweep": "sweep:Sweep",
     "reproduce": "reproduce:Reproduce",
     "detectors list": "detectors:List",
     "detectors check": "detectors:Check",
@@ -75,20 +76,29 @@ def run(command: Command) -> int:
     if not command.json:
         result = command.run()
         command.show(result)
-        return _failed(result)
+        return _verdict(result)
     # Whatever libraries print must not end up inside the JSON.
     with contextlib.redirect_stdout(sys.stderr):
         out.file = sys.stderr
-        result = command.run()
+        try:
+            result = command.run()
+        finally:
+            out.file = None  # whatever standard output then is
     stopped = result.pop("stopped", None)
-    print(json.dumps(result, indent=2, allow_nan=False))
+    if not RANK:
+        print(json.dumps(result, indent=2, allow_nan=False))
     if stopped:
         raise Stopped(stopped)
-    return _failed(result)
+    return _verdict(result)
 
 
-def _failed(result: dict) -> int:
-    """1 where a command found a defect in Cloak itself, and says so under "failed"."""
+def _verdict(result: dict) -> int:
+    """1 where a command found a defect in Cloak itself, and says so under "failed".
+
+    InputError where part of its input was bad, and the rest was done: "refused".
+    """
+    if result.get("refused"):
+        raise InputError(result["refused"])
     if result.get("failed"):
         err.print(f"cloak: {result['failed']}", style="red", markup=False)
     return int(bool(result.get("failed")))

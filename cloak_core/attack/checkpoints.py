@@ -19,7 +19,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from cloak_core.errors import InputError
-from cloak_core.scene.exchange import FORMAT_VERSION, new_folder, read_json
+from cloak_core.scene.exchange import FORMAT_VERSION, new_folder, read_json, written
 
 KEPT = 2
 MAX_BYTES = 1 << 30
@@ -48,14 +48,15 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         "sha256": hashlib.sha256(data).hexdigest(),
     }
     target = folder / f"step-{checkpoint.step:08d}"
-    if target.exists():  # the same step again, after a resume that found it damaged
-        shutil.rmtree(target)
-    with new_folder(target) as temporary:
-        _write(temporary / "state.safetensors", data)
-        _write(temporary / "state.json", json.dumps(record, indent=2).encode())
-    _flush_folder(folder)
-    for path in _checkpoints(folder)[:-KEPT]:
-        shutil.rmtree(path)
+    with written(target):
+        if target.exists():  # the same step again, after a resume that found it damaged
+            shutil.rmtree(target)
+        with new_folder(target) as temporary:
+            _write(temporary / "state.safetensors", data)
+            _write(temporary / "state.json", json.dumps(record, indent=2).encode())
+        _flush_folder(folder)
+        for path in _checkpoints(folder)[:-KEPT]:
+            shutil.rmtree(path)
 
 
 def load_checkpoint(folder: Path) -> tuple[Checkpoint | None, list[str]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cloak_core.errors import InputError
+from cloak_core.scene.exchange import written
 
 MAX_LINE = 1 << 20
 """Bytes; no event is longer."""
@@ -24,18 +25,14 @@ class EventLog:
 
     def __init__(self, path: Path, on_event: OnEvent | None = None) -> None:
         self._listener = on_event
-        try:
+        with written(path):
             self._file = path.open("ab", buffering=0)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror})") from None
         self.path = path
 
     def write(self, event: Event) -> None:
         """Append one event: in one write, so that a kill cannot leave two halves."""
-        try:
+        with written(self.path):
             self._file.write(json.dumps(event, allow_nan=False).encode() + b"\n")
-        except OSError as error:
-            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from None
         if self._listener:
             self._listener(event)
 
@@ -66,8 +63,9 @@ def rewind_events(path: Path, step: int) -> float:
     )
     kept = [e for e in kept if e.get("type") != "end"]
     temporary = path.with_name(f".{path.name}.rewound")
-    temporary.write_bytes(b"".join(json.dumps(e).encode() + b"\n" for e in kept))
-    os.replace(temporary, path)
+    with written(path):
+        temporary.write_bytes(b"".join(json.dumps(e).encode() + b"\n" for e in kept))
+        os.replace(temporary, path)
     return max((e["time"] for e in kept if isinstance(e.get("time"), (int, float))), default=0.0)
 
 

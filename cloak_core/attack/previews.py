@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.errors import InputError
+from cloak_core.scene.exchange import written
 
 MOST = 8
 """Images on one sheet."""
@@ -36,8 +36,6 @@ def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detec
                 draw.rectangle((x + left, y + top, x + right, y + bottom), outline=FOUND, width=3)
                 draw.text((x + left + 5, y + top + 4), f"{score:.2f}", fill=FOUND)
     temporary = path.with_name(f".{path.name}")
-    try:
+    with written(path):
         sheet.save(temporary, format="PNG")
         os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None

@@ -5,6 +5,7 @@ config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previe
 
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -22,6 +23,7 @@ from cloak_core.scene.exchange import (
     read_json,
     write_face_list,
     write_json,
+    written,
 )
 from cloak_core.scene.logo import Logo
 
@@ -76,17 +78,31 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
     run = RunFolder(path)
     if not run.config.exists():
         raise InputError(f"{path}: not a run folder (no config.json in it)")
-    with _locked(path):
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(lock(path / ".lock"))
+        except BlockingIOError:
+            raise InputError(f"{path}: another process is training in this folder") from None
         _check_same(read_json(run.config), config, path)
         for folder in (run.checkpoint, run.previews):
             # A run folder may come from elsewhere; nothing of it may lead outside.
             if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
                 raise InputError(f"{folder}: not a folder of its own")
-            folder.mkdir(exist_ok=True)
+            with written(folder):
+                folder.mkdir(exist_ok=True)
         sweep(run.checkpoint)
-        with contextlib.suppress(FileNotFoundError):
-            run.cancel.unlink()
+        _sweep_files(run)
+        with written(run.cancel):
+            run.cancel.unlink(missing_ok=True)
         yield run
+
+
+def _sweep_files(run: RunFolder) -> None:
+    """Remove the unfinished files that a killed process left."""
+    for folder, pattern in ((run.path, ".colors.npy.*"), (run.path, ".events.jsonl.*"), (run.previews, ".step-*")):
+        for path in folder.glob(pattern):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def _check_same(recorded: dict, config: dict, path: Path) -> None:
@@ -113,22 +129,33 @@ def _difference(name: str, old: object, new: object) -> tuple[str, object, objec
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """An advisory lock that the system releases when the process ends, however it ends."""
-    with (path / ".lock").open("ab") as file:
-        try:
-            _lock(file.fileno())
-        except OSError:
-            raise InputError(f"{path}: another process is training in this folder") from None
+def lock(path: Path, wait: bool = False) -> Iterator[None]:
+    """Hold the lock file `path`, which the system releases when the process ends, however it ends.
+
+    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
+    """
+    with written(path):
+        file = path.open("ab")
+    with file:
+        while not _lock(file.fileno(), path):
+            if not wait:
+                raise BlockingIOError(f"{path}: held by another process")
+            time.sleep(0.05)
         yield
 
 
-def _lock(handle: int) -> None:
+def _lock(handle: int, path: Path) -> bool:
+    """Whether the lock is ours now; InputError where the file system has none."""
     if os.name == "nt":
         import msvcrt
 
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
+        with contextlib.suppress(OSError):
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            return True
+        return False
+    import fcntl
 
+    with written(path), contextlib.suppress(BlockingIOError):
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False

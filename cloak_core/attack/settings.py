@@ -245,13 +245,13 @@ PRESETS: dict[str, dict[str, object]] = {
 """What each preset changes of the defaults. The reference's learning rate is its 1e-2 / sqrt(batch) at batch 8."""
 
 
-def make_settings(preset: str = "best", **changes: object) -> TrainSettings:
+def make_settings(preset: object = "best", **changes: object) -> TrainSettings:
     """Settings of a preset with changes by name, in the right types (7 becomes 7.0 where a number is meant).
 
     `steps` replaces the preset's `epochs` and the other way round. Unknown names, wrong types and bad values raise
     `InputError` naming the option.
     """
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise InputError(f"--preset: {preset!r} is not one of {', '.join(PRESETS)}")
     values = dict(PRESETS[preset])
     if changes.get("steps") is not None and changes.get("epochs") is None:

@@ -48,12 +48,14 @@ def train(
     resume: bool = False,
     on_event: OnEvent | None = None,
     inputs: Mapping[str, str] | None = None,
+    alone: bool = False,
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
     The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
     weighted total variation and printability. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
     and specs, as the user gave them) are recorded.
+    Under torchrun its processes train together, unless this one is to train `alone`.
     SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
     `resume` then continues to the bit-identical result on the same device and number of threads.
 
@@ -71,7 +73,7 @@ def train(
     device = local_device(settings.device)
     keep_freed_memory()
     try:
-        with _threads(settings.threads), join_world(device) as world:
+        with _threads(settings.threads), join_world(device, alone) as world:
             return _train(settings, bodies, logo, detectors, backgrounds, Path(out), resume, on_event, inputs, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None

@@ -84,9 +84,9 @@ ALONE = World()
 
 
 @contextlib.contextmanager
-def join_world(device: torch.device) -> Iterator[World]:
-    """The world torchrun describes in the environment; a world of one without it."""
-    size = int(os.environ.get("WORLD_SIZE", "1"))
+def join_world(device: torch.device, alone: bool = False) -> Iterator[World]:
+    """The world torchrun describes in the environment; a world of one without it, or where one is to be `alone`."""
+    size = 1 if alone else int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield ALONE
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,10 @@ from rich.console import Console
 from cloak_core.errors import InputError
 from cloak_core.scene.opening import open_scene
 
-__all__ = ["Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]
+__all__ = ["RANK", "Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]
 
+RANK = int(os.environ.get("RANK", 0))
+"""Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 """Progress, warnings and errors: standard error, always."""
 out = Console(highlight=False, soft_wrap=True)

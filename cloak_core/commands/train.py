@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import os
-import tomllib
+import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction
 
+from cloak_core.attack.parsing import read_toml
 from cloak_core.attack.settings import PRESETS, TrainSettings, make_settings
-from cloak_core.commands.base import Command, Stopped, open_scene, out
+from cloak_core.commands.base import RANK, Command, Stopped, open_scene, out
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
+from cloak_core.commands.tensorboard import TensorBoardEvents
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import face_ids, read_face_list
 
 DEFAULT_PRESET = "best"
-RANK = int(os.environ.get("RANK", 0))
-"""Which of torchrun's processes this is; one alone is 0."""
 
 
 @dataclass(kw_only=True)
@@ -44,6 +43,8 @@ class Train(Command):
     """Go on with the run in --out from its last checkpoint."""
     config: Path | None = None
     """TOML file of settings (the options below, without dashes); options given here win."""
+    tensorboard: bool = False
+    """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
     options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
     settings: OmitArgPrefixes[TrainSettings] = field(default_factory=lambda: make_settings(DEFAULT_PRESET))
 
@@ -53,8 +54,9 @@ class Train(Command):
         changes: dict = {}
         config = _value_of("--config", arguments)
         if config is not None:
-            changes = _read_toml(Path(config))
-        preset = _value_of("--preset", arguments) or changes.pop("preset", DEFAULT_PRESET)
+            changes = {key.replace("-", "_"): value for key, value in read_toml(Path(config)).items()}
+        in_file = changes.pop("preset", DEFAULT_PRESET)
+        preset = _value_of("--preset", arguments) or in_file
         # --steps and --epochs replace each other, whichever of them the preset has.
         for given, replaced in (("--steps", "epochs"), ("--epochs", "steps")):
             if _value_of(given, arguments) is not None:
@@ -68,6 +70,9 @@ class Train(Command):
         from cloak_core.scene.logo import make_logo
 
         settings = self.settings
+        listeners = [TrainingProgress(silent=bool(RANK))]
+        if self.tensorboard and not RANK:
+            listeners.append(TensorBoardEvents(self.out))
         # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
         if self.out.exists() and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
@@ -77,7 +82,9 @@ class Train(Command):
         detectors = self.options.load(specs, settings.device)
         backgrounds = open_backgrounds(self.backgrounds)
         inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
-        with TrainingProgress(silent=bool(RANK)) as progress:
+        with contextlib.ExitStack() as stack:
+            for listener in listeners:
+                stack.enter_context(listener)
             result = train(
                 settings,
                 bodies,
@@ -86,15 +93,18 @@ class Train(Command):
                 backgrounds,
                 self.out,
                 resume=self.resume,
-                on_event=progress,
+                on_event=lambda event: [listener(event) for listener in listeners],
                 inputs=inputs,
             )
         return result.record()
 
     def show(self, result: dict) -> None:
-        loss = f", loss {result['loss']:.4f}" if "loss" in result else ""
+        words = f", loss {result['loss']:.4f}" if "loss" in result else ""
+        words += f", {result['enough']}" if "enough" in result else ""
+        if result["colors_step"] != result["step"]:
+            words += f"; the colours are those of step {result['colors_step']}"
         if not RANK:
-            out.print(f"wrote {result['out']}: step {result['step']}{loss}", markup=False)
+            out.print(f"wrote {result['out']}: step {result['step']}{words}", markup=False)
         if result.get("stopped"):
             raise Stopped(result["stopped"])
 
@@ -106,15 +116,6 @@ def _value_of(flag: str, arguments: list[str]) -> str | None:
         if argument.startswith(flag + "="):
             return argument[len(flag) + 1 :]
     return None
-
-
-def _read_toml(path: Path) -> dict:
-    try:
-        return {key.replace("-", "_"): value for key, value in tomllib.loads(path.read_text("utf-8")).items()}
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from None
 
 
 assert DEFAULT_PRESET in PRESETS

@@ -478,42 +478,43 @@ def write_npy(path: str | os.PathLike, array: np.ndarray) -> None:
 
 def _replace(path: Path, write: object) -> None:
     """Write beside the file and rename over it: after a crash there is the old file or the new one, never a half."""
-    try:
+    with written(path):
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(temporary)
+
+
+@contextlib.contextmanager
+def written(path: str | os.PathLike):
+    """Whatever the system has against writing becomes an `InputError` that names `path`."""
     try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
+        yield
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(temporary)
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
 
 @contextlib.contextmanager
 def new_folder(folder: Path):
     """Yield a temporary folder beside `folder` that takes its name when the block ends well and vanishes when not."""
-    try:
+    with written(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-    try:
-        yield temporary
-        os.chmod(temporary, 0o755)
-        if folder.exists():
-            folder.rmdir()  # empty, or this fails; Windows cannot rename over a folder
-        os.replace(temporary, folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        try:
+            yield temporary
+            os.chmod(temporary, 0o755)
+            if folder.exists():
+                folder.rmdir()  # empty, or this fails; Windows cannot rename over a folder
+            os.replace(temporary, folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

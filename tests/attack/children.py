@@ -9,6 +9,7 @@ from unittest import mock
 
 import torch
 
+from cloak_core.attack import sweeps
 from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.attack.training import train
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
@@ -36,6 +37,41 @@ def whole_run(out: Path, on_event: Callable | None = None):
     settings = tiny_settings(steps=STEPS, checkpoint_every=1, preview_every=7)
     return train(settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), out, resume=True,
                  on_event=on_event)  # fmt: skip
+
+
+def drain(pipe: object) -> list[int]:
+    """All that a child says, until it ends."""
+    said = []
+    try:
+        while True:
+            said.append(pipe.recv())
+    except EOFError:
+        return said
+
+
+def tiny_runs(folder: Path) -> list[sweeps.SweepRun]:
+    """Two learning rates with two seeds each; their material comes from `tiny_material`."""
+    base = "scene = 'box'\nlogo = 'front'\nsteps = 4\nbatch = 3\nsize = 64\ntranslation = 5\nsamples = 1\n"
+    base += "angles = '-10,10'\ncheckpoint_every = 2\npreview_every = 3\n"
+    grid = folder / "tiny.toml"
+    grid.write_text(f"[base]\n{base}\n[grid]\nlr = [0.02, 0.05]\nseed = [0, 1]\n")
+    return sweeps.read_grid(grid)
+
+
+def tiny_material(self: object, run: object) -> tuple:
+    """In place of what a grid's names stand for."""
+    bodies = box_bodies()
+    return bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds()
+
+
+def sweep_and_tell(pipe: object, folder: str, out: str) -> None:
+    torch.set_num_threads(1)
+    Path(folder, str(os.getpid())).mkdir()
+    with mock.patch.object(sweeps._Material, "open", tiny_material):
+        sweeps.Sweep(tiny_runs(Path(folder, str(os.getpid()))), out).run(
+            on_event=lambda event: pipe.send(event["step"])
+        )
+    pipe.send(-1)
 
 
 def nothing(pipe: object) -> None:

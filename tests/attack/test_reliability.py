@@ -25,15 +25,6 @@ KILLS = int(os.environ.get("CLOAK_KILLS", "10"))
 DOCS = Path(__file__).parents[2] / "docs" / "reliability.md"
 
 
-def drain(pipe) -> list[int]:
-    said = []
-    try:
-        while True:
-            said.append(pipe.recv())
-    except EOFError:
-        return said
-
-
 def loads(folder: Path) -> None:
     """Whatever is there is whole."""
     if not folder.exists():
@@ -48,10 +39,10 @@ def loads(folder: Path) -> None:
 
 
 def test_killed_at_random_moments_and_resumed(tmp_path):
-    drain(children.start(children.nothing)[1])  # the fork server takes its time to start
+    children.drain(children.start(children.nothing)[1])  # the fork server takes its time to start
     process, pipe = children.start(children.train_and_tell, str(tmp_path / "whole"))
     first = time.perf_counter()
-    assert drain(pipe)[-1] == -1
+    assert children.drain(pipe)[-1] == -1
     duration = time.perf_counter() - first
     process.join()
     colors = read_colors(tmp_path / "whole" / "colors.npy")
@@ -62,7 +53,7 @@ def test_killed_at_random_moments_and_resumed(tmp_path):
         process, pipe = children.start(children.train_and_tell, str(out))
         time.sleep(draw.uniform(0, duration))
         process.kill()
-        said = drain(pipe)
+        said = children.drain(pipe)
         process.join()
         kills.append(max(said, default=0) if -1 not in said else children.STEPS)
         loads(out)

@@ -1,0 +1,293 @@
+"""Sweeps: a training for every combination of a grid of settings, resumable, shared out among processes.
+
+    DIR/runs/NAME/          run folders, named by what the grid gives them and a hash of everything that was asked for
+    DIR/results/NAME.json   what came of each; written when it is done, so that it is not done again
+    DIR/sweep.json, .md     all results so far
+
+Processes that are given the same grid and folder (torchrun's, or any others) each take the next run that nobody holds;
+a run whose process died is free again and goes on from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import itertools
+import json
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from cloak_core.attack.events import OnEvent, read_events
+from cloak_core.attack.parsing import read_toml
+from cloak_core.attack.run_folder import lock
+from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
+from cloak_core.attack.training import train
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detector
+from cloak_core.errors import InputError
+from cloak_core.scene.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.exchange import Bodies, face_ids, read_face_list, read_json, write_json, written
+from cloak_core.scene.logo import Logo, make_logo
+from cloak_core.scene.opening import open_scene
+
+MOST_RUNS = 10_000
+INPUTS = ("scene", "logo", "detector", "backgrounds")
+"""What a grid may name beside settings."""
+FIGURES = ("loss", "disappearance", "tv", "nps", "success")
+"""Of training, each the mean over a run's last tenth."""
+WAIT_SECONDS = 0.5
+Tell = Callable[[str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepRun:
+    """One combination."""
+
+    varied: dict[str, object]
+    """What the grid gives it."""
+    scene: str
+    logo: str
+    backgrounds: str
+    detectors: tuple[str, ...]
+    settings: TrainSettings
+
+    @property
+    def name(self) -> str:
+        """Of its folder: readable, and different for whatever differs."""
+        record = dataclasses.asdict(self) | {"settings": settings_record(self.settings)}
+        del record["varied"]
+        digest = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:8]
+        words = re.sub(r"[^\w.,=+-]+", "_", self.label.replace(", ", ","))
+        return f"{words[:80]}-{digest}"
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return ", ".join(f"{key}={_text(value)}" for key, value in self.varied.items())
+
+
+# --- the grid --------------------------------------------------------------------------------------------------------
+
+
+def read_grid(path: str | Path) -> list[SweepRun]:
+    """The runs of a grid file: every combination of the lists in [grid], over what [base] says. In the file's order.
+
+    [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
+    command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
+    to be trained against at once. InputError names the file and the key.
+    """
+    path = Path(path)
+    record = read_toml(path)
+    for name in record:
+        if name not in ("base", "grid") or not isinstance(record[name], dict):
+            raise InputError(f"{path}: '{name}' is neither the table [base] nor [grid]")
+    base, grid = (_keys(record.get(part, {}), path) for part in ("base", "grid"))
+    if not grid:
+        raise InputError(f"{path}: no [grid] to sweep over")
+    for key, values in grid.items():
+        if key in base:
+            raise InputError(f"{path}: '{key}' stands in [base] and in [grid]")
+        if not isinstance(values, list) or not values:
+            raise InputError(f"{path}: [grid] {key}: a list of values is needed, such as [1, 2]")
+        twice = [value for i, value in enumerate(values) if value in values[:i]]
+        if twice:
+            raise InputError(f"{path}: [grid] {key}: {twice[0]!r} stands there twice")
+    count = 1
+    for values in grid.values():
+        count *= len(values)
+    if count > MOST_RUNS:
+        raise InputError(f"{path}: {count} runs, more than {MOST_RUNS}")
+    combinations = (dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values()))
+    return [_run(base, varied, path) for varied in combinations]
+
+
+def _keys(table: dict, path: Path) -> dict:
+    changed = {key.replace("-", "_"): value for key, value in table.items()}
+    if len(changed) < len(table):
+        raise InputError(f"{path}: a name stands there twice, once with - and once with _")
+    return changed
+
+
+def _run(base: dict, varied: dict, path: Path) -> SweepRun:
+    values = base | varied
+    inputs = {"backgrounds": "procedural:train", "detector": "builtin"}
+    inputs |= {key: values.pop(key) for key in INPUTS if key in values}
+    for key in INPUTS:
+        if key not in inputs:
+            raise InputError(f"{path}: {key} is missing (in [base] or [grid])")
+    specs = inputs.pop("detector")
+    specs = [specs] if isinstance(specs, str) else specs
+    for key, value in [*inputs.items(), *(("detector", spec) for spec in (specs if isinstance(specs, list) else [0]))]:
+        if not isinstance(value, str) or not value:
+            raise InputError(f"{path}: {key}: {value!r} is not text")
+    if not specs:
+        raise InputError(f"{path}: detector: none given")
+    try:
+        settings = make_settings(values.pop("preset", "best"), **values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return SweepRun(varied=varied, detectors=tuple(specs), settings=settings, **inputs)
+
+
+def _text(value: object) -> str:
+    return "+".join(map(_text, value)) if isinstance(value, list) else str(value)
+
+
+# --- running it ------------------------------------------------------------------------------------------------------
+
+
+class _Material:
+    """What runs are made of, opened once."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[str, Bodies] = {}
+        self._backgrounds: dict[str, Backgrounds] = {}
+        self._detectors: dict[tuple[str, str], Detector] = {}
+
+    def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
+        """Bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
+        bodies = self._scenes.get(run.scene) or self._scenes.setdefault(run.scene, open_scene(run.scene))
+        logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
+        for spec in run.detectors:
+            if (spec, run.settings.device) not in self._detectors:
+                loaded = load_detector(spec, device=run.settings.device)
+                self._detectors[spec, run.settings.device] = loaded
+        if run.backgrounds not in self._backgrounds:
+            self._backgrounds[run.backgrounds] = open_backgrounds(run.backgrounds)
+        detectors = [self._detectors[spec, run.settings.device] for spec in run.detectors]
+        return bodies, logo, detectors, self._backgrounds[run.backgrounds]
+
+
+class Sweep:
+    """The runs of a grid in a folder. `run` does what is left of them."""
+
+    def __init__(self, runs: Sequence[SweepRun], out: str | Path) -> None:
+        self.runs, self.out = tuple(runs), Path(out)
+        self._material = _Material()
+        self._failed_before: dict[str, int] = {}
+
+    def run(self, tell: Tell = lambda line: None, on_event: OnEvent | None = None) -> str:
+        """Train what has no result yet; returns why it stopped early, "" when every run has ended.
+
+        A run that fails (bad input, a loss that is not finite) is recorded with its message, and the others go on; the
+        next sweep tries it again. InputError before anything is trained: something in the grid cannot be opened.
+        """
+        for run in self.runs:
+            self._material.open(run)
+        with written(self.out):
+            for folder in ("runs", "results"):
+                (self.out / folder).mkdir(parents=True, exist_ok=True)
+        self._failed_before = {
+            run.name: path.stat().st_mtime_ns for run in self.runs if (path := self._result_path(run)).exists()
+        }
+        while left := [run for run in self.runs if not self._is_settled(run)]:
+            for run in left:
+                with self._held(run) as held:
+                    if held and not self._is_settled(run):
+                        stopped = self._train(run, tell, on_event)
+                        if stopped:
+                            return stopped
+                        break
+            else:
+                time.sleep(WAIT_SECONDS)  # other processes are at all of them
+        return ""
+
+    def results(self) -> list[dict]:
+        """What came of the runs that have ended, in the grid's order; those without an end are missing."""
+        found = [self._result_path(run) for run in self.runs]
+        return [read_json(path) for path in found if path.exists()]
+
+    def write_results(self) -> dict:
+        """Write sweep.json and sweep.md; returns the former."""
+        with written(self.out), lock(self.out / ".lock", wait=True):
+            results = self.results()
+            record = {"runs": len(self.runs), "done": sum("error" not in r for r in results), "results": results}
+            write_json(self.out / "sweep.json", record)
+            (self.out / ".sweep.md").write_text("\n".join(table(results)) + "\n", encoding="utf-8")
+            (self.out / ".sweep.md").replace(self.out / "sweep.md")
+        return record
+
+    def _train(self, run: SweepRun, tell: Tell, on_event: OnEvent | None) -> str:
+        tell(f"run {self.runs.index(run) + 1} of {len(self.runs)}: {run.label}")
+        folder = self.out / "runs" / run.name
+        record = {"name": run.name, "varied": run.varied}
+        try:
+            bodies, logo, detectors, backgrounds = self._material.open(run)
+            inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
+            result = train(
+                run.settings,
+                bodies,
+                logo,
+                detectors,
+                backgrounds,
+                folder,
+                resume=True,
+                on_event=on_event,
+                inputs=inputs,
+                alone=True,
+            )
+        except InputError as error:
+            tell(f"failed: {error}")
+            record["error"] = str(error)
+        else:
+            if result.stopped and result.stopped != "time budget":  # which is a run's own
+                return f"stopped in run {run.label}, at step {result.step}: {result.stopped}"
+            record |= result.record() | {"out": f"runs/{run.name}"} | _figures(folder)
+        write_json(self._result_path(run), record)
+        self.write_results()
+        return ""
+
+    def _is_settled(self, run: SweepRun) -> bool:
+        """Done, or failed since this sweep began."""
+        path = self._result_path(run)
+        if not path.exists():
+            return False
+        return "error" not in read_json(path) or path.stat().st_mtime_ns != self._failed_before.get(run.name)
+
+    def _result_path(self, run: SweepRun) -> Path:
+        return self.out / "results" / f"{run.name}.json"
+
+    @contextlib.contextmanager
+    def _held(self, run: SweepRun) -> Iterator[bool]:
+        """Whether this process may train it."""
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(lock(self.out / "results" / f".{run.name}.lock"))
+            except BlockingIOError:
+                yield False
+                return
+            yield True
+
+
+def _figures(folder: Path) -> dict:
+    """Means over the last tenth of a run's steps, and what was held out last told."""
+    events = read_events(folder / "events.jsonl")
+    steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
+    last = steps[-max(1, len(steps) // 10) :]
+    figures = {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
+    held = [e for e in events if e.get("type") == "held_out" and e.get("step") == e.get("best_step")]
+    if held:
+        figures["held_out"] = {key: held[-1].get(key) for key in ("step", "disappearance", "success")}
+    return figures
+
+
+def table(results: Sequence[dict]) -> list[str]:
+    """The results as lines of a Markdown table."""
+    varied = list(dict.fromkeys(key for result in results for key in result["varied"]))
+    held = any("held_out" in result for result in results)
+    heads = [*varied, "steps", "seconds", "loss", "success", *(["held-out success"] if held else []), "run"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for result in results:
+        cells = [_text(result["varied"].get(key, "")) for key in varied]
+        if "error" in result:
+            cells += [*[""] * (len(heads) - len(varied) - 1), f"failed: {result['error']}"]
+        else:
+            cells += [str(result["step"]), f"{result['seconds']:.0f}"]
+            cells += [f"{result[key]:.4f}" if key in result else "" for key in ("loss", "success")]
+            cells += [f"{result['held_out']['success']:.4f}" if "held_out" in result else ""] if held else []
+            cells += [result["out"]]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return lines

@@ -1,0 +1,45 @@
+"""`cloak sweep`: a training for every combination of a grid of settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from cloak_core.commands.base import RANK, Command, Stopped, err, out
+from cloak_core.commands.progress import TrainingProgress
+
+
+@dataclass(kw_only=True)
+class Sweep(Command):
+    """Train every combination of a grid of settings; what is done already is skipped.
+
+    The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies; names
+    are those of `cloak train` (scene, logo, detector, backgrounds, preset and every setting). Under torchrun each
+    process takes runs of its own. Figures are of training, the mean over a run's last tenth: evaluate what looks good.
+    """
+
+    grid: Positional[Path]
+    """TOML file with [base] and [grid]."""
+    out: Path
+    """Folder for the runs and their table; the same one goes on with what is left."""
+
+    def run(self) -> dict:
+        from cloak_core.attack import sweeps
+
+        sweep = sweeps.Sweep(sweeps.read_grid(self.grid), self.out)
+        with TrainingProgress(silent=bool(RANK)) as progress:
+            stopped = sweep.run(tell=lambda line: err.print(line, markup=False), on_event=progress)
+        result = {"out": str(self.out)} | sweep.write_results()
+        failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]
+        if failed:
+            result["refused"] = f"{len(failed)} of {result['runs']} runs failed, the first of them {failed[0]}"
+        return result | ({"stopped": stopped} if stopped else {})
+
+    def show(self, result: dict) -> None:
+        if not RANK:
+            out.print((self.out / "sweep.md").read_text(encoding="utf-8"), markup=False)
+            out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done", markup=False)
+        if result.get("stopped"):
+            raise Stopped(result["stopped"])

@@ -1,0 +1,52 @@
+"""A training's events as TensorBoard shows them: scalars by step, and the preview pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+from cloak_core.errors import InputError
+
+SHOWN = {"step": "training", "held_out": "held out"}
+"""Events whose numbers become scalars, and the group they stand in."""
+
+
+class TensorBoardEvents:
+    """Takes a run's events and writes them into RUN/tensorboard. InputError where the package is not installed."""
+
+    def __init__(self, run: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            raise InputError("--tensorboard: needs TensorBoard: pip install 'cloak-core[tensorboard]'") from None
+        self._open = lambda step: SummaryWriter(str(run / "tensorboard"), purge_step=step + 1)
+        self._run = run
+        self._writer: SummaryWriter | None = None
+
+    def __enter__(self) -> TensorBoardEvents:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        if self._writer:
+            self._writer.close()
+
+    def __call__(self, event: dict) -> None:
+        kind, step = event.get("type"), event["step"]
+        if kind in ("start", "resume"):
+            # Only now does the run folder exist. What an earlier part wrote of later steps is hidden.
+            self._writer = self._open(step)
+        if self._writer is None:
+            return
+        if kind in SHOWN:
+            for name, value in event.items():
+                if isinstance(value, float) and name != "time":
+                    self._writer.add_scalar(f"{SHOWN[kind]}/{name}", value, step)
+        elif kind == "preview":
+            self._add_picture(self._run / event["path"], step)
+
+    def _add_picture(self, path: Path, step: int) -> None:
+        import numpy as np
+        from PIL import Image
+
+        with Image.open(path) as picture:
+            self._writer.add_image("preview", np.asarray(picture.convert("RGB")), step, dataformats="HWC")

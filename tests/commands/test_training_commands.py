@@ -1,0 +1,77 @@
+"""`cloak train --tensorboard` and `cloak sweep`, through the command line."""
+
+import json
+import sys
+
+import pytest
+
+from cloak_core import cli
+from cloak_core.scene.exchange import write_face_list
+from cloak_core.scene.logo import select_region
+from cloak_core.scene.samples import sample_bodies
+
+QUICK = {"steps": 3, "batch": 2, "size": 64, "translation": 5, "samples": 1, "angles": "0", "threads": 1}
+
+
+@pytest.fixture
+def logo(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bodies = sample_bodies("train")
+    write_face_list(tmp_path / "logo.npy", select_region(bodies, "chest"), bodies.topology)
+    return "logo.npy"
+
+
+def cloak(capsys, *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as end:
+        cli.main([*map(str, words)])
+    said = capsys.readouterr()
+    return end.value.code or 0, said.out, said.err
+
+
+def train(logo, *more):
+    options = [word for key, value in QUICK.items() for word in (f"--{key}", value)]
+    material = ["--scene", "sample:train[0:1]", "--backgrounds", "procedural:train:2", "--logo", logo]
+    return ["train", *material, "--out", "run", *options, *more]
+
+
+def scalars(folder):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    found = EventAccumulator(str(folder))
+    found.Reload()
+    names = found.Tags()
+    return {name: [event.step for event in found.Scalars(name)] for name in names["scalars"]}, names["images"]
+
+
+def test_tensorboard_shows_the_events_and_hides_what_a_resumed_run_does_again(logo, tmp_path, capsys):
+    pytest.importorskip("tensorboard")
+    options = ["--tensorboard", "--preview-every", 2, "--checkpoint-every", 1, "--json"]
+    code, said, _ = cloak(capsys, *train(logo, *options, "--max-seconds", 1e-6))
+    assert code == 3 and json.loads(said)["step"] == 1
+    code, said, _ = cloak(capsys, *train(logo, *options, "--resume"))
+    assert code == 0 and json.loads(said)["step"] == 3
+    found, pictures = scalars(tmp_path / "run" / "tensorboard")
+    assert found["training/loss"] == found["training/success"] == [1, 2, 3] and pictures == ["preview"]
+
+
+def test_tensorboard_that_is_missing_is_one_line_with_the_command(logo, tmp_path, capsys, monkeypatch):
+    for name in [n for n in sys.modules if n.startswith(("torch.utils.tensorboard", "tensorboard"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "tensorboard", None)
+    code, _, said = cloak(capsys, *train(logo, "--tensorboard"))
+    assert code == 2 and said.count("\n") == 1 and "pip install 'cloak-core[tensorboard]'" in said
+    assert not (tmp_path / "run").exists()
+
+
+def test_sweep(logo, tmp_path, capsys):
+    base = QUICK | {"scene": "sample:train[0:1]", "backgrounds": "procedural:train:2", "logo": logo}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in base.items()]
+    (tmp_path / "grid.toml").write_text("\n".join(["[base]", *lines, "[grid]", "lr = [0.01, 0.1]"]))
+    code, said, _ = cloak(capsys, "sweep", "grid.toml", "--out", "out", "--json")
+    record = json.loads(said)
+    assert code == 0 and record["done"] == 2 and [r["varied"]["lr"] for r in record["results"]] == [0.01, 0.1]
+    code, said, errors = cloak(capsys, "sweep", "grid.toml", "--out", "out")
+    assert code == 0 and "2 of 2 runs done" in said and "run 1" not in errors
+    (tmp_path / "grid.toml").write_text("[base]\n[grid]\ncolour = [1]\n")
+    code, _, said = cloak(capsys, "sweep", "grid.toml", "--out", "other")
+    assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()
