@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -11,30 +10,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cloak_core.attack.events import read_events
+from cloak_core.blender_python import ADD_ON
 from cloak_core.commands.base import Stopped
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.errors import InputError
 
-ROOT = Path(__file__).resolve().parents[2]
-SCRIPT = ROOT / "blender_addon" / "train.py"
-# The bpy package may wait for ever at a regular exit.
-PROBE = "import os, bpy; os._exit(0)"
+SCRIPT = ADD_ON / "train.py"
 LOOK_SECONDS = 0.3
-
-
-def find_blender() -> str | None:
-    """A Python in which Blender can be imported (the bpy package), where there is an add-on to run; else None."""
-    if not SCRIPT.exists():
-        return None
-    places = [sys.executable] if importlib.util.find_spec("bpy") else []
-    places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
-    for python in places:
-        try:
-            if subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0:
-                return python
-        except (OSError, subprocess.TimeoutExpired):
-            continue
-    return None
 
 
 def train_in_blender(python: str, arguments: Sequence[str], run: Path) -> None:

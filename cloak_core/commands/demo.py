@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core.attack.settings import make_settings
+from cloak_core.blender_python import find_blender
 from cloak_core.commands.base import Command, err, open_scene, out, warn
-from cloak_core.commands.blender import find_blender, train_in_blender
+from cloak_core.commands.blender import SCRIPT, train_in_blender
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
@@ -49,7 +50,7 @@ class Demo(Command):
 
     def _train(self, logo: Path, poses: int) -> None:
         """Through Blender where there is one, which also pictures the result; directly otherwise, and says so."""
-        blender = find_blender()
+        blender = find_blender(SCRIPT.name)
         if blender is None:
             warn("no Blender here (tools/setup_blender.sh brings one): training without, and no picture from it")
         started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()

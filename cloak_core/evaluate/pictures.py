@@ -34,7 +34,7 @@ def write_pictures(
     under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
     """
     shoot = lambda trial, control: _shoot(folder, stage, int(trial), control, detectors, threshold)
-    pair = lambda trial: _label(stage, int(trial)) | {c: shoot(trial, c) for c in (CLOTHING, LOGO)}
+    pair = lambda trial: shoot_pair(folder, stage, int(trial), detectors, threshold)
     shown = gallery_trials(stage.trials)
     middle = shown[len(shown) // (2 * len(np.unique(stage.trials.pose[shown])))]
     return {
@@ -46,6 +46,13 @@ def write_pictures(
         "controls": _label(stage, middle) | {"images": {c: shoot(middle, c) for c in measurement.controls}},
         "flat": {side: _flat(folder, stage, side, azimuth) for side, azimuth in SIDES.items()},
     }
+
+
+@torch.no_grad()
+def shoot_pair(folder: Path, stage: Stage, trial: int, detectors: dict[str, Detector], threshold: float) -> dict:
+    """One trial in own clothing and cloaked: both pictures written into `folder`, what they show and what was found."""
+    shots = {c: _shoot(folder, stage, trial, c, detectors, threshold) for c in (CLOTHING, LOGO)}
+    return _label(stage, trial) | shots
 
 
 def gallery_trials(trials: Trials) -> list[int]:

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.figures import SERIES
-from cloak_core.evaluate.store import FOLDER, StoredEvaluation, read_evaluation
+from cloak_core.evaluate.store import FOLDER, read_evaluation
 
 BOX, INK, SOFT, PAPER = (224, 52, 28), (31, 35, 40), (89, 99, 110), (255, 255, 255)
 GAP, MARGIN, HEAD, FOOT = 10, 24, 34, 30
@@ -33,16 +33,14 @@ def contact_sheet(run: Path, out: Path, *, body: int = 0, detector: str | None =
     shots = [shot for shot in stored.pictures["gallery"] if shot["body"] == names[body]]
     rows = [(SERIES[control].label, [shot[control] for shot in shots]) for control in (CLOTHING, LOGO)]
     heads = [f"{shot['angle']:g}°".replace("-", "\N{MINUS SIGN}") for shot in shots]
-    sheet = draw_sheet(stored, spec, heads, rows, side)
+    sheet = draw_sheet(stored.folder / "pictures", spec, heads, rows, side)
     out.parent.mkdir(parents=True, exist_ok=True)
     sheet.save(out, optimize=True)
     return out
 
 
-def draw_sheet(
-    stored: StoredEvaluation, spec: str, heads: list[str], rows: list[tuple[str, list[dict]]], side: int
-) -> Image.Image:
-    """Named rows of pictures under column heads, with what the detector found in each written below it."""
+def draw_sheet(folder: Path, spec: str, heads: list[str], rows: list[tuple[str, list[dict]]], side: int) -> Image.Image:
+    """Named rows of pictures (files in `folder`) under column heads, what the detector found in each written below."""
     label = max(int(font(18, bold=True).getlength(name)) for name, _ in rows) + 2 * GAP
     width = MARGIN * 2 + label + len(heads) * (side + GAP) - GAP
     height = MARGIN + HEAD + len(rows) * (side + FOOT + GAP) + MARGIN - GAP
@@ -56,7 +54,7 @@ def draw_sheet(
         draw.text((MARGIN, top + side / 2), name, INK, font(18, bold=True), anchor="lm")
         for k, picture in enumerate(pictures):
             x = left + k * (side + GAP)
-            sheet.paste(boxed(stored, picture, spec, side), (x, top))
+            sheet.paste(boxed(folder, picture, spec, side), (x, top))
             found = bool(picture["boxes"].get(spec))
             text = (
                 f"person {picture['scores'][spec]:.2f}" if found else f"no person (best {picture['scores'][spec]:.2f})"
@@ -65,9 +63,9 @@ def draw_sheet(
     return sheet
 
 
-def boxed(stored: StoredEvaluation, picture: dict, spec: str, side: int) -> Image.Image:
+def boxed(folder: Path, picture: dict, spec: str, side: int) -> Image.Image:
     """One picture, scaled to `side`, with the detector's boxes."""
-    path = stored.folder / "pictures" / Path(picture["file"]).name
+    path = folder / Path(picture["file"]).name
     try:
         with Image.open(path, formats=("JPEG",)) as file:
             image = file.convert("RGB")

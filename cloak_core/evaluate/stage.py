@@ -14,7 +14,7 @@ from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.measurement import Trials
 from cloak_core.render.compositing import compose, true_boxes
 from cloak_core.render.shading import Light
-from cloak_core.render.views import ViewBank
+from cloak_core.render.views import DressedView, ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
@@ -44,11 +44,11 @@ class Stage:
     ) -> None:
         self.trials = trials
         self.bodies = bodies
-        self._colors = colors
-        self._logo = logo
+        self.colors = colors
+        self.logo = logo
         self._backgrounds = backgrounds
         self._camera = camera
-        self._seed = seed
+        self.seed = seed
         self._bank = bank
         self._device = torch.device(bank.device)
         self._controls: dict[str, Tensor] = {}
@@ -60,7 +60,7 @@ class Stage:
     def views(self, indices: Indices) -> list:
         """The dressed view of each of these trials."""
         dress = lambda i: self._bank.dress(
-            int(self.trials.pose[i]), self.camera(i), self._logo.face_ids, outfit=int(self.trials.outfit[i])
+            int(self.trials.pose[i]), self.camera(i), self.logo.face_ids, outfit=int(self.trials.outfit[i])
         )
         return [dress(int(i)) for i in indices]
 
@@ -74,12 +74,22 @@ class Stage:
         """Where the rendered bodies are: xyxy pixels, clipped to the image."""
         return true_boxes(views, self.shifts(indices)).to(self._device, torch.float32)
 
+    def before_grey(
+        self, view: DressedView, index: int, control: str
+    ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
+        """One trial's body, unmoved, before mid-grey, and how much of every pixel it covers."""
+        grey = torch.full((1, 3, view.height, view.width), 0.5, device=self._device)
+        image = compose([view], self._logo_colors([index], control), grey, None, None)[0]
+        coverage = torch.zeros(view.height * view.width, device=self._device)
+        coverage[view.pixels] = view.coverage
+        return image, coverage
+
     def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
         """The first body with the trained colours under even light, RGBA in [0, 1], cut to the body."""
         flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
         bank = ViewBank(self.bodies.select_poses([0]), flat, device=self._device)
         camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
-        view = bank.dress(0, camera, self._logo.face_ids)
+        view = bank.dress(0, camera, self.logo.face_ids)
         white = torch.ones(1, 3, side, side, device=self._device)
         image = compose([view], self._colors_of(LOGO)[0], white, None, None)[0]
         alpha = torch.zeros(side * side, device=self._device)
@@ -115,13 +125,13 @@ class Stage:
 
     def _logo_colors(self, indices: Indices, control: str) -> Float[Tensor, "B L 3"]:
         if control == "random":
-            drawn = [random_colors(self._seed, int(i), len(self._colors)) for i in indices]
+            drawn = [random_colors(self.seed, int(i), len(self.colors)) for i in indices]
             return torch.from_numpy(np.stack(drawn)).to(self._device)
         outfits = self.trials.outfit[np.asarray(indices, np.int64)]
         return self._colors_of(control)[torch.from_numpy(outfits).to(self._device)]
 
     def _colors_of(self, control: str) -> Float[Tensor, "K L 3"]:
         if control not in self._controls:
-            colors = control_colors(control, self._colors, self.bodies, self._logo.face_ids)
+            colors = control_colors(control, self.colors, self.bodies, self.logo.face_ids)
             self._controls[control] = torch.from_numpy(np.ascontiguousarray(colors)).to(self._device)
         return self._controls[control]

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.commands.blender import ROOT, find_blender, follow, train_in_blender
+from cloak_core.blender_python import ROOT, find_blender
+from cloak_core.commands.blender import follow, train_in_blender
 from cloak_core.errors import InputError
 from cloak_core.evaluate.report import make_report
 from cloak_core.scene.exchange import Bodies, write_scene
@@ -16,7 +17,7 @@ RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
 
 @pytest.fixture(scope="module")
 def blender() -> str:
-    python = find_blender()
+    python = find_blender("train.py")
     assert python, "no Python with bpy: run tools/setup_blender.sh"
     return python
 

@@ -10,7 +10,8 @@ from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.logos import chest_thighs, paper_logos, shapes
 from cloak_core.evaluate.experiments.outcome import Outcome
 from cloak_core.evaluate.experiments.repeats import Repeats
-from cloak_core.evaluate.experiments.wording import best_row, rate_text, said
+from cloak_core.evaluate.experiments.sheets import contact_sheets
+from cloak_core.evaluate.experiments.wording import best_row, file_name, rate_text, said
 from cloak_core.evaluate.figures import (
     CYCLE,
     DASHES,
@@ -51,17 +52,20 @@ def repeated(lab: Lab, faces: np.ndarray, specs: Sequence[str], **changes: objec
 
 def table1(lab: Lab) -> Outcome:
     """Letter G, smiley and chest + thighs against every detector, trained at one angle and at five."""
-    rows, panels, curves = [], {}, {}
+    rows, panels, curves, pictures = [], {}, {}, {}
     logos = paper_logos(lab.materials.bodies, lab.options.out / "table1")
     for spec in lab.specs:
         panels[spec] = []
         for name, faces in logos.items():
             for training, angles in (("single", SINGLE), ("multi", MULTI)):
-                result = lab.evaluate(repeated(lab, faces, [spec], angles=angles), narrow_angles(lab), [spec])
+                trained = repeated(lab, faces, [spec], angles=angles)
+                result = lab.evaluate(trained, narrow_angles(lab), [spec])
                 share = round(area_share(lab.materials.bodies, faces), 4)
                 rows.append({"logo": name, "training": training, "area_share": share} | result.row(spec))
                 panels[spec].append((name, training, result.rate(spec)))
                 curves[spec] = result  # ends with chest + thighs, trained at five angles
+        sheets = contact_sheets(lab, spec, trained[0], curves[spec], narrow_angles(lab))
+        pictures |= {f"{name}-{file_name(spec)}": sheet for name, sheet in sheets.items()}
         none = curves[spec].rate(spec, "clothing")
         rows.append({"logo": "none", "training": "-", "detector": spec, "success": none.value, "low": none.low,
                      "high": none.high, "n": none.n})  # fmt: skip
@@ -71,6 +75,7 @@ def table1(lab: Lab) -> Outcome:
         _table1_words(lab, rows),
         {"success": _table1_figure(panels), "thresholds": _threshold_figure(curves)},
         PAPER_TABLE,
+        pictures,
     )
 
 

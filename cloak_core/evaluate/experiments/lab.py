@@ -6,11 +6,13 @@ result. So experiments share them, and an interrupted set goes on where it stopp
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,13 +31,14 @@ from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.evaluate.measurement import Measurement, read_measurement
 from cloak_core.evaluate.measuring import measure
 from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.success import make_stage
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies, new_folder, read_colors, sha256_arrays, write_json
+from cloak_core.scene.exchange import Bodies, new_folder, read_colors, read_json, sha256_arrays, write_json
 from cloak_core.scene.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
 CONTROLS = (*STANDARD, *NATURAL)
+QUICK_STEPS = 150
 
 
 class Interrupted(Exception):
@@ -53,7 +56,7 @@ class Options:
     preset: str = "best"
     """Training preset."""
     steps: int | None = None
-    """Updates of every training; None: 300 when quick, else what the preset says."""
+    """Updates of every training; None: 150 when quick, else what the preset says."""
     batch: int | None = None
     """Images per update; None: what the preset says."""
     seeds: int | None = None
@@ -77,7 +80,7 @@ class Options:
 
     def counts(self) -> dict:
         """What "quick" and the options came to, for the record."""
-        length = self.steps or (300 if self.quick else f"as in preset {self.preset}")
+        length = self.steps or (QUICK_STEPS if self.quick else f"as in preset {self.preset}")
         return {"steps": length, "seeds": len(self.seed_list), "images_per_view": self.test_images, "quick": self.quick}
 
 
@@ -89,6 +92,9 @@ class Trained:
     logo: Logo
     folder: Path
     seconds: float
+    """Of the training, by the clock on the wall."""
+    cpu_seconds: float
+    """The processor's time, all threads: what counts where others work beside; nan where nobody measured it."""
     settings: TrainSettings = field(repr=False)
 
 
@@ -99,7 +105,8 @@ class Lab:
         self, materials: Materials, options: Options, on_progress: Callable[[str], None] | None = None
     ) -> None:
         self.materials, self.options = materials, options
-        self._tell = on_progress or (lambda message: _log.info("%s", message))
+        self.tell = on_progress or (lambda message: _log.info("%s", message))
+        """Takes a line of progress."""
 
     @property
     def specs(self) -> tuple[str, ...]:
@@ -119,29 +126,34 @@ class Lab:
         *,
         bodies: Bodies | None = None,
         seed: int = 0,
+        precision: str = "float32",
         **changes: object,
     ) -> Trained:
-        """Colours for these faces against these detectors; `changes` are training settings by name."""
+        """Colours for these faces against these detectors, run in this precision; `changes` are training settings."""
         bodies = bodies or self.materials.bodies
         settings = self.train_settings(seed, **changes)
         logo = make_logo(bodies, faces)
-        key = self._train_key(settings, bodies, logo, specs)
+        more = {} if precision == "float32" else {"precision": precision}
+        key = self._train_key(settings, bodies, logo, specs, more)
         folder = self.options.out / "runs" / key
         if not _is_done(folder):
-            self._tell(f"training {key} ({', '.join(f'{k}={v}' for k, v in changes.items()) or 'default settings'})")
-            detectors = [self.materials.detectors[spec] for spec in specs]
-            result = train(settings, bodies, logo, detectors, self.materials.backgrounds, folder, resume=True)
+            self.tell(f"training {key} ({', '.join(f'{k}={v}' for k, v in changes.items()) or 'default settings'})")
+            with (
+                _precision([self.materials.detectors[spec] for spec in specs], precision) as detectors,
+                _clocked(folder),
+            ):
+                result = train(settings, bodies, logo, detectors, self.materials.backgrounds, folder, resume=True)
             if result.stopped:
                 raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
         colors = read_colors(folder / "colors.npy", len(logo))
         seconds = max((float(e.get("time", 0)) for e in read_events(folder / "events.jsonl")), default=math.nan)
-        return Trained(colors, logo, folder, seconds, settings)
+        return Trained(colors, logo, folder, seconds, _cpu_seconds(folder), settings)
 
     def train_settings(self, seed: int = 0, **changes: object) -> TrainSettings:
         """The options' preset and counts, with changes by name."""
         options = self.options
         values: dict[str, object] = {"seed": seed, "size": options.size, "device": options.device}
-        steps = options.steps or (300 if options.quick else None)
+        steps = options.steps or (QUICK_STEPS if options.quick else None)
         if steps is not None:
             values["steps"] = steps
         if options.size < 416:
@@ -149,7 +161,11 @@ class Lab:
         values |= {k: v for k, v in (("batch", options.batch), ("samples", options.samples)) if v is not None}
         return make_settings(**({"preset": options.preset} | values | changes))
 
-    def _train_key(self, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str]) -> str:
+    def steps(self, **changes: object) -> int:
+        """Updates of a training with these changes."""
+        return self.train_settings(**changes).total_steps(len(self.materials.backgrounds))
+
+    def _train_key(self, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], more: dict) -> str:
         record = {k: v for k, v in settings_record(settings).items() if k not in FREE_SETTINGS}
         return _key(
             {
@@ -159,6 +175,7 @@ class Lab:
                 "detectors": [[spec, self._detector_hashes[spec]] for spec in specs],
                 "backgrounds": backgrounds_record(self.materials.backgrounds),
             }
+            | more
         )
 
     # --- evaluation
@@ -175,49 +192,104 @@ class Lab:
         """The trainings (repetitions of one thing) on the same unseen images, beside all controls."""
         bodies = bodies or self.materials.unseen
         specs = tuple(specs or self.specs)
-        settings = replace(
-            EvaluateSettings(
-                images_per_view=self.options.test_images,
-                size=self.options.size,
-                samples=self.options.samples,
-                controls=CONTROLS,
-                shift=min(50, self.options.size // 8),
-            ),
-            **changes,
-        )
+        settings = self.evaluate_settings(**changes)
         return Repeats([self._measure(one, bodies, specs, tuple(map(float, angles)), settings) for one in trained])
+
+    def evaluate_settings(self, **changes: object) -> EvaluateSettings:
+        """The options' counts and all controls, with changes by name."""
+        options = self.options
+        settings = EvaluateSettings(
+            images_per_view=options.test_images,
+            size=options.size,
+            samples=options.samples,
+            controls=CONTROLS,
+            shift=min(50, options.size // 8),
+        )
+        return replace(settings, **changes)
+
+    def stage(
+        self,
+        trained: Trained,
+        angles: Sequence[float],
+        settings: EvaluateSettings,
+        bodies: Bodies | None = None,
+    ) -> Stage:
+        """The images of an evaluation, ready to render."""
+        bodies = bodies or self.materials.unseen
+        logo = make_logo(bodies, trained.logo.face_ids)
+        backgrounds = self.materials.unseen_backgrounds
+        return make_stage(trained.colors, logo, bodies, backgrounds, self.materials.detectors, angles, settings)
 
     def _measure(
         self, trained: Trained, bodies: Bodies, specs: tuple[str, ...], angles: tuple, settings: EvaluateSettings
     ) -> Measurement:
-        logo = make_logo(bodies, trained.logo.face_ids)
-        backgrounds: Backgrounds = self.materials.unseen_backgrounds
-        key = _key(
-            {
-                "settings": asdict(settings),
-                "angles": angles,
-                "bodies": bodies_record(bodies)["sha256"],
-                "logo": sha256_arrays(logo.face_ids, trained.colors),
-                "detectors": [[spec, self._detector_hashes[spec]] for spec in specs],
-                "backgrounds": backgrounds_record(backgrounds),
-            }
+        return self.measured(
+            lambda: self.stage(trained, angles, settings, bodies), trained, bodies, specs, angles, settings
         )
+
+    def measured(
+        self,
+        make: Callable[[], Stage],
+        trained: Trained,
+        bodies: Bodies,
+        specs: tuple[str, ...],
+        angles: tuple[float, ...],
+        settings: EvaluateSettings,
+        **more: object,
+    ) -> Measurement:
+        """What these detectors say of the stage that `make` makes, from the file where that was asked before.
+
+        `more`: whatever else decides the images, by name.
+        """
+        logo = make_logo(bodies, trained.logo.face_ids)
+        record = {
+            "settings": asdict(settings),
+            "angles": angles,
+            "bodies": bodies_record(bodies)["sha256"],
+            "logo": sha256_arrays(logo.face_ids, trained.colors),
+            "detectors": [[spec, self._detector_hashes[spec]] for spec in specs],
+            "backgrounds": backgrounds_record(self.materials.unseen_backgrounds),
+        }
+        key = _key(record | more)
         folder = self.options.out / "evaluations" / key
         if not (folder / "scores.npz").exists():
-            self._tell(f"evaluating {trained.folder.name} as {key}")
-            detectors: dict[str, Detector] = {spec: self.materials.detectors[spec] for spec in specs}
-            stage = make_stage(trained.colors, logo, bodies, backgrounds, detectors, angles, settings)
-            measurement = measure(stage, detectors, settings)
+            self.tell(f"evaluating {trained.folder.name} as {key}")
+            measurement = measure(make(), {spec: self.materials.detectors[spec] for spec in specs}, settings)
+            shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
             with new_folder(folder) as temporary:
-                record = {
-                    "run": trained.folder.name,
-                    "settings": asdict(settings),
-                    "angles": angles,
-                    "detectors": specs,
-                }
-                write_json(temporary / "config.json", record)
+                write_json(temporary / "config.json", shown | more)
                 measurement.save(temporary / "scores.npz")
         return read_measurement(folder / "scores.npz")
+
+
+@contextlib.contextmanager
+def _precision(detectors: Sequence[Detector], precision: str) -> Iterator[Sequence[Detector]]:
+    """The detectors, run in this precision for a while."""
+    before = [detector.precision for detector in detectors]
+    try:
+        for detector in detectors:
+            detector.precision = precision
+        yield detectors
+    finally:
+        for detector, old in zip(detectors, before, strict=True):
+            detector.precision = old
+
+
+@contextlib.contextmanager
+def _clocked(folder: Path) -> Iterator[None]:
+    """Adds the processor's time of what happens inside to the run's `cost.json`."""
+    earlier = _cpu_seconds(folder) if (folder / "cost.json").exists() else 0.0
+    started, known = time.process_time(), not folder.exists() or (folder / "cost.json").exists()
+    try:
+        yield
+    finally:
+        if known and folder.exists():  # of a run whose beginning nobody clocked the rest would tell nothing
+            write_json(folder / "cost.json", {"cpu_seconds": round(earlier + time.process_time() - started, 2)})
+
+
+def _cpu_seconds(folder: Path) -> float:
+    path = folder / "cost.json"
+    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
 
 
 def _is_done(folder: Path) -> bool:

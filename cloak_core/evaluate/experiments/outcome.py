@@ -10,10 +10,27 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from PIL import Image
 
 from cloak_core import __version__
+from cloak_core.detectors import THRESHOLD
+from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.experiments.lab import Lab
-from cloak_core.evaluate.figures import save_figure
+from cloak_core.evaluate.experiments.repeats import CURVES
+from cloak_core.evaluate.figures import (
+    CYCLE,
+    DASHES,
+    FAINT,
+    INK,
+    MARKERS,
+    SERIES,
+    legend_above,
+    new_figure,
+    percent_axis,
+    save_figure,
+)
+from cloak_core.evaluate.rates import THRESHOLDS
+from cloak_core.evaluate.report.words import short_name
 from cloak_core.scene.exchange import write_json
 
 
@@ -29,20 +46,30 @@ class Outcome:
     figures: dict[str, Figure] = field(default_factory=dict)
     paper: list[dict] = field(default_factory=list)
     """The paper's values for the same question."""
+    pictures: dict[str, Image.Image] = field(default_factory=dict)
+    """Contact sheets."""
 
 
 def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
     """Write OUT/NAME/ and return what `--json` prints."""
     folder = lab.options.out / name
     folder.mkdir(parents=True, exist_ok=True)
-    figures = []
-    for key, figure in outcome.figures.items():
+    figures, thresholds = [], threshold_rows(outcome.rows)
+    drawn = outcome.figures | ({"thresholds": plot} if (plot := threshold_figure(thresholds)) else {})
+    for key, figure in drawn.items():
         figures += [path.name for path in save_figure(figure, folder / key)]
-    write_csv(folder / "numbers.csv", outcome.rows)
+    for key, picture in outcome.pictures.items():
+        picture.convert("RGB").save(folder / f"{key}.jpg", quality=88, optimize=True)
+        figures.append(f"{key}.jpg")
+    rows = [{key: value for key, value in row.items() if key != CURVES} for row in outcome.rows]
+    write_csv(folder / "numbers.csv", rows)
+    if thresholds:
+        write_csv(folder / "thresholds.csv", thresholds)
     record = {
         "experiment": name,
         "title": outcome.title,
-        "rows": outcome.rows,
+        "rows": rows,
+        "thresholds": thresholds,
         "paper": outcome.paper,
         "words": outcome.words,
         "figures": figures,
@@ -52,6 +79,49 @@ def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
     write_json(folder / "config.json", lab.options.counts() | lab.materials.record() | environment())
     write_json(folder / "numbers.json", record)
     return record
+
+
+def threshold_rows(rows: list[dict]) -> list[dict]:
+    """One row per row of the table and control: success at every threshold."""
+    found = []
+    for row in rows:
+        label = {key: value for key, value in row.items() if key in list(row)[: list(row).index("success")]}
+        for control, curve in row.get(CURVES, {}).items():
+            values = {f"at_{t:g}": value for t, value in zip(THRESHOLDS, curve, strict=True)}
+            found.append(label | {"control": control} | values)
+    return found
+
+
+def threshold_figure(rows: list[dict]) -> Figure | None:
+    """Success of the trained colours against the threshold, a line for each row of the table; None for too many.
+
+    Own clothing is drawn for the first: what the choice of a threshold does to the clean detector.
+    """
+    mine = [row for row in rows if row["control"] == LOGO]
+    if not 1 <= len(mine) <= len(CYCLE):
+        return None
+    keys = [
+        k for k in mine[0] if k not in ("control", "area_share", "seconds", "cpu_seconds") and not k.startswith("at_")
+    ]
+    keys = [k for k in keys if len({str(row.get(k)) for row in mine}) > 1]
+    figure, (axis,) = new_figure()
+    curve = lambda row: [row[f"at_{t:g}"] for t in THRESHOLDS]
+    for k, row in enumerate(mine):
+        label = ", ".join(_named(key, row[key]) for key in keys) or SERIES[LOGO].label
+        axis.plot(THRESHOLDS, curve(row), color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=label, clip_on=False)
+    own = next(row for row in rows if row["control"] == CLOTHING)
+    axis.plot(THRESHOLDS, curve(own), color=INK, lw=1.2, ls=(0, (1, 2)), label=SERIES[CLOTHING].label, clip_on=False)
+    axis.axvline(THRESHOLD, color=FAINT, lw=1.2, zorder=0)
+    percent_axis(axis)
+    axis.set_xlabel("detection threshold")
+    legend_above(figure)
+    return figure
+
+
+def _named(key: str, value: object) -> str:
+    if isinstance(value, str):
+        return short_name(value) if key in ("detector", "trained_on", "tested_on") else value
+    return f"{key.replace('_', ' ')} {value:g}"
 
 
 def environment() -> dict:

@@ -26,10 +26,28 @@ HEADS = {
     "average_precision": "AP",
     "clean_average_precision": "clean AP",
     "area_share": "area",
+    "cpu_seconds": "CPU seconds",
+    "gap": "gap to ours (points)",
+    "image_rms": "image rms",
+    "image_inside": "inside",
+    "image_bias": "bias",
     "tv_weight": "weight",
 }
-COUNTED = {"n", "seeds", "level", "logo_faces", "seconds", "angle", "distance", "tv_weight", "samples", "steps"}
+COUNTED = {
+    "n",
+    "seeds",
+    "level",
+    "logo_faces",
+    "seconds",
+    "angle",
+    "distance",
+    "tv_weight",
+    "samples",
+    "steps",
+    "cpu_seconds",
+}
 """Numbers that are no shares of one."""
+DIGITS = {"image_rms": "{:.3f}", "image_inside": "{:.3f}", "image_bias": "{:+.3f}"}
 SPECS = {"detector", "trained_on", "tested_on"}
 
 
@@ -43,8 +61,9 @@ def make_page(out: Path) -> Path:
             "name": name,
             "title": record["title"],
             "words": record["words"],
-            "figures": [figure(out / name / Path(f).name) for f in record["figures"] if f.endswith(".png")],
+            "figures": [figure(out / name / Path(f).name) for f in record["figures"] if not f.endswith(".svg")],
             "table": table(record["rows"][:SHOWN]),
+            "thresholds": table(record.get("thresholds", [])[:SHOWN]),
             "folded": len(record["rows"]) > FOLDED,
             "left": max(0, len(record["rows"]) - SHOWN),
             "paper": table(record["paper"]),
@@ -71,7 +90,8 @@ def make_page(out: Path) -> Path:
 def figure(path: Path) -> dict:
     """A figure as data, and the width in CSS pixels at which its text has the page's size."""
     with Image.open(path) as image:
-        return {"data": data_uri(path), "width": round(image.width / 200 * 118)}
+        width = round(image.width / 200 * 118) if path.suffix == ".png" else image.width
+        return {"data": data_uri(path), "width": width}
 
 
 def table(rows: list[dict]) -> dict:
@@ -92,6 +112,10 @@ def cell(key: str, row: dict) -> str:
         return short_name(str(value))
     if isinstance(value, (str, bool)):
         return str(value)
+    if key in DIGITS:
+        return DIGITS[key].format(value)
+    if key == "gap":
+        return f"{100 * value:+.1f}".replace("-", "\N{MINUS SIGN}")
     if key not in COUNTED:
         return f"{100 * value:.1f} %" if key == "area_share" else percent(value)
     return f"{value:,}" if isinstance(value, int) else f"{value:g}"

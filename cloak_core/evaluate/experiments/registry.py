@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cloak_core.errors import InputError
-from cloak_core.evaluate.experiments import attacks, choices, views
+from cloak_core.evaluate.experiments import attacks, choices, render_gap, views
 from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.outcome import Outcome, write_outcome
 from cloak_core.evaluate.figures import style
@@ -22,6 +22,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Outcome]] = {
     "shape": attacks.shape,
     "resolution": choices.resolution,
     "ablation": choices.ablation,
+    "render-gap": render_gap.render_gap,
     "cost": choices.cost,
 }
 """In the order in which `all` runs them."""

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Bool
 
 from cloak_core.detectors.scoring import THRESHOLD
 from cloak_core.evaluate.controls import CLOTHING
 from cloak_core.evaluate.intervals import Rate, two_way_rate
 from cloak_core.evaluate.measurement import Measurement
-from cloak_core.evaluate.rates import average_precision
+from cloak_core.evaluate.rates import average_precision, threshold_curves
+
+CURVES = "curves"
+"""Of a row: success by threshold, logo and controls. No column: `write_outcome` makes a table of its own of them."""
 
 
 class Repeats:
@@ -34,15 +38,30 @@ class Repeats:
         on_body: bool = False,
     ) -> Rate:
         """Success, over all repetitions, of the images at this angle, distance and body (None: all of them)."""
-        where = np.ones(len(self.trials), bool)
-        for column, value in (("angle", angle), ("distance", distance), ("pose", pose)):
-            if value is not None:
-                where &= np.isclose(getattr(self.trials, column), value)
+        where = self._where(angle=angle, distance=distance, pose=pose)
         d, c = self.specs.index(spec), self.controls.index(control)
         scores = [(m.score_on if on_body else m.score)[d, c, where] for m in self.measurements]
         count = len(scores)
         bodies, backgrounds = self.trials.pose[where], self.trials.background[where]
         return two_way_rate(np.concatenate(scores) <= threshold, np.tile(bodies, count), np.tile(backgrounds, count))
+
+    def _where(self, **values: float | None) -> Bool[np.ndarray, N]:
+        where = np.ones(len(self.trials), bool)
+        for column, value in values.items():
+            if value is not None:
+                where &= np.isclose(getattr(self.trials, column), value)
+        return where
+
+    def share(self, spec: str, control: str, **values: float | None) -> float:
+        """`rate` at the one threshold, without its interval."""
+        d, c, where = self.specs.index(spec), self.controls.index(control), self._where(**values)
+        return float(np.mean([m.score[d, c, where] <= THRESHOLD for m in self.measurements]))
+
+    def curves(self, spec: str) -> dict[str, list[float]]:
+        """Success of logo and controls at every one of `THRESHOLDS`, over all repetitions."""
+        each = [threshold_curves(m, self.specs.index(spec)) for m in self.measurements]
+        mean = lambda t, control: round(float(np.mean([curve[t][control] for curve in each])), 4)
+        return {control: [mean(t, control) for t in each[0]] for control in self.controls}
 
     def spread(self, spec: str, threshold: float = THRESHOLD) -> list[float]:
         """Success of each repetition."""
@@ -70,7 +89,7 @@ class Repeats:
             "success_iou": self.rate(spec, on_body=True).value,
             "conditional": self.conditional(spec).value,
         }
-        row |= {control: self.rate(spec, control).value for control in self.controls[1:]}
+        row |= {control: self.share(spec, control) for control in self.controls[1:]}
         row["clean_detection"] = 1 - row[CLOTHING]
         precision = [average_precision(m, d, 0) for m in self.measurements]
         row["average_precision"] = float(np.mean(precision))
@@ -78,7 +97,7 @@ class Repeats:
         row["false_alarms"] = float((self.measurements[0].bare[d] > THRESHOLD).mean())
         spread = self.spread(spec)
         row |= {"seeds": len(spread), "worst_seed": min(spread), "best_seed": max(spread)}
-        return {key: _round(value) for key, value in row.items()}
+        return {key: _round(value) for key, value in row.items()} | {CURVES: self.curves(spec)}
 
 
 def _round(value: object) -> object:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 from cloak_core.evaluate.intervals import Rate
-from cloak_core.evaluate.report.words import interval, percent
+from cloak_core.evaluate.report.words import interval, percent, short_name
 
 
 def said(row: dict) -> str:
@@ -19,6 +21,11 @@ def said_rate(rate: Rate) -> str:
 def rate_text(value: float | None) -> str:
     """A share as percent."""
     return percent(value)
+
+
+def file_name(spec: str) -> str:
+    """A detector's name as part of a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", short_name(spec).lower()).strip("-")
 
 
 def best_row(rows: list[dict]) -> dict:
