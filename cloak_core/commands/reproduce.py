@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Command, Stopped, err, out
+from cloak_core.commands.base import Command, Stopped, err, out, warn
 
 
 @dataclass(kw_only=True)
@@ -15,7 +17,8 @@ class Reproduce(Command):
     """Run one of the paper's experiments, or `all` of them, and write numbers, figures and words."""
 
     name: Positional[str]
-    """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, cost, or all."""
+    """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, render-gap (needs
+    Blender), cost, or all."""
     out: Path
     """Folder for results and shared trainings; an interrupted one goes on."""
     detector: UseAppendAction[tuple[str, ...]] = ()
@@ -31,14 +34,18 @@ class Reproduce(Command):
     quick: bool = False
     """Fewer steps, angles, images and seeds."""
     steps: int | None = None
-    """Updates of every training (default: 300 with --quick, else what the preset says)."""
+    """Updates of every training (default: 150 with --quick, else what the preset says)."""
     preset: str = "best"
     """Training preset."""
+    publish: Path | None = None
+    """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     device: str = "cpu"
     """Torch device."""
 
     def run(self) -> dict:
+        from cloak_core.evaluate.cycles import NoBlender
         from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
+        from cloak_core.evaluate.experiments.markdown import publish
         from cloak_core.evaluate.experiments.materials import open_materials
         from cloak_core.evaluate.experiments.page import make_page
         from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
@@ -51,17 +58,33 @@ class Reproduce(Command):
             unseen_backgrounds=self.unseen_backgrounds,
             device=self.device,
         )
-        options = Options(out=self.out, quick=self.quick, preset=self.preset, steps=self.steps, device=self.device)
+        options = Options(
+            out=self.out,
+            quick=self.quick,
+            preset=self.preset,
+            steps=self.steps,
+            device=self.device,
+            command=shlex.join(["cloak", *sys.argv[1:]]),
+        )
         lab = Lab(materials, options, lambda message: err.print(message, markup=False))
-        try:
-            done = {name: run_experiment(name, lab) for name in (EXPERIMENTS if self.name == "all" else [self.name])}
-        except Interrupted as stop:
-            raise Stopped(str(stop)) from None
-        return {"page": str(make_page(self.out)), "experiments": done}
+        done, skipped = {}, {}
+        for name in EXPERIMENTS if self.name == "all" else [self.name]:
+            try:
+                done[name] = run_experiment(name, lab)
+            except Interrupted as stop:
+                raise Stopped(str(stop)) from None
+            except NoBlender as missing:
+                if self.name != "all":
+                    raise
+                warn(f"{missing}; left out")
+                skipped[name] = str(missing)
+        published = {"published": str(publish(self.out, self.publish))} if self.publish else {}
+        return {"page": str(make_page(self.out)), "experiments": done, "skipped": skipped} | published
 
     def show(self, result: dict) -> None:
         for name, record in result["experiments"].items():
             out.print(f"{name}: {record['title']}", markup=False)
             for line in record["words"]:
                 out.print(f"  {line}", markup=False)
-        out.print(f"wrote {result['page']}", markup=False)
+        for path in filter(None, (result["page"], result.get("published"))):
+            out.print(f"wrote {path}", markup=False)

@@ -38,11 +38,15 @@ OnFrame = Callable[[str], None]
 """Told a line for every frame."""
 
 
+class NoBlender(InputError):
+    """Blender's Python package is not there."""
+
+
 def require_blender() -> str:
-    """A Python with Blender; InputError says in one line how to come by one."""
+    """A Python with Blender; NoBlender says in one line how to come by one."""
     python = find_blender(SCRIPT)
     if python is None:
-        raise InputError("render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11)")
+        raise NoBlender("render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11)")
     return python
 
 

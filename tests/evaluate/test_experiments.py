@@ -94,7 +94,8 @@ def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> Non
     record = run_experiment("transfer", Lab(materials, options(tmp_path)))
     folder = tmp_path / "transfer"
     assert {p.name for p in folder.iterdir()} == {
-        "config.json", "numbers.json", "numbers.csv", "words.md", "matrix.png", "matrix.svg"
+        "config.json", "numbers.json", "numbers.csv", "words.md", "matrix.png", "matrix.svg",
+        "thresholds.csv", "thresholds.png", "thresholds.svg",
     }  # fmt: skip
     assert json.loads((folder / "numbers.json").read_text()) == json.loads(json.dumps(record))
     with (folder / "numbers.csv").open() as file:

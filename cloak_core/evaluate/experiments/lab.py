@@ -69,6 +69,8 @@ class Options:
     """Samples per pixel; None takes the renderer's default."""
     device: str = "cpu"
     """Torch device."""
+    command: str = ""
+    """The command line that asked for it, for the record."""
 
     @property
     def seed_list(self) -> tuple[int, ...]:

@@ -76,7 +76,10 @@ def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
         "counts": lab.options.counts(),
     }
     (folder / "words.md").write_text(f"# {outcome.title}\n\n" + "\n\n".join(outcome.words) + "\n", "utf-8")
-    write_json(folder / "config.json", lab.options.counts() | lab.materials.record() | environment())
+    write_json(
+        folder / "config.json",
+        {"command": lab.options.command} | lab.options.counts() | lab.materials.record() | environment(),
+    )
     write_json(folder / "numbers.json", record)
     return record
 

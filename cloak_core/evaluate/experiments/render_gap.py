@@ -85,8 +85,8 @@ def _words(lab: Lab, rows: list[dict], angles: int, paths: int) -> list[str]:
         f"Chest + thighs, trained at five angles in our own renders. Each of {lab.materials.unseen.pose_count} unseen "
         f"bodies in its first outfit was rendered at {angles} azimuths by Cycles ({paths} paths per pixel, not "
         "denoised, view transform Standard) under three lights, and put before the same unseen backgrounds as our own "
-        "render. Matching: even light and one distant lamp without shadows, as our model has them, on a matte surface (our "
-        "highlight is left out). Studio: two area lamps and a dim room. Sky: a sun, sky and ground. The last two have "
+        "render. Matching: even light and one distant lamp without shadows, as our model has them, on a matte surface "
+        "(our highlight is left out). Studio: two area lamps and a dim room. Sky: a sun, sky and ground. Both have "
         "shadows, reflected light and a slightly glossy cloth. The sheet shows, from left to right, our render, "
         "matching, studio and sky. A gap is our success minus that in Cycles."
     ]

@@ -45,14 +45,14 @@ class Repeats:
         bodies, backgrounds = self.trials.pose[where], self.trials.background[where]
         return two_way_rate(np.concatenate(scores) <= threshold, np.tile(bodies, count), np.tile(backgrounds, count))
 
-    def _where(self, **values: float | None) -> Bool[np.ndarray, N]:
+    def _where(self, **values: float | int | None) -> Bool[np.ndarray, N]:
         where = np.ones(len(self.trials), bool)
         for column, value in values.items():
             if value is not None:
                 where &= np.isclose(getattr(self.trials, column), value)
         return where
 
-    def share(self, spec: str, control: str, **values: float | None) -> float:
+    def share(self, spec: str, control: str, **values: float | int | None) -> float:
         """`rate` at the one threshold, without its interval."""
         d, c, where = self.specs.index(spec), self.controls.index(control), self._where(**values)
         return float(np.mean([m.score[d, c, where] <= THRESHOLD for m in self.measurements]))

@@ -1,0 +1,85 @@
+"""The experiments' tables and figures as Markdown, for documentation: written by the command, never by hand."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from cloak_core.errors import InputError
+from cloak_core.evaluate.experiments.page import table
+from cloak_core.evaluate.experiments.registry import finished
+from cloak_core.scene.exchange import read_json
+
+SHOWN = 30
+"""Rows of a table; the others stay in numbers.csv."""
+LEFT_OUT = ("clean_detection", "false_alarms", "seeds", "worst_seed", "best_seed", "success_iou", "seconds")
+"""Columns that a narrow table can spare where they say nothing new: all are in numbers.csv."""
+COLORS = 128
+"""Of a published figure: plots have few, and the files stay small."""
+
+
+def publish(out: Path, folder: Path) -> Path:
+    """Write FOLDER/tables.md, one section for every finished experiment of OUT, with figures beside it; its path."""
+    records = finished(out)
+    if not records:
+        raise InputError(f"{out}: holds no finished experiment")
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../results.md).\n"]
+    for name, record in records.items():
+        figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in record["figures"] if _is_shown(file)]
+        parts.append(_section(name, record, read_json(out / name / "config.json"), figures))
+    path = folder / "tables.md"
+    path.write_text("\n".join(parts), "utf-8")
+    return path
+
+
+def _is_shown(file: str) -> bool:
+    return not file.endswith(".svg")
+
+
+def _copy(source: Path, target: Path) -> str:
+    if source.suffix == ".png":
+        with Image.open(source) as image:
+            image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(target, optimize=True)
+    else:
+        shutil.copyfile(source, target)
+    return target.name
+
+
+def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> str:
+    lines = [f"## {name}: {record['title']}", ""]
+    for paragraph in record["words"]:
+        lines += [paragraph, ""]
+    lines += [f"![{record['title']}]({file})\n" for file in figures]
+    rows = record["rows"][:SHOWN]
+    lines += grid([{k: v for k, v in row.items() if k not in LEFT_OUT} for row in rows])
+    if len(record["rows"]) > SHOWN:
+        lines.append(f"And {len(record['rows']) - SHOWN} more rows in numbers.csv.\n")
+    spread = [row for row in rows if row.get("seeds", 1) > 1]
+    if spread:
+        lines += ["Spread over seeds:", "", *grid([_only(row, "seeds", "worst_seed", "best_seed") for row in spread])]
+    if record.get("thresholds"):
+        lines += ["Success at other thresholds:", "", *grid(record["thresholds"][:SHOWN])]
+    if record["paper"]:
+        lines += ["The paper's values:", "", *grid(record["paper"])]
+    counts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record["counts"].items())
+    versions = ", ".join(f"{key} {config[key]}" for key in ("cloak", "torch", "threads") if key in config)
+    lines.append(f"`{config['command']}`\n" if config.get("command") else "")
+    lines.append(f"{counts}; {versions}.\n")
+    return "\n".join(lines)
+
+
+def _only(row: dict, *kept: str) -> dict:
+    """A row's own label (what stands before its success) and some columns."""
+    label = list(row)[: list(row).index("success")]
+    return {key: row[key] for key in (*label, *kept)}
+
+
+def grid(rows: list[dict]) -> list[str]:
+    """A Markdown table, and an empty line after it."""
+    shown = table(rows)
+    line = lambda cells: "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+    return [line(shown["heads"]), line("---" for _ in shown["heads"]), *map(line, shown["rows"]), ""]
