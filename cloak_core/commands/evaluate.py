@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
@@ -92,8 +93,16 @@ def kept_back(kind: str, config: dict) -> str:
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
 
 
+BOXES = {True: "white", False: "black", None: "?"}
+
+
 def show_success(result: dict) -> None:
-    """Success under the logo and under each control, a table per detector."""
+    """Success under the logo and under each control, a table per detector; of several, all of them side by side first.
+
+    White box: the colours were trained against this detector; black box: they were not.
+    """
+    if len(result["detectors"]) > 1:
+        out.print(matrix(result))
     for spec, measured in result["detectors"].items():
         table = Table(title=f"success against {spec}: the rendered person is not reported")
         for column in ("", "success", "95 %", "IoU ≥ 0.5", "of those found clean", "images"):
@@ -113,6 +122,24 @@ def show_success(result: dict) -> None:
             )
         out.print(table)
         out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
+
+
+def matrix(result: dict) -> Table:
+    """A row per detector: whether it was trained against, and success under the logo and the controls."""
+    from cloak_core.evaluate.report.words import short_name
+
+    controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
+    table = Table(title="success by detector: white box = trained against it, black box = not")
+    for column in ("", "box", *controls, "95 % of logo", "alarms"):
+        justify = "left" if column in ("", "box") else "right"
+        table.add_column(column, justify=justify, no_wrap=bool(column), min_width=None if column else 12)
+    boxes = result.get("white_box", {})
+    for spec, measured in sorted(result["detectors"].items(), key=lambda item: boxes.get(item[0]) is not True):
+        low, high = measured["logo"]["ci95"]
+        successes = (f"{measured[name]['success']:.2f}" for name in controls)
+        box, alarms = BOXES[boxes.get(spec)], f"{result['false_alarms'][spec]:.1%}"
+        table.add_row(escape(short_name(spec)), box, *successes, f"{low:.2f}–{high:.2f}", alarms)
+    return table
 
 
 @dataclass(kw_only=True)

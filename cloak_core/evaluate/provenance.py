@@ -39,6 +39,18 @@ def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgroun
     return {"bodies": decide(shared_bodies), "backgrounds": decide(shared_backgrounds)}, warnings
 
 
+def trained_against(config: dict | None, hashes: dict[str, str]) -> dict[str, bool | None]:
+    """Of each detector, by its name and the hash of its state, whether the colours were trained against it.
+
+    Weights count, not names: the same ones at another input size are no black box. None: `config` does not tell.
+    """
+    trained = (config or {}).get("detectors")
+    if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
+        return dict.fromkeys(hashes)
+    known = {entry.get("sha256") for entry in trained}
+    return {name: digest in known for name, digest in hashes.items()}
+
+
 def pose_hashes(bodies: Bodies) -> list[str]:
     """SHA-256 of every pose's vertices."""
     return [sha256_arrays(vertices) for vertices in bodies.vertices]

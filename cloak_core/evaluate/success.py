@@ -14,7 +14,7 @@ from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.errors import InputError
 from cloak_core.evaluate.measurement import draw_trials
 from cloak_core.evaluate.measuring import OnProgress, measure
-from cloak_core.evaluate.provenance import seen_in_training
+from cloak_core.evaluate.provenance import seen_in_training, trained_against
 from cloak_core.evaluate.rates import summarize
 from cloak_core.evaluate.recording import store_evaluation
 from cloak_core.evaluate.settings import EvaluateSettings
@@ -43,7 +43,8 @@ def evaluate(
 ) -> dict:
     """Attack success as contract C6 puts it, with every control on the same images.
 
-    `training` tells what the colours were trained on (a run's config.json) and fills `unseen`; `out`
+    `training` tells what the colours were trained on (a run's config.json) and fills `unseen`
+    and `white_box` (by detector, whether it was trained against); `out`
     is a folder that takes the raw scores, pictures and the summary (replacing an earlier evaluation's).
     InputError: a scene of another topology (both hashes), colours for another logo.
     """
@@ -63,6 +64,7 @@ def evaluate(
     summary = summarize(measurement, settings.threshold, settings.resamples) | {
         "n": len(measurement.trials),
         "unseen": unseen,
+        "white_box": trained_against(training, hashes),
         "warnings": warnings,
         "settings": asdict(settings) | {"angles": [float(a) for a in angles]},
         "inputs": {

@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.commands.evaluate import show_success
+from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.errors import InputError
 from cloak_core.evaluate.measuring import max_score_on
 from cloak_core.evaluate.provenance import pose_hashes
@@ -210,3 +211,22 @@ def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None
 
     with pytest.raises(RuntimeError, match="changed while"):
         evaluate(green(logo), logo, bodies, grey_rooms(5), {"spec": Drifting()}, ANGLES, SMALL)
+
+
+def test_white_box_and_black_box(bodies: Bodies, logo: Logo, capsys: pytest.CaptureFixture) -> None:
+    """Told by the detectors' weights, whatever they are called; several are shown side by side."""
+    known, stranger = GreenBlind(), GreenBlind()
+    with torch.no_grad():
+        stranger.weight.mul_(2)
+    training = {"detectors": [{"spec": "as it was called then", "sha256": state_hash(known)}]}
+    detectors = {"far[bold]": stranger, "near": known}
+    run = lambda training: evaluate(
+        green(logo), logo, bodies, grey_rooms(5), detectors, ANGLES, SMALL, training=training
+    )
+    result = run(training)
+    assert result["white_box"] == {"far[bold]": False, "near": True}
+    assert run(None)["white_box"] == {"far[bold]": None, "near": None}
+    show_success(result)
+    rows = [line for line in capsys.readouterr().out.splitlines() if "│ white " in line or "│ black " in line]
+    assert len(rows) == 2 and "near" in rows[0] and " white " in rows[0] and "1.00" in rows[0]
+    assert "far[bold]" in rows[1] and " black " in rows[1]
