@@ -39,6 +39,7 @@ COMMANDS: dict[str, str] = {
     "detectors train-builtin": "detectors:TrainBuiltin",
     "bench views": "bench:Views",
     "bench accuracy": "bench:Accuracy",
+    "bench growth": "bench:Growth",
     "bench stability": "bench:Stability",
     "bench step": "bench:Step",
     "bench detectors": "bench:Detectors",

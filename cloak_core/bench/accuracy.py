@@ -1,6 +1,9 @@
-"""`cloak bench accuracy`: speed against error, for every number of samples and for exact areas.
+"""`cloak bench accuracy`: speed against error, for every number of samples, for exact areas and for peer renderers.
 
-Errors are against the 64 x 64 samples of `bench.reference`:
+Times, milliseconds: visibility_ms (what is seen, nothing lit; of a peer, rays or matrices being ready), new_view_ms
+(all that a cached render needs), cached_ms (a render of a logo with its gradient), pose_ms (what a peer does once for
+each new pose, such as building a tree; vertex normals, which all need, not counted).
+Errors, against `bench.reference`:
 image_rms: root mean square over the body's pixels of the image (smooth colours, default light, black background);
 coverage_rms: the same of the coverage; gradient_smooth, gradient_white: relative L2 error of the colour gradient for
 a smooth and for a white-noise upstream gradient; starved: share of the faces with more than 0.02 px^2 visible that
@@ -9,7 +12,9 @@ receive no gradient.
 
 from __future__ import annotations
 
+import inspect
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +22,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.bench.reference import Matrix, matrix_of, reference
+from cloak_core.bench.peers.bank import PeerBank, available, usable
+from cloak_core.bench.reference import Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, machine, timed, torch_threads
+from cloak_core.errors import InputError
 from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.bodies import subdivide
@@ -27,17 +34,20 @@ from cloak_core.scene.exchange import Bodies, read_scene
 
 VISIBLE = 0.02
 """Pixels of visible area from which a face counts as starved without a gradient."""
-DEFAULT = "ours-area"
+PEER_SAMPLES = (1, 4, 16)
+"""Samples per pixel at which peers are measured."""
 COLUMNS = {
     "visibility_ms": "visibility, ms",
     "new_view_ms": "new view, ms",
     "cached_ms": "cached + gradient, ms",
+    "pose_ms": "set-up of a pose, ms",
     "image_rms": "image RMS",
     "coverage_rms": "coverage RMS",
     "gradient_smooth": "gradient, smooth",
     "gradient_white": "gradient, white",
     "starved": "starved",
 }
+SCENES = ("bench", "distant", "close-up", "million")
 
 
 @dataclass(frozen=True)
@@ -48,18 +58,26 @@ class Scene:
     camera: Camera
 
 
-def scenes(bodies: Bodies) -> dict[str, Scene]:
-    """The scene itself, far away, close up and cut by the near plane, and with about a million triangles."""
+def make_scene(name: str, bodies: Bodies) -> Scene:
+    """The scene itself, far away, close up and cut by the near plane, or with about a million triangles."""
     first = bodies.select_poses([0])
-    dense = first
-    while dense.triangle_count < 800_000:
-        dense, _ = subdivide(dense)
-    return {
-        "bench": Scene(first, Camera(azimuth=-10.0)),
-        "distant": Scene(first, Camera(azimuth=-10.0, distance=8.0)),
-        "close-up": Scene(first, Camera(azimuth=-10.0, distance=1.0, near=0.85)),
-        "million": Scene(dense, Camera(azimuth=-10.0)),
+    if name == "million":
+        while first.triangle_count < 800_000:
+            first, _ = subdivide(first)
+    cameras = {
+        "distant": Camera(azimuth=-10.0, distance=8.0),
+        "close-up": Camera(azimuth=-10.0, distance=1.0, near=0.85),
     }
+    return Scene(first, cameras.get(name, Camera(azimuth=-10.0)))
+
+
+def default_name() -> str:
+    """The point that `ViewBank` is at unless told otherwise."""
+    return _name(inspect.signature(ViewBank).parameters["samples"].default)
+
+
+def _name(samples: int | None) -> str:
+    return f"ours-{samples or 'area'}"
 
 
 def run_bench_accuracy(
@@ -67,65 +85,92 @@ def run_bench_accuracy(
     threads: int = 2,
     repeats: int = 10,
     out: str | os.PathLike | None = None,
-    only: tuple[str, ...] | None = None,
+    only: tuple[str, ...] = (),
 ) -> dict:
-    """All points of all scenes (or of `only` some); with `out`, also a table, a plot and the JSON in that folder."""
+    """All points of all scenes (or of `only` some of them).
+
+    With `out`, also a table, a plot and the JSON in that folder; scenes measured there earlier stay beside these.
+    """
+    if unknown := [name for name in only if name not in SCENES]:
+        raise InputError(f"scene '{unknown[0]}': there are {', '.join(SCENES)}")
+    if repeats < 1 or threads < 1:
+        raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
-    chosen = {name: s for name, s in scenes(bodies).items() if only is None or name in only}
-    result = {"scenes": {}, "default": DEFAULT, "threads": threads, "repeats": repeats, "machine": machine()}
+    measured = {"threads": threads, "repeats": repeats, "peers": available(), "machine": machine()}
+    result = {"scenes": {}, "default": default_name(), **measured}
     with torch_threads(threads):
-        for name, item in chosen.items():
-            result["scenes"][name] = measure(item, repeats)
+        for name in only or SCENES:
+            result["scenes"][name] = measure(make_scene(name, bodies), repeats, threads, measured["peers"]) | measured
     if out is not None:
         from cloak_core.bench.accuracy_report import write_report
 
-        write_report(result, Path(out))
+        result = write_report(result, Path(out))
     return result
 
 
-def measure(scene: Scene, repeats: int) -> dict:
-    """Every way to build a view of one scene, timed and compared."""
+def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> dict:
+    """Every way to build a view of one scene, timed and compared. peers: as `available` says."""
     light = Light()
-    judge = Judge(scene, light, reference(scene.bodies, scene.camera, light))
+    exact = reference(scene.bodies, scene.camera, light)
+    judge = Judge(scene, exact)
     points = []
+    for name, bank, times in _banks(scene, light, repeats, threads, peers):
+        points.append({"name": name} | times() | judge.errors(bank))
+    record = {"triangles": scene.bodies.triangle_count, "reference": exact.how}
+    return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
+
+
+def _banks(
+    scene: Scene, light: Light, repeats: int, threads: int, peers: dict[str, str]
+) -> Iterator[tuple[str, ViewBank, Callable[[], dict]]]:
+    """Everything to measure: its name, its views, and what times it."""
     for samples in (*GRIDS, None):
         bank = ViewBank(scene.bodies, light, samples)
-        name = f"ours-{samples or 'area'}"
-        points.append({"name": name} | _times(bank, scene.camera, repeats) | judge.errors(bank))
-    record = {"triangles": scene.bodies.triangle_count, "reference": "64 x 64 samples per pixel"}
-    return record | {"pixels": int((judge.exact.coverage > 0).sum()), "points": points}
+        yield _name(samples), bank, lambda b=bank: _times(b, scene.camera, repeats)
+    for kind in usable(peers):
+        peer = kind(scene.bodies.triangles.astype(np.int64), threads)
+        for samples in PEER_SAMPLES:
+            bank = PeerBank(scene.bodies, light, samples, peer)
+            yield f"{kind.module}-{samples}", bank, lambda b=bank: _peer_times(b, scene.camera, repeats)
 
 
-def _times(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
+def _times(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float | None]:
     key = [(0, camera)]
     median = lambda work: timed(work, repeats, warm_up=2)["median"]
     return {
         "visibility_ms": median(lambda: bank.visible(key)),
         "new_view_ms": median(lambda: bank.build(key)),
         "cached_ms": median(cached_render(bank, camera)),
+        "pose_ms": None,
     }
+
+
+def _peer_times(bank: PeerBank, camera: Camera, repeats: int) -> dict[str, float | None]:
+    key = [(0, camera)]
+    median = lambda work: timed(work, repeats, warm_up=2)["median"]
+    pose = timed(bank.pose, min(repeats, 5), warm_up=1)["median"]
+    bank.peer.aim(bank.target(camera, bank.screen(key)))
+    look = median(bank.peer.look)
+    return {"visibility_ms": look, "new_view_ms": median(lambda: bank.build(key)), "cached_ms": None, "pose_ms": pose}
 
 
 class Judge:
     """The errors of a view against the reference."""
 
-    def __init__(self, scene: Scene, light: Light, exact: Matrix) -> None:
-        self.scene, self.light, self.exact = scene, light, exact
-        camera = scene.camera
+    def __init__(self, scene: Scene, exact: Reference) -> None:
+        self.camera, self.exact = scene.camera, exact.matrix
         self.colors = smooth_colors(scene.bodies)
-        self.black = torch.zeros(camera.width * camera.height, 3)
+        self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)
         self.white = torch.randn(len(self.black), 3, generator=generator)
         coarse = torch.randn(1, 3, 13, 13, generator=generator)
-        size = (camera.height, camera.width)
+        size = (self.camera.height, self.camera.width)
         smooth = torch.nn.functional.interpolate(coarse, size, mode="bicubic", align_corners=True)
         self.smooth = smooth[0].permute(1, 2, 0).reshape(-1, 3)
-        flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
-        area = reference(scene.bodies, camera, flat)
-        self.visible = torch.zeros(exact.face_count).double().index_add_(0, area.face, area.weight.double()) > VISIBLE
+        self.visible = exact.visible > VISIBLE
 
     def errors(self, bank: ViewBank) -> dict[str, float]:
-        ours = matrix_of(bank.build([(0, self.scene.camera)])[0], self.exact.face_count)
+        ours = matrix_of(bank.build([(0, self.camera)])[0], self.exact.face_count)
         body = (self.exact.coverage > 0) | (ours.coverage > 0)
         rms = lambda a, b: float((a - b)[body].double().pow(2).mean().sqrt())
         seen = torch.zeros(ours.face_count).double().index_add_(0, ours.face, ours.weight.double()) > 0

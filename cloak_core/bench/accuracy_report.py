@@ -4,62 +4,92 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cloak_core.bench.accuracy import COLUMNS
+from cloak_core.bench.accuracy import COLUMNS, SCENES
+from cloak_core.bench.records import circumstances, earlier
 from cloak_core.scene.exchange import write_json
 
+_COLORS = {
+    "ours": "tab:red", "embreex": "tab:blue", "mitsuba": "tab:green", "moderngl": "tab:purple", "open3d": "tab:orange"
+}  # fmt: skip
+_PANELS = {"gradient_smooth": ("gradient error, relative", 0.05), "image_rms": ("image error, RMS", 1 / 255)}
+"""Rows of the plot, each with the error that the default setting has to stay below."""
 
-def write_report(result: dict, folder: Path) -> None:
-    """Write accuracy.json, accuracy.png and accuracy.md."""
+
+def write_report(result: dict, folder: Path) -> dict:
+    """Write accuracy.json, accuracy.png and accuracy.md, and return what they hold.
+
+    Scenes that an accuracy.json of the folder holds and `result` does not are kept. Raises `InputError` where that
+    file cannot be read.
+    """
     folder.mkdir(parents=True, exist_ok=True)
+    result = result | {"scenes": earlier(folder / "accuracy.json", "scenes") | result["scenes"]}
+    result["scenes"] = {name: result["scenes"][name] for name in SCENES if name in result["scenes"]}
     write_json(folder / "accuracy.json", result)
     (folder / "accuracy.md").write_text(tables(result), encoding="utf-8")
     plot(result, folder / "accuracy.png")
+    return result
 
 
 def tables(result: dict) -> str:
     """One table for each scene; the default setting in bold."""
-    machine = result["machine"]
-    versions = f"torch {machine['torch']}, Python {machine['python']}"
-    lines = [
-        f"Measured on {machine['device']}, {result['threads']} threads, {versions}; medians of {result['repeats']}."
-    ]
+    lines = []
     for name, scene in result["scenes"].items():
         lines += ["", f"### {name}: {scene['triangles']:,} triangles, {scene['pixels']:,} pixels", ""]
-        lines += [f"Reference: {scene['reference']}.", "", "| | " + " | ".join(COLUMNS.values()) + " |"]
-        lines.append("|---" * (len(COLUMNS) + 1) + "|")
+        lines += [f"Reference: {scene['reference']}. {circumstances(scene)}; medians of {scene['repeats']}.", ""]
+        lines += ["| | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
         for point in scene["points"]:
             label = f"**{point['name']}**" if point["name"] == result["default"] else point["name"]
-            lines.append(f"| {label} | " + " | ".join(f"{point[key]:.3g}" for key in COLUMNS) + " |")
-    return "\n".join(lines) + "\n"
+            lines.append(f"| {label} | " + " | ".join(_figure(point[key]) for key in COLUMNS) + " |")
+    return "\n".join(lines[1:]) + "\n"
 
 
-def pareto(points: list[dict]) -> list[dict]:
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def pareto(points: list[dict], error: str = "gradient_smooth") -> list[dict]:
     """Points that no other point beats in both time and error, fastest first."""
     front: list[dict] = []
-    for point in sorted(points, key=lambda p: (p["new_view_ms"], p["gradient_smooth"])):
-        if not front or point["gradient_smooth"] < front[-1]["gradient_smooth"]:
+    for point in sorted(points, key=lambda p: (p["new_view_ms"], p[error])):
+        if not front or point[error] < front[-1][error]:
             front.append(point)
     return front
 
 
 def plot(result: dict, path: Path) -> None:
-    """Error of the smooth colour gradient against the time of a new view, one panel for each scene."""
+    """Errors against the time of a new view: a column for each scene, a row for the gradient and for the image."""
     from matplotlib.figure import Figure
 
     names = list(result["scenes"])
-    figure = Figure(figsize=(3.4 * len(names), 3.4), layout="constrained")
-    for panel, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
-        points = result["scenes"][name]["points"]
-        front = pareto(points)
-        panel.plot([p["new_view_ms"] for p in front], [p["gradient_smooth"] for p in front], color="0.8", zorder=0)
-        for point in points:
-            default = point["name"] == result["default"]
-            place = point["new_view_ms"], point["gradient_smooth"]
-            panel.scatter(*place, color="tab:red" if default else "tab:blue", s=28)
-            panel.annotate(
-                point["name"].removeprefix("ours-"), place, textcoords="offset points", xytext=(5, 4), fontsize=8
-            )
-        panel.set(xscale="log", yscale="log", title=name, xlabel="new view, ms", ylabel="gradient error, relative")
-        panel.xaxis.set_minor_formatter(lambda value, position: "")
-        panel.grid(True, which="major", color="0.92")
-    figure.savefig(path, dpi=150)
+    figure = Figure(figsize=(3.3 * len(names) + 1, 6), layout="constrained")
+    panels = figure.subplots(len(_PANELS), len(names), squeeze=False, sharex="col")
+    for column, name in enumerate(names):
+        for row, (error, (label, limit)) in enumerate(_PANELS.items()):
+            panel = panels[row, column]
+            _draw(panel, result["scenes"][name]["points"], error, result["default"])
+            panel.axhline(limit, color="0.6", linestyle=":", linewidth=1, zorder=0)
+            panel.set(xscale="log", yscale="log", title=name if row == 0 else "")
+            panel.set(xlabel="new view, ms" if row else "", ylabel=label if column == 0 else "")
+            panel.grid(True, which="major", color="0.92")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path, dpi=130)
+
+
+def _draw(panel: object, points: list[dict], error: str, default: str) -> None:
+    front = pareto(points, error)
+    panel.plot(
+        [p["new_view_ms"] for p in front], [p[error] for p in front], color="0.75", zorder=0, label="Pareto front"
+    )
+    for family in dict.fromkeys(p["name"].split("-")[0] for p in points):
+        own = [p for p in points if p["name"].split("-")[0] == family]
+        place = [p["new_view_ms"] for p in own], [p[error] for p in own]
+        sizes = [90 if p["name"] == default else 22 for p in own]
+        panel.scatter(
+            *place, color=_COLORS.get(family, "0.4"), s=sizes, label=family, zorder=3 if family == "ours" else 2
+        )
+    for point in points:
+        if point["name"].startswith("ours"):
+            text = point["name"].removeprefix("ours-") + (" (default)" if point["name"] == default else "")
+            where = {"textcoords": "offset points", "xytext": (-5, -11), "ha": "right", "fontsize": 8}
+            panel.annotate(text, (point["new_view_ms"], point[error]), **where)

@@ -1,8 +1,10 @@
 """`cloak bench growth`: how time and memory grow with triangles, views, pixels and samples.
 
-Each series multiplies one quantity and leaves the others; the exponent is the slope of log(time) over log(quantity),
-fitted to the last three points, where fixed costs have faded. Memory is the process's own peak, measured in a
-fresh process for each point.
+Each series multiplies one quantity and leaves the others at the paper's setting (about 55,000 triangles, one view,
+416 x 416) and at the default way to measure coverage; the series of samples counts them. The exponent is the slope of
+log(time) over log(quantity), fitted to the last three points, where fixed costs have faded. Times are medians of three,
+one run from 64 views on. Views are kept, as training keeps them, within the budget. Memory is what a fresh process for
+each point held at most, and how much of that came with building (Linux only).
 """
 
 from __future__ import annotations
@@ -14,13 +16,19 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloak_core.bench.records import circumstances, earlier
 from cloak_core.bench.views import machine
 from cloak_core.errors import InputError
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.exchange import Bodies, write_json
+
+if TYPE_CHECKING:
+    from cloak_core.render.views import ViewBank
 
 _SIZES = {
     "triangles": (10_000, 40_000, 160_000, 640_000, 2_560_000, 5_000_000),
@@ -34,34 +42,83 @@ _SIZES = {
 class Work:
     """One point: a sphere of so many triangles, seen by so many cameras."""
 
-    triangles: int = 50_000
+    triangles: int = 55_000
     views: int = 1
     side: int = 416
-    samples: int | None = 1
+    samples: int | None = None
 
     @property
     def camera(self) -> Camera:
         return Camera(distance=2.2, width=self.side, height=self.side)
 
 
-def run_bench_growth(threads: int = 2, memory: int = 2 << 30, quick: bool = False) -> dict:
-    """Times, peaks and exponents of every series; `memory`: bytes for kept views; `quick` leaves out the largest."""
+def run_bench_growth(
+    threads: int = 2,
+    memory: int = 2 << 30,
+    quick: bool = False,
+    only: tuple[str, ...] = (),
+    out: str | os.PathLike | None = None,
+) -> dict:
+    """Times, peaks and exponents of every series, or of `only` some.
+
+    memory: bytes for kept views; quick: leave out the largest sizes. With `out`, also a table and the JSON in that
+    folder; series measured there earlier stay beside these.
+    """
+    if unknown := [name for name in only if name not in _SIZES]:
+        raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(_SIZES)}")
+    if threads < 1 or memory < 1:
+        raise InputError(f"growth: {threads} threads, {memory} bytes: at least 1 each")
     series = {}
-    for quantity, sizes in _SIZES.items():
-        used = sizes[: max(3, len(sizes) - 2)] if quick else sizes
-        series[quantity] = [_measured(_work(quantity, size), size, threads, memory) for size in used]
-    exponents = {quantity: exponent(points, 2 if quantity == "pixels" else 1) for quantity, points in series.items()}
-    return {"exponents": exponents, "series": series, "threads": threads, "memory": memory, "machine": machine()}
+    for quantity in only or _SIZES:
+        sizes = _SIZES[quantity][: max(3, len(_SIZES[quantity]) - 2)] if quick else _SIZES[quantity]
+        points = [_measured(_work(quantity, size), size, threads, memory) for size in sizes]
+        fitted = exponents(points, 2 if quantity == "pixels" else 1)
+        series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
+    if out is not None:
+        return write_report(series, Path(out))
+    return _result(series)
+
+
+def _result(series: dict) -> dict:
+    return {"exponents": {name: record["exponent"] for name, record in series.items()}, "series": series}
 
 
 def _work(quantity: str, size: int) -> Work:
     return replace(Work(), **{"side" if quantity == "pixels" else quantity: size})
 
 
-def exponent(points: list[dict], power: int = 1) -> float:
-    """Slope of log(time) over log(size to the `power`), over the last three points."""
-    size, seconds = (np.log([p[key] for p in points[-3:]]) for key in ("size", "seconds"))
-    return float(np.polyfit(power * size, seconds, 1)[0])
+def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
+    """Slopes of log(time) and log(memory) over log(size to the `power`), over the last three points."""
+    size, seconds, memory = (np.log([p[key] for p in points[-3:]]) for key in ("size", "seconds", "working_mib"))
+    slope = lambda values: float(np.polyfit(power * size, values, 1)[0])
+    return {"exponent": slope(seconds), "memory_exponent": slope(memory)}
+
+
+def write_report(series: dict, folder: Path) -> dict:
+    """Write growth.json and growth.md, with what the folder held before of other series, and return it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    series = earlier(folder / "growth.json", "series") | series
+    result = _result({name: series[name] for name in _SIZES if name in series})
+    write_json(folder / "growth.json", result)
+    (folder / "growth.md").write_text(tables(result), encoding="utf-8")
+    return result
+
+
+def tables(result: dict) -> str:
+    """One table for each series."""
+    lines = []
+    for name, record in result["series"].items():
+        heading = {"pixels": "pixels along each side"}.get(name, name)
+        lines += [
+            "",
+            f"### {name}: time ∝ size^{record['exponent']:.2f}, memory ∝ size^{record['memory_exponent']:.2f}",
+            "",
+        ]
+        lines += [f"{circumstances(record)}; budget for kept views {record['memory'] / 2**30:.3g} GiB.", ""]
+        lines += [f"| {heading} | seconds | held while building, MiB | peak of the process, MiB |", "|---|---|---|---|"]
+        for p in record["points"]:
+            lines.append(f"| {p['size']:,} | {p['seconds']:.3f} | {p['working_mib']:.0f} | {p['peak_mib']:.0f} |")
+    return "\n".join(lines[1:]) + "\n"
 
 
 def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
@@ -94,25 +151,48 @@ def sphere(triangles: int, radius: float = 0.9) -> Bodies:
 
 
 def _run(work: Work, threads: int, memory: int) -> dict:
-    import resource
-
     import torch
 
+    torch.set_num_threads(threads)
+    bodies = sphere(work.triangles)
+    keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
+    _build(_ready(sphere(1000), work, keys[:1], memory), keys[:1])  # what is done once for each process
+    bank = _ready(bodies, work, keys, memory)
+    before = _memory("VmRSS")
+    _forget_peak()
+    times = [_build(bank, keys)]
+    peak = _memory("VmHWM")
+    for _ in range(2 if work.views < 64 else 0):
+        times.append(_build(_ready(bodies, work, keys, memory), keys))
+    return {"seconds": float(np.median(times)), "working_mib": max(peak - before, 1.0), "peak_mib": peak}
+
+
+def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewBank:
     from cloak_core.render.views import ViewBank
 
-    torch.set_num_threads(threads)
-    bank = ViewBank(sphere(work.triangles), samples=work.samples, memory_bytes=memory)
-    keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
+    bank = ViewBank(bodies, samples=work.samples, memory_bytes=memory)
     bank.screen(keys[:1])  # what is done once for each pose
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    times = []
-    for _ in range(3 if work.views < 64 else 1):
-        start = time.perf_counter()
-        for part in bank.batches(keys):
-            bank.build(part)
-        times.append(time.perf_counter() - start)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"seconds": min(times), "peak_mib": peak / 1024, "peak_above_scene_mib": (peak - before) / 1024}
+    return bank
+
+
+def _build(bank: ViewBank, keys: list) -> float:
+    """Seconds to build and keep all views, part by part."""
+    start = time.perf_counter()
+    for part in bank.batches(keys):
+        bank.views(part)
+    return time.perf_counter() - start
+
+
+def _memory(key: str) -> float:
+    """MiB of this process that are resident now (VmRSS) or were at most (VmHWM)."""
+    with open("/proc/self/status", encoding="ascii") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith(key)) / 1024
+
+
+def _forget_peak() -> None:
+    """Let VmHWM start anew from what is resident now."""
+    with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+        file.write("5")
 
 
 if __name__ == "__main__":

@@ -110,6 +110,7 @@ def machine(device: str = "cpu") -> dict[str, str]:
     """What the figures were measured on."""
     name = torch.cuda.get_device_name() if str(device).startswith("cuda") else _processor()
     return {
+        "date": time.strftime("%Y-%m-%d"),
         "device": name,
         "cores": str(os.cpu_count()),
         "torch": torch.__version__,

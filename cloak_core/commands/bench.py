@@ -117,28 +117,62 @@ class Detectors(Command):
 
 @dataclass(kw_only=True)
 class Accuracy(Command):
-    """Speed against error: every way to build a view, on the bench scene and harder ones, against 64 x 64 samples."""
+    """Speed against error: every way to build a view, and installed peers, on the bench scene and on harder ones."""
 
     scene: str
     """Scene folder, .npz, or sample."""
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Some of bench, distant, close-up, million (default: all)."""
     threads: int = 2
-    """Threads torch may use."""
+    """Threads torch and the peers may use."""
     repeats: int = 10
     """Timed repetitions behind each median."""
     out: Path | None = None
-    """New folder for a table, a plot and the numbers."""
+    """Folder for tables, a plot and the numbers; scenes measured there earlier stay beside these."""
 
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
 
-        return run_bench_accuracy(open_scene(self.scene), threads=self.threads, repeats=self.repeats, out=self.out)
+        bodies = open_scene(self.scene)
+        return run_bench_accuracy(bodies, threads=self.threads, repeats=self.repeats, out=self.out, only=self.only)
 
     def show(self, result: dict) -> None:
+        for name, version in result["peers"].items():
+            out.print(f"{name} {version}", markup=False)
         for name, scene in result["scenes"].items():
-            out.print(name, markup=False)
+            out.print(f"{name} (reference: {scene['reference']})", markup=False)
             for point in scene["points"]:
                 figures = (f"{key} {value:.4g}" for key, value in point.items() if isinstance(value, float))
                 out.print(f"  {point['name']:<12} " + ", ".join(figures), markup=False)
+
+
+@dataclass(kw_only=True)
+class Growth(Command):
+    """How time and memory grow with triangles, views, pixels and samples; exponents of at most 1.05 are the aim."""
+
+    only: UseAppendAction[tuple[str, ...]] = ()
+    """Some of triangles, views, pixels, samples (default: all)."""
+    quick: bool = False
+    """Leave out the largest sizes."""
+    threads: int = 2
+    """Threads torch may use."""
+    memory: float = 2.0
+    """Budget for kept views, GiB."""
+    out: Path | None = None
+    """Folder for a table and the numbers; series measured there earlier stay beside these."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.growth import run_bench_growth
+
+        return run_bench_growth(self.threads, int(self.memory * 2**30), self.quick, only=self.only, out=self.out)
+
+    def show(self, result: dict) -> None:
+        for name, series in result["series"].items():
+            out.print(f"{name}: time grows with exponent {series['exponent']:.3f}", markup=False)
+            for point in series["points"]:
+                out.print(
+                    f"  {point['size']:>9,} {point['seconds']:9.3f} s  peak {point['peak_mib']:8.0f} MiB", markup=False
+                )
 
 
 @dataclass(kw_only=True)

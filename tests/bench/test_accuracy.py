@@ -1,26 +1,33 @@
-"""The accuracy run: its record, and that the default is where the README says it is."""
+"""The accuracy run: its record and report, and that the default is where the README says it is."""
+
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cloak_core.bench import accuracy
-from cloak_core.bench.accuracy_report import pareto, tables
-from cloak_core.bench.growth import exponent, sphere
-from cloak_core.scene.bodies import is_closed, is_outward
+from cloak_core.bench.accuracy_report import pareto, write_report
+from cloak_core.bench.growth import sphere
+from cloak_core.bench.peers.bank import PEERS
+from cloak_core.bench.reference import EXACT
+from cloak_core.errors import InputError
 from cloak_core.scene.cameras import Camera
 
 
 @pytest.fixture(scope="module")
 def record() -> dict:
     scene = accuracy.Scene(sphere(1500, 0.5), Camera(width=64, height=64, distance=2.5))
-    return accuracy.measure(scene, repeats=1)
+    return accuracy.measure(scene, 1, 1, {kind.module: "missing: not asked for" for kind in PEERS})
 
 
 def test_every_number_of_samples_and_areas_are_measured(record) -> None:
     names = [point["name"] for point in record["points"]]
     assert names == ["ours-1", "ours-4", "ours-16", "ours-64", "ours-area"]
     for point in record["points"]:
-        assert set(accuracy.COLUMNS) < set(point) and all(np.isfinite(point[key]) for key in accuracy.COLUMNS)
+        assert set(point) == {"name", *accuracy.COLUMNS} and point["pose_ms"] is None
+        assert all(np.isfinite(point[key]) for key in accuracy.COLUMNS if key != "pose_ms")
+    assert record["reference"] == EXACT
 
 
 def test_errors_fall_with_samples_and_areas_keep_every_gradient(record) -> None:
@@ -28,20 +35,29 @@ def test_errors_fall_with_samples_and_areas_keep_every_gradient(record) -> None:
     for column in ("image_rms", "coverage_rms", "gradient_smooth", "gradient_white", "starved"):
         one, four, sixteen = (points[f"ours-{n}"][column] for n in (1, 4, 16))
         assert one > four > sixteen >= points["ours-area"][column]
-    default = points[accuracy.DEFAULT]
+    default = points[accuracy.default_name()]
     assert default["image_rms"] < 1 / 255 and default["gradient_smooth"] < 0.05 and default["starved"] == 0
 
 
-def test_report_and_front(record) -> None:
-    result = {"scenes": {"ball": record}, "default": accuracy.DEFAULT, "threads": 1, "repeats": 1}
-    text = tables(result | {"machine": {"device": "a machine", "torch": "2", "python": "3"}})
-    assert "**ours-area**" in text and text.count("\n| ") == 6
+def test_report_keeps_what_was_measured_before(record, tmp_path: Path) -> None:
+    machine = {"device": "a machine", "cores": "2", "torch": "2", "python": "3", "date": "2000-01-01"}
+    record = record | {"threads": 1, "repeats": 1, "machine": machine, "peers": {"open3d": "missing: no"}}
+    for scene in ("distant", "bench"):
+        write_report({"scenes": {scene: record}, "default": "ours-area"}, tmp_path)
+    assert list(json.loads((tmp_path / "accuracy.json").read_text())["scenes"]) == ["bench", "distant"]
+    text = (tmp_path / "accuracy.md").read_text()
+    assert text.count("**ours-area**") == 2 and text.count("\n| ") == 12 and "not installed: open3d" in text
+    assert (tmp_path / "accuracy.png").stat().st_size > 1000
+    (tmp_path / "accuracy.json").write_text("[]")
+    with pytest.raises(InputError, match="earlier run"):
+        write_report({"scenes": {}, "default": "ours-area"}, tmp_path)
+
+
+def test_front_holds_what_nothing_beats() -> None:
     made = [{"new_view_ms": t, "gradient_smooth": e} for t, e in ((1, 0.5), (2, 0.6), (3, 0.1), (4, 0.1))]
     assert pareto(made) == [made[0], made[2]]
 
 
-def test_growth_fits_exponents_and_its_bodies_are_closed() -> None:
-    points = [{"size": n, "seconds": 0.1 * n**1.5} for n in (10, 40, 160, 640)]
-    assert exponent(points) == pytest.approx(1.5) and exponent(points, 2) == pytest.approx(0.75)
-    body = sphere(3000)
-    assert is_closed(body.triangles) and is_outward(body).all() and abs(body.triangle_count / 3000 - 1) < 0.1
+def test_unknown_scene_is_named() -> None:
+    with pytest.raises(InputError, match="'moon'"):
+        accuracy.run_bench_accuracy(sphere(100), only=("moon",))

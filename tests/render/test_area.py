@@ -66,7 +66,7 @@ def test_views_equal_very_many_samples(distance: float) -> None:
     """Nothing hides anything on a sphere, so every face's share is exact: the reference's own error is what is left."""
     bodies, camera = sphere(14, 20), replace(CAMERA, distance=distance)
     ours = matrix_of(ViewBank(bodies, FLAT).view(0, camera), bodies.face_count)
-    exact = reference(bodies, camera, FLAT)
+    exact = reference(bodies, camera, FLAT).matrix
     share = lambda m: torch.zeros(bodies.face_count).double().index_add_(0, m.face, m.weight.double())
     np.testing.assert_allclose(share(ours), share(exact), rtol=2e-3, atol=0.02)
     assert (ours.coverage - exact.coverage).abs().max() < 0.02
@@ -82,7 +82,7 @@ def test_what_is_hidden_is_judged_by_samples() -> None:
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
     bodies = Bodies(vertices=np.concatenate([near, far])[None], triangles=triangles)
     ours = matrix_of(ViewBank(bodies, FLAT).view(0, CAMERA), 4)
-    exact = reference(bodies, CAMERA, FLAT)
+    exact = reference(bodies, CAMERA, FLAT).matrix
     assert (ours.coverage - exact.coverage).abs().max() < 0.02
     dense = lambda m: torch.zeros(len(m.coverage) * 4).double().index_add_(0, m.pixel * 4 + m.face, m.weight.double())
     assert (dense(ours) - dense(exact)).abs().max() < 0.1
@@ -93,7 +93,7 @@ def test_bodies_cut_by_the_near_plane_and_empty_views() -> None:
     bodies = sphere(14, 20)
     camera = replace(CAMERA, distance=1.2, near=0.5)
     ours = matrix_of(ViewBank(bodies, FLAT).view(0, camera), bodies.face_count)
-    exact = reference(bodies, camera, FLAT)
+    exact = reference(bodies, camera, FLAT).matrix
     assert (ours.coverage - exact.coverage).abs().mean() < 0.002
     assert float(exact.coverage.sum()) > 500
     away = replace(CAMERA, pivot=(90.0, 0.0, 0.0))

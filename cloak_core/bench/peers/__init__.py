@@ -1,0 +1,1 @@
+"""Other renderers, each behind one protocol, for `cloak bench accuracy`; the extra `peers` installs them."""

@@ -1,0 +1,29 @@
+"""Records of benchmark runs: what an earlier run left in a folder, and under what circumstances figures were taken."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from cloak_core.errors import InputError
+
+
+def earlier(path: Path, key: str) -> dict:
+    """What an earlier run left in a JSON file under `key`; nothing where there is none."""
+    if not path.exists():
+        return {}
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8"))[key])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: not the record of an earlier run ({error!r})") from None
+
+
+def circumstances(record: dict) -> str:
+    """Machine, threads, versions and date of a record, in words."""
+    machine = record["machine"]
+    versions = {"torch": machine["torch"], "Python": machine["python"]} | record.get("peers", {})
+    missing = [name for name, version in versions.items() if version.startswith("missing")]
+    words = ", ".join(f"{name} {version}" for name, version in versions.items() if name not in missing)
+    absent = f"; not installed: {', '.join(missing)}" if missing else ""
+    cores = f"{machine['device']} ({machine['cores']} cores)"
+    return f"Measured {machine['date']} on {cores}, {record['threads']} threads; {words}{absent}"

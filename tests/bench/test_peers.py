@@ -1,0 +1,41 @@
+"""Every installed peer sees what our rasterizer sees; what is missing is named, never guessed."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from cloak_core.bench.growth import sphere
+from cloak_core.bench.peers.bank import PEERS, PeerBank, available, usable
+from cloak_core.render.shading import Light
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.cameras import Camera
+
+CAMERAS = {
+    "whole": Camera(azimuth=20.0, distance=2.4, width=50, height=40),
+    "cut open by the near plane": Camera(azimuth=20.0, distance=1.0, near=0.5, width=50, height=40),
+}
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("kind", PEERS, ids=lambda kind: kind.module)
+def test_peers_agree_with_the_rasterizer(kind, camera) -> None:
+    if (state := available()[kind.module]).startswith("missing"):
+        pytest.skip(f"{kind.module} {state}")
+    bodies, key = sphere(1500, 0.7), [(0, CAMERAS[camera])]
+    peer = kind(bodies.triangles.astype(np.int64), 1)
+    for samples in (1, 4):
+        ours, theirs = ViewBank(bodies, samples=samples), PeerBank(bodies, Light(), samples, peer)
+        theirs.pose()
+        a, b = (bank.visibility(key, bank.screen(key)).triangles() for bank in (ours, theirs))
+        assert (a >= 0).sum() > 300
+        # Single precision, and OpenGL's grid of 1/256 pixel, move a few samples that lie on edges.
+        assert (a != b).double().mean() < 0.005
+        own, other = (bank.build(key)[0] for bank in (ours, theirs))
+        assert abs(len(own.face) - len(other.face)) < 0.02 * len(own.face)
+
+
+def test_a_missing_peer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "embreex", None)
+    states = available()
+    assert states["embreex"].startswith("missing: ") and "embreex" not in [kind.module for kind in usable(states)]
