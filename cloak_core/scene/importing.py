@@ -1,4 +1,5 @@
-"""Meshes from files, one pose per file, as one scene: OBJ and PLY with their polygons, glTF, and Cloak's own .npz."""
+"""Meshes from files, one pose per file, as one scene: OBJ and PLY with their polygons, glTF, Cloak's own .npz, and
+whatever Blender reads."""
 
 from __future__ import annotations
 
@@ -14,10 +15,12 @@ from cloak_core.scene.mesh_file import MeshFile
 from cloak_core.scene.polygons import triangulate
 from cloak_core.scene.stanford import read_ply
 from cloak_core.scene.textures import dress_in_textures
+from cloak_core.scene.through_blender import SUFFIXES, read_through_blender
 from cloak_core.scene.wavefront import read_obj
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
-ANIMATED = (".glb", ".gltf")
+READERS |= dict.fromkeys(SUFFIXES, read_through_blender)
+ANIMATED = (".glb", ".gltf", *SUFFIXES)
 MAX_FILE_BYTES = 1 << 30
 HEIGHTS = (0.1, 20.0)
 """Heights in metres that a person's body may have; outside, the file's unit is something else."""
@@ -29,7 +32,7 @@ def import_bodies(
     """Bodies from mesh files of one topology, a pose per file (all its poses, of a .npz).
 
     Files are in metres, y up, facing +z (Blender's OBJ default); `scale` multiplies coordinates, and given one,
-    heights are not questioned. Of animated glTF files `frames` moments are taken (0: the resting pose). Polygons are
+    heights are not questioned. Of animated files `frames` moments are taken (0: the resting pose). Polygons are
     triangulated once, in the first file's pose. Colours, texture coordinates and regions are the first file's.
 
     Raises `InputError`, with the file's name, for anything that cannot be read, for NaN, for a topology that differs
@@ -85,7 +88,7 @@ def read_bodies(path: Path, first: Bodies | None = None, frames: int = 0) -> Bod
         raise InputError(f"{path}: the file is empty")
     if size > MAX_FILE_BYTES:
         raise InputError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB")
-    mesh = read_gltf(path, frames) if suffix in ANIMATED else READERS[suffix](path)
+    mesh = READERS[suffix](path, frames) if suffix in ANIMATED else READERS[suffix](path)
     check_mesh(path, mesh)
     try:
         return bodies_of(mesh, path.stem, first)

@@ -129,8 +129,8 @@ def test_another_topology_is_refused_with_both_hashes(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_meshes(tmp_path: Path) -> None:
-    (tmp_path / "a.fbx").write_text("x")
-    for path, says in ((tmp_path / "a.fbx", "not a mesh"), (tmp_path / "gone.obj", "No such file")):
+    (tmp_path / "a.stl").write_text("x")
+    for path, says in ((tmp_path / "a.stl", "not a mesh"), (tmp_path / "gone.obj", "No such file")):
         with pytest.raises(InputError, match=says):
             import_bodies([path])
     with pytest.raises(InputError, match="no mesh file"):
