@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
+from tests import reliability_record
+
 # Not the commands: tyro fills required options with a marker before the user's words replace it.
 ROOMS = ("attack", "bench", "detectors", "evaluate", "output", "pretrain", "render", "scene")
 install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")
@@ -18,3 +20,8 @@ def shared() -> Path:
     if not (folder / "data" / "README.md").exists():
         pytest.skip(f"the measuring data is not there: {folder} (set CLOAK_SHARED)")
     return folder
+
+
+def pytest_sessionfinish(exitstatus: int) -> None:
+    if exitstatus == 0:
+        reliability_record.write_docs()

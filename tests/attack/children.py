@@ -1,17 +1,21 @@
 """What child processes of these tests do; imported by a fork server, so that a child starts in milliseconds."""
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import sys
+import tempfile  # noqa: F401  one of MOMENTS
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
 import torch
 
-from cloak_core.attack import sweeps
+from cloak_core.attack import checkpoints, sweeps, trainer
 from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.attack.training import train
+from cloak_core.errors import InputError
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 STEPS = 30
@@ -31,10 +35,10 @@ def start(work: Callable, *arguments: object) -> tuple[multiprocessing.Process, 
 
 
 def whole_run(out: Path, on_event: Callable | None = None):
-    """The run that children are killed in: a checkpoint after every step, so that most moments fall into a write."""
+    """The run that children are killed in: so many checkpoints that most moments fall into a write."""
     torch.set_num_threads(1)
     bodies = box_bodies()
-    settings = tiny_settings(steps=STEPS, checkpoint_every=1, preview_every=7)
+    settings = tiny_settings(steps=STEPS, checkpoint_every=2, preview_every=7)
     return train(settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), out, resume=True,
                  on_event=on_event)  # fmt: skip
 
@@ -87,3 +91,70 @@ def write_checkpoints(pipe: object, folder: str) -> None:
     for step in range(1, 100_000):
         save_checkpoint(Path(folder), Checkpoint(step, 0.0, {"parameter": torch.full((20_000, 3), float(step))}))
         pipe.send(step)
+
+
+# --- killed in the middle of a write ---------------------------------------------------------------------------------
+
+MOMENTS = ("os.fsync", "os.replace", "os.unlink", "os.rmdir", "os.chmod", "tempfile.mkstemp", "tempfile.mkdtemp")
+"""Every call by which a run's files appear, change and vanish."""
+
+
+def train_and_die(pipe: object, out: str, moment: int) -> None:
+    """The run, killed just before call number `moment` of MOMENTS, or half-way through writing a checkpoint's file.
+
+    Tells how many such moments there were, where none of them was the last.
+    """
+    count = 0
+
+    def here() -> bool:
+        nonlocal count
+        count += 1
+        return count == moment
+
+    def die() -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def deadly(call: Callable) -> Callable:
+        return lambda *args, **kwargs: die() if here() else call(*args, **kwargs)
+
+    def torn(path: Path, data: bytes) -> None:
+        if here():
+            path.write_bytes(data[: len(data) // 2])
+            die()
+        write(path, data)
+
+    write = checkpoints._write
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(mock.patch.object(checkpoints, "_write", torn))
+        for name in MOMENTS:
+            module, _, call = name.partition(".")
+            found = getattr(sys.modules[module], call)
+            stack.enter_context(mock.patch.object(sys.modules[module], call, deadly(found)))
+        # Colours are shown after every step without a checkpoint, so that their writes are met as well.
+        stack.enter_context(mock.patch.object(trainer, "LIVE_SECONDS", 0.0))
+        whole_run(Path(out))
+    pipe.send(count)
+
+
+def train_and_answer(pipe: object, out: str) -> None:
+    """The run; tells how it was refused, or "done"."""
+    try:
+        whole_run(Path(out))
+    except InputError as error:
+        pipe.send(str(error))
+    else:
+        pipe.send("done")
+
+
+def train_and_weigh(pipe: object, out: str, steps: int) -> None:
+    """A longer run; tells the resident memory in bytes after every step."""
+    torch.set_num_threads(1)
+    bodies = box_bodies()
+    settings = tiny_settings(steps=steps, checkpoint_every=20, preview_every=50)
+    page = os.sysconf("SC_PAGE_SIZE")
+
+    def weigh(event: dict) -> None:
+        if event["type"] == "step":
+            pipe.send(page * int(Path("/proc/self/statm").read_text().split()[1]))
+
+    train(settings, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), Path(out), on_event=weigh)
