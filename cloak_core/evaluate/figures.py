@@ -107,6 +107,7 @@ def legend_above(figure: Figure) -> None:
     widths = [0.067 * len(label) + 0.62 for label in labels]  # inches: text of 8 points, handle and space
     room = figure.get_figwidth() - 0.3
     columns = len(labels) if sum(widths) <= room else max(1, int(room / max(widths)))
+    figure.set_figheight(figure.get_figheight() + 0.17 * (-(-len(labels) // columns) - 1))  # not at the axes' cost
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=2.6, columnspacing=1.6)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from made_evaluation import make_measurement
+from made_evaluation import CONTROLS, make_measurement
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections, Detector
@@ -17,7 +17,9 @@ from cloak_core.evaluate.experiments import lab as lab_module
 from cloak_core.evaluate.experiments.attacks import repeated
 from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
 from cloak_core.evaluate.experiments.logos import PAPER_SHARES, chest_thighs, paper_logos, shapes, trimmed
+from cloak_core.evaluate.experiments.markdown import publish
 from cloak_core.evaluate.experiments.materials import Materials, open_materials
+from cloak_core.evaluate.experiments.outcome import threshold_rows
 from cloak_core.evaluate.experiments.page import make_page
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
@@ -112,6 +114,21 @@ def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> Non
     page = make_page(tmp_path).read_text("utf-8")
     assert "Transfer between detectors" in page and "Not run yet: table1" in page
     assert 'src="http' not in page and "<script" not in page
+    text = publish(tmp_path, tmp_path / "docs").read_text("utf-8")
+    assert "## transfer: Transfer between detectors" in text and "![" in text and str(tmp_path) not in text
+    assert {p.name for p in (tmp_path / "docs").iterdir()} == {
+        "tables.md", "transfer-matrix.png", "transfer-thresholds.png"
+    }  # fmt: skip
+
+
+def test_thresholds_of_every_control_are_a_table_of_their_own() -> None:
+    row = {"logo": "G"} | Repeats([make_measurement()]).row("builtin")
+    rows = threshold_rows([row, {"logo": "none", "success": 0.0}])
+    assert [r["control"] for r in rows] == list(CONTROLS)
+    mine = rows[0]
+    assert mine["logo"] == "G" and mine["detector"] == "builtin" and mine["at_0.6"] == row["success"]
+    curve = [mine[f"at_{k / 10:g}"] for k in range(1, 10)]
+    assert curve == sorted(curve) and curve[0] < curve[-1]
 
 
 @pytest.mark.slow

@@ -47,6 +47,8 @@ CHANGES: dict[str, dict[str, object]] = {
     "sigmoid instead of projection": {"gamut": "sigmoid"},
 }
 """Each changes one choice of preset `best`."""
+PICTURES = 7
+"""Previews of one training in a figure."""
 QUICK_CHANGES = (
     "preset best",
     "SGD instead of Adam",
@@ -76,8 +78,8 @@ def tv(lab: Lab) -> Outcome:
     one = lab.materials.bodies.select_poses([0])
     tests = {"the trained body": one, "an unseen body": lab.materials.unseen.select_poses([0])}
     weights = PAPER_WEIGHTS if lab.options.quick else TV_WEIGHTS
-    steps = lab.steps(angles=SINGLE)
-    every = max(1, steps // 6)
+    settings = lab.train_settings(angles=SINGLE)
+    every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.batch))  # 5 epochs
     figure, axes = new_figure(columns=2, sharey=True)
     rows, pictures = [], {}
     for k, weight in enumerate(weights):
@@ -115,9 +117,10 @@ def _tv_words(rows: list[dict], spec: str) -> list[str]:
 
 
 def _preview_figure(trained: dict[float, Trained]) -> object | None:
-    """The first image of some previews of each weight, as training went on."""
+    """The first image of some of each weight's previews (one every 5 epochs), as training went on."""
     files = {weight: sorted((run.folder / "previews").glob("step-*.png")) for weight, run in trained.items()}
     columns = min((len(names) for names in files.values()), default=0)
+    columns = min(columns, PICTURES)
     if not columns:
         return None
     figure, _ = new_figure(WIDTH, 1.15 * len(files) + 0.3)
@@ -125,7 +128,8 @@ def _preview_figure(trained: dict[float, Trained]) -> object | None:
     axes = figure.subplots(len(files), columns, squeeze=False)
     for row, (weight, names) in zip(axes, files.items(), strict=True):
         size = trained[weight].settings.size
-        for axis, name in zip(row, names, strict=False):
+        spaced = np.linspace(0, len(names) - 1, columns).round().astype(int)
+        for axis, name in zip(row, (names[i] for i in spaced), strict=True):
             with Image.open(name) as image:
                 axis.imshow(np.asarray(image.convert("RGB"))[:size, :size])
             axis.set_xticks([])
@@ -216,7 +220,8 @@ def cost(lab: Lab) -> Outcome:
     """Success against training time: samples per pixel, the detector's precision, views kept or made for each image."""
     spec, faces = lab.specs[0], chest_thighs(lab.materials.bodies)
     full = lab.steps(angles=MULTI)
-    lengths = sorted({max(1, full // 4), max(1, full // 2), full})
+    shares = (3, 1) if lab.options.quick else (4, 2, 1)
+    lengths = sorted({max(1, full // share) for share in shares})
     rows = []
     figure, (axis,) = new_figure()
     for k, (name, changes) in enumerate(COSTS.items()):

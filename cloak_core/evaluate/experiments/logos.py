@@ -53,7 +53,7 @@ def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
     }
     makers["letter G"] = lambda h: project_text(bodies, "G", height=h)
     kept = ("disc", "letter G") if quick else tuple(makers)
-    shares = (0.01, 0.04) if quick else (0.005, 0.01, 0.02, 0.04, 0.06)
+    shares = (0.01, PAPER_SHARES["letter G"]) if quick else (0.005, 0.01, 0.02, PAPER_SHARES["letter G"], 0.06)
     logos = {}
     for name in kept:
         for share in shares:

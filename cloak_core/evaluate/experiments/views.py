@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloak_core.evaluate.experiments.attacks import MULTI, SINGLE, narrow_angles, repeated
+from cloak_core.evaluate.experiments.attacks import MULTI, PAPER_TABLE, SINGLE, narrow_angles, repeated
 from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.logos import chest_thighs, shirt_trousers
 from cloak_core.evaluate.experiments.outcome import Outcome
@@ -27,6 +27,8 @@ from cloak_core.evaluate.report.words import short_name
 
 CIRCLE = "0:330:30"
 """Training angles all around."""
+PAPER_WIDE = ((10, 0.93), (50, 0.0))
+"""Up to this angle on YOLOv2, and where the curve ends."""
 TRAINED_DISTANCE, DISTANCES = "1.4:3.0", tuple(round(1.4 + 0.2 * k, 1) for k in range(9))
 FIVE_DISTANCES = (1.4, 1.8, 2.2, 2.6, 3.0)
 
@@ -45,11 +47,18 @@ def rate_row(result: Repeats, spec: str, **where: float) -> dict:
 
 
 def band(
-    axis: object, x: tuple[float, ...], rates: list[Rate], color: str, marker: str, dash: object, label: str
+    axis: object,
+    x: tuple[float, ...],
+    rates: list[Rate],
+    color: str,
+    marker: str,
+    dash: object,
+    label: str,
+    alpha: float = 0.15,
 ) -> None:
     """A line of rates with its band of intervals."""
     axis.plot(x, [r.value for r in rates], color=color, marker=marker, ls=dash, label=label, clip_on=False, zorder=3)
-    axis.fill_between(x, [r.low for r in rates], [r.high for r in rates], color=color, alpha=0.15, lw=0)
+    axis.fill_between(x, [r.low for r in rates], [r.high for r in rates], color=color, alpha=alpha, lw=0)
 
 
 def single_angle(lab: Lab) -> Outcome:
@@ -72,7 +81,12 @@ def single_angle(lab: Lab) -> Outcome:
     axis.set_xlabel("azimuth (degrees)")
     degree_ticks(axis)
     legend_above(figure)
-    return Outcome("Trained at one angle, tested at unseen ones", rows, words, {"angles": figure})
+    paper = [
+        {"detector": row["detector"], "success": row["single"]}
+        for row in PAPER_TABLE
+        if row["logo"] == "chest + thighs"
+    ]
+    return Outcome("Trained at one angle, tested at unseen ones", rows, words, {"angles": figure}, paper)
 
 
 def wide_angle(lab: Lab) -> Outcome:
@@ -86,7 +100,7 @@ def wide_angle(lab: Lab) -> Outcome:
         "shirt + trousers, trained all around": (shirt_trousers(bodies), CIRCLE),
     }
     figure, (axis,) = new_figure()
-    around, polar = new_figure(WIDTH * 0.75, 3.6, subplot_kw={"projection": "polar"})
+    around, polar = new_figure(WIDTH * 0.75, 4.2, subplot_kw={"projection": "polar"})
     rows, whole = [], []
     words = [
         f"Tested on {short_name(spec)}; the training all around has twice the steps. In the paper success decays "
@@ -119,7 +133,8 @@ def wide_angle(lab: Lab) -> Outcome:
     legend_above(figure)
     _compass(polar[0])
     around.legend(*polar[0].get_legend_handles_labels(), loc="outside upper left")
-    return Outcome("Wide angles and the full circle", whole + rows, words, {"wide": figure, "circle": around})
+    paper = [{"cloak": "chest + thighs, trained in ±10°", "angle": f"±{a}", "success": s} for a, s in PAPER_WIDE]
+    return Outcome("Wide angles and the full circle", whole + rows, words, {"wide": figure, "circle": around}, paper)
 
 
 def _ring(
@@ -135,7 +150,7 @@ def _ring(
     """A closed line of rates around the body, with its band."""
     rates = [result.rate(spec, control, angle=a) for a in (*angles, angles[0])]
     at = np.radians([*angles, 360 + angles[0]])
-    axis.plot(at, [r.value for r in rates], color=color, ls=dash, label=name)
+    axis.plot(at, [r.value for r in rates], color=color, ls=dash, lw=1.8 if control == "logo" else 1.2, label=name)
     if control == "logo":
         axis.fill_between(at, [r.low for r in rates], [r.high for r in rates], color=color, alpha=0.12, lw=0)
 
@@ -144,6 +159,7 @@ def _compass(axis: object) -> None:
     """A polar axis seen from above: front at the bottom, as the camera sees it at azimuth 0."""
     axis.set_theta_zero_location("S")
     axis.set_ylim(0, 1)
+    axis.set_rlabel_position(135)
     axis.set_yticks([0.25, 0.5, 0.75, 1], ["", "50 %", "", "100 %"])
     axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])
 
@@ -152,14 +168,20 @@ def distance(lab: Lab) -> Outcome:
     """Trained at 2.2 m or at distances drawn from 1.4..3.0, tested over distances and angles; the first detector."""
     spec, faces = lab.specs[0], chest_thighs(lab.materials.bodies)
     near = DISTANCES[::2] if lab.options.quick else DISTANCES
-    angles = tuple(float(a) for a in range(-10, 11, 5 if lab.options.quick else 1))
+    angles = tuple(float(a) for a in range(-10, 11, 10 if lab.options.quick else 1))
     kinds = {"trained at 2.2 m": "2.2", "trained at 1.4 to 3.0 m": TRAINED_DISTANCE}
     figure, (axis,) = new_figure()
     by_angle, panels = new_figure(columns=2, sharey=True)
-    rows, words = [], [f"Single-angle training (azimuth 0) against {short_name(spec)}, as in the paper's appendix A."]
+    rows, words = (
+        [],
+        [
+            f"Single-angle training (azimuth 0) against {short_name(spec)}, as in the paper's appendix A; "
+            "where distances are drawn, every image has its own (the paper draws one per batch)."
+        ],
+    )
     for k, (name, drawn) in enumerate(kinds.items()):
         trained = repeated(lab, faces, [spec], angles=SINGLE, distance=drawn)
-        result = lab.evaluate(trained, (0.0,), [spec], distances=near, images_per_view=4 * lab.options.test_images)
+        result = lab.evaluate(trained, (0.0,), [spec], distances=near, images_per_view=2 * lab.options.test_images)
         rows += rate_rows({"cloak": name}, result, spec, "distance", near)
         look = (CYCLE[2 * k], MARKERS[k], DASHES[k])  # blue and green: own clothing is orange
         band(axis, near, [result.rate(spec, distance=d) for d in near], *look, name)
@@ -169,8 +191,8 @@ def distance(lab: Lab) -> Outcome:
             axis.plot(near, clean, color=own.color, ls=":", marker=own.marker, label=own.label)
         turned = lab.evaluate(trained, angles, [spec], distances=FIVE_DISTANCES)
         for j, d in enumerate(FIVE_DISTANCES):
-            values = [turned.rate(spec, angle=a, distance=d).value for a in angles]
-            panels[k].plot(angles, values, color=CYCLE[j], ls=DASHES[j], marker=MARKERS[j], label=f"{d} m")
+            rates = [turned.rate(spec, angle=a, distance=d) for a in angles]
+            band(panels[k], angles, rates, CYCLE[j], MARKERS[j], DASHES[j], f"{d} m", alpha=0.07)
             rows += [
                 {"cloak": name, "distance": d, "angle": a} | rate_row(turned, spec, angle=a, distance=d) for a in angles
             ]
