@@ -50,7 +50,7 @@ def render_gap(lab: Lab) -> Outcome:
         pictures[f"renders-{file_name(spec)}"] = _sheet(stages)
     rows = [{key: row.get(key) for key in rows[-1]} for row in rows]
     words = _words(lab, rows, len(angles), paths)
-    return Outcome("Our renders and Cycles'", rows, words, {"gap": _figure(panels)}, pictures=pictures)
+    return Outcome("The gap between our renders and Cycles", rows, words, {"gap": _figure(panels)}, pictures=pictures)
 
 
 def _plain_stage(lab: Lab, trained: Trained, angles: tuple[float, ...], settings: EvaluateSettings) -> Stage:
