@@ -8,12 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.parsing import parse_angles, parse_range
+from cloak_core.attack.distorting import Distortion, draw_occluders, occluded
+from cloak_core.attack.parsing import parse_azimuths, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
-from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of
-from cloak_core.render.views import ViewBank
+from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of, true_boxes
+from cloak_core.render.views import DressedView, ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 
@@ -27,6 +28,7 @@ class Batch:
     canvas: Canvas | None
     """None there."""
     on_logo: "LogoChange | None"
+    distortion: Distortion
 
     def __len__(self) -> int:
         return self.canvas.shape[0] if self.canvas else 0
@@ -35,7 +37,7 @@ class Batch:
         """The images, in [0, 1], differentiable in the colours. The next call draws into the same memory."""
         if self.canvas is None:
             return self.empty + 0 * colors.sum()
-        return self.canvas.paint(colors if self.on_logo is None else self.on_logo(colors))
+        return self.distortion(self.canvas.paint(colors if self.on_logo is None else self.on_logo(colors)))
 
 
 class Batcher:
@@ -59,7 +61,7 @@ class Batcher:
         settings, size = self.settings, self.settings.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
-            return Batch(empty, None, None)
+            return Batch(empty, None, None, Distortion())
         views = [
             self.bank.dress(int(pose), camera, self.logo_faces, int(outfit))
             for pose, outfit, camera in zip(draws.pose, draws.outfit, cameras(draws, settings), strict=True)
@@ -72,9 +74,23 @@ class Batcher:
         on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
         return Batch(
             empty,
-            Canvas.of(views, rows, shifts, on_render),
+            self._occlude(Canvas.of(views, rows, shifts, on_render), views, draws),
             LogoChange.draw(draws, settings, len(self.logo_faces), self.device) if changes and on_logo else None,
+            distortion(draws, settings, self.device),
         )
+
+    def _occlude(self, canvas: Canvas, views: list[DressedView], draws: Draws) -> Canvas:
+        if not self.settings.occluders:
+            return canvas
+        size, boxes, pictures = self.settings.size, [], []
+        bodies = true_boxes(views, torch.from_numpy(draws.shift)).cpu().tolist()
+        for image, seed in enumerate(draws.seed.tolist()):
+            random = np.random.default_rng(seed)
+            own = draw_occluders(random, bodies[image], self.settings.occluders, size)
+            boxes += [(image, *box) for box in own]
+            chosen = random.integers(len(self.backgrounds), size=len(own)).tolist()
+            pictures += [self.backgrounds.image(index, (size, size)) for index in chosen]
+        return occluded(canvas, boxes, pictures)
 
 
 class Prefetcher:
@@ -141,6 +157,16 @@ def is_photometric(settings: TrainSettings) -> bool:
     return bool(settings.noise) or not off
 
 
+def distortion(draws: Draws, settings: TrainSettings, device: torch.device) -> Distortion:
+    """What happens to the finished images."""
+    put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
+    return Distortion(
+        put(draws.zoom) if parse_range(settings.zoom, "--zoom") != (1, 1) else None,
+        put(draws.blur) if settings.blur else None,
+        put(draws.quality) if settings.jpeg is not None else None,
+    )
+
+
 def render_change(draws: Draws, settings: TrainSettings, device: torch.device) -> Photometric:
     """The same on the body's pixels. Its noise has one seed for all images that a process composes together."""
     put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
@@ -150,11 +176,12 @@ def render_change(draws: Draws, settings: TrainSettings, device: torch.device) -
 
 def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: TrainSettings) -> None:
     """InputError when no training view (any pose at any training angle) shows any part of the logo."""
-    low = float(settings.distance.split(":")[0])
-    for azimuth in parse_angles(settings.angles):
+    low = parse_range(settings.distance, "--distance")[0]
+    elevation = sum(parse_range(settings.elevation, "--elevation")) / 2
+    for azimuth in parse_azimuths(settings.angles).centers:
         camera = Camera(
             distance=low,
-            elevation=settings.elevation,
+            elevation=elevation,
             azimuth=azimuth,
             field_of_view=settings.field_of_view,
             width=settings.size,

@@ -66,7 +66,8 @@ def _split(random: np.random.Generator, count: int, share: float) -> tuple[list[
 
 def held_out_settings(settings: TrainSettings) -> TrainSettings:
     """Settings whose `steps` batches are the images of one measurement."""
-    return dataclasses.replace(settings, epochs=None, steps=math.ceil(IMAGES / settings.batch), seed=settings.seed ^ 1)
+    steps = math.ceil(IMAGES / settings.batch)
+    return dataclasses.replace(settings, epochs=None, steps=steps, seed=settings.seed ^ 1, hard_views=0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

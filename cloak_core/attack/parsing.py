@@ -5,12 +5,45 @@ from __future__ import annotations
 import math
 import tomllib
 import typing
+from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 
 from cloak_core.errors import InputError
 
 MAX_TOML_BYTES = 1 << 20
+SECTOR = 10.0
+"""Degrees of a continuous range of azimuths that are dealt as one, at most."""
+
+
+@dataclass(frozen=True)
+class Azimuths:
+    """Sectors of equal width: each draw lies in [start, start + width]."""
+
+    starts: tuple[float, ...]
+    """Degrees."""
+    width: float
+    """Degrees; 0 for single angles."""
+
+    @property
+    def centers(self) -> tuple[float, ...]:
+        """Degrees."""
+        return tuple(start + self.width / 2 for start in self.starts)
+
+
+def parse_azimuths(spec: str, name: str = "--angles") -> Azimuths:
+    """Single angles as `parse_angles` reads them, or "LOW..HIGH": any angle in between, in sectors of equal width."""
+    low, dots, high = spec.partition("..")
+    if not dots:
+        return Azimuths(parse_angles(spec, name), 0.0)
+    first, last = _number(low, spec, name), _number(high, spec, name)
+    if last <= first:
+        raise InputError(f"{name}: {spec!r} ends before it begins")
+    if last - first > 360 or max(abs(first), abs(last)) > 360:
+        raise InputError(f"{name}: {spec!r} is more than a full circle, or leaves [-360, 360] degrees")
+    count = math.ceil((last - first) / SECTOR - 1e-9)
+    width = (last - first) / count
+    return Azimuths(tuple(first + i * width for i in range(count)), width)
 
 
 def parse_angles(spec: str, name: str = "--angles") -> tuple[float, ...]:

@@ -1,14 +1,15 @@
 """Which body, angle, background and augmentation each training image gets.
 
-Everything drawn is a function of (seed, step): a resumed run draws what the uninterrupted one drew, and each of several
-processes can draw the whole batch and take its share.
+Everything drawn is a function of (seed, step), and with hard views of what earlier steps found: a resumed run draws
+what the uninterrupted one drew, and each of several processes can draw the whole batch and take its share.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cloak_core.attack.parsing import parse_angles, parse_range
+from cloak_core.attack.hard_views import HardViews
+from cloak_core.attack.parsing import option, parse_azimuths, parse_range
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.scene.cameras import Camera
 
@@ -26,6 +27,8 @@ class Draws:
     """int64, index of the pose."""
     outfit: np.ndarray
     """int64, index of the outfit."""
+    sector: np.ndarray
+    """int64, index of the training angle, or of the part of a range of angles."""
     azimuth: np.ndarray
     """float64, degrees."""
     elevation: np.ndarray
@@ -39,7 +42,13 @@ class Draws:
     brightness: np.ndarray
     """float64 summands."""
     seed: np.ndarray
-    """int64, for what else an image needs at random (noise)."""
+    """int64, for what else an image needs at random (noise, occluders)."""
+    zoom: np.ndarray
+    """float64 factors."""
+    blur: np.ndarray
+    """float64, standard deviations in pixels."""
+    quality: np.ndarray
+    """float64, of JPEG."""
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -60,7 +69,9 @@ class Sampler:
         self.settings = settings
         self.pose_count, self.background_count = pose_count, background_count
         self.outfit_count = outfit_count if settings.outfits == "random" else 1
-        self.angles = np.array(parse_angles(settings.angles))
+        azimuths = parse_azimuths(settings.angles)
+        self.angles, self.sector_width = np.array(azimuths.starts), azimuths.width
+        self.hard_views = HardViews(pose_count, len(self.angles)) if settings.hard_views else None
         self.epoch_images = settings.epoch_images(background_count)
         self.steps = settings.total_steps(background_count)
         self.images = self.steps * settings.batch
@@ -80,22 +91,37 @@ class Sampler:
         """The images of `step`, 0 <= step < steps."""
         settings = self.settings
         images = step * settings.batch + np.arange(self.images_of(step))
-        background, pose, angle = self._deal(images)
+        background, pose, sector = self._deal(images)
         count = len(images)
         random = np.random.default_rng([settings.seed, _STEP, step])
         shift = random.integers(-settings.translation, settings.translation, (count, 2), endpoint=True)
-        return Draws(
+        spread = lambda name: random.uniform(*parse_range(getattr(settings, name), option(name)), count)
+        jitter = random.uniform(-settings.angle_jitter, settings.angle_jitter, count)
+        draws = Draws(
             background=background,
             pose=pose,
             outfit=random.integers(self.outfit_count, size=count),
-            azimuth=self.angles[angle] + random.uniform(-settings.angle_jitter, settings.angle_jitter, count),
-            elevation=settings.elevation + random.standard_normal(count) * settings.elevation_jitter,
-            distance=random.uniform(*parse_range(settings.distance, "--distance"), count),
+            sector=sector,
+            azimuth=self.angles[sector] + random.uniform(0, self.sector_width, count) + jitter,
+            elevation=spread("elevation") + random.standard_normal(count) * settings.elevation_jitter,
+            distance=spread("distance"),
             shift=shift if settings.translation_per == "image" else np.repeat(shift[:1], count, axis=0),
-            contrast=random.uniform(*parse_range(settings.contrast, "--contrast"), count),
-            brightness=random.uniform(*parse_range(settings.brightness, "--brightness"), count),
+            contrast=spread("contrast"),
+            brightness=spread("brightness"),
             seed=random.integers(2**62, size=count),
+            zoom=spread("zoom"),
+            blur=random.uniform(0, settings.blur, count),
+            quality=random.uniform(*parse_range(settings.jpeg or "100", "--jpeg"), count),
         )
+        return draws if self.hard_views is None else self._harden(draws, step, random)
+
+    def _harden(self, draws: Draws, step: int, random: np.random.Generator) -> Draws:
+        """Give some images other poses and angles: those in which a person is still found."""
+        chosen = random.random(len(draws)) < self.settings.hard_views
+        drawn = self.hard_views.draw(step, random, len(draws))
+        pose, sector = (np.where(chosen, *pair) for pair in zip(drawn, (draws.pose, draws.sector), strict=True))
+        turn = self.angles[sector] - self.angles[draws.sector]
+        return replace(draws, pose=pose, sector=sector, azimuth=draws.azimuth + turn)
 
     def _deal(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Background, pose and angle index of images counted from the start of the run."""
@@ -135,4 +161,6 @@ def cameras(draws: Draws, settings: TrainSettings) -> list[Camera]:
 def is_fresh(settings: TrainSettings) -> bool:
     """Whether every image has a camera of its own, so that caching views gains nothing."""
     low, high = parse_range(settings.distance, "--distance")
-    return high > low or settings.angle_jitter > 0 or settings.elevation_jitter > 0
+    bottom, top = parse_range(settings.elevation, "--elevation")
+    moves = settings.angle_jitter > 0 or settings.elevation_jitter > 0 or parse_azimuths(settings.angles).width > 0
+    return moves or high > low or top > bottom

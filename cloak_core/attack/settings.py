@@ -12,7 +12,8 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cloak_core.attack.parsing import check_bounds, convert, option, parse_angles, parse_range, parse_weights
+from cloak_core.attack.limits import BOUNDS, CHOICES
+from cloak_core.attack.parsing import check_bounds, convert, option, parse_azimuths, parse_range, parse_weights
 from cloak_core.errors import InputError
 
 
@@ -41,11 +42,15 @@ class TrainSettings:
 
     # --- views
     angles: str = "-10:10:5"
-    """Training azimuths in degrees: "0", "-10,0,10" or FIRST:LAST:STEP, last included."""
+    """Training azimuths in degrees: "0", "-10,0,10", FIRST:LAST:STEP (last included), or LOW..HIGH for any angle in
+    between, dealt evenly ten degrees by ten degrees; 0..360 is the full circle."""
     angle_jitter: float = 0.0
     """Each azimuth is moved by up to this many degrees, uniformly; 0 keeps the angles and lets views be reused."""
-    elevation: float = 6.0
-    """Camera elevation, degrees."""
+    hard_views: float = 0.0
+    """Share of the images whose pose and azimuth are drawn by how surely the detectors still find a person there; the
+    others are dealt evenly."""
+    elevation: str = "6"
+    """Camera elevation in degrees: one number, or LOW:HIGH for a uniform draw per image."""
     elevation_jitter: float = 0.0
     """Standard deviation of the elevation, degrees."""
     distance: str = "2.2"
@@ -72,6 +77,14 @@ class TrainSettings:
     """Amplitude of the uniform noise on the colours."""
     photometric_on: str = "logo"
     """Contrast, brightness and noise act on the "logo" (per face) or on the "render" (per pixel of the body)."""
+    occluders: int = 0
+    """Up to so many rectangles, cut from other backgrounds, stand before each body."""
+    zoom: str = "1"
+    """LOW:HIGH of the factor by which the finished image is enlarged about its centre; "1" switches it off."""
+    blur: float = 0.0
+    """The finished image is blurred by a Gaussian of up to this standard deviation, pixels; 0 switches it off."""
+    jpeg: str | None = None
+    """LOW:HIGH of the JPEG quality (1..100) that the finished image goes through; None switches it off."""
 
     # --- loss
     loss: str = "score"
@@ -132,21 +145,15 @@ class TrainSettings:
     """Steps between preview pictures; 0 writes none."""
 
     def __post_init__(self) -> None:
-        for name, (low, high, ends) in _BOUNDS.items():
+        for name, (low, high, ends) in BOUNDS.items():
             check_bounds(name, getattr(self, name), low, high, ends)
-        for name, known in _CHOICES.items():
+        for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 allowed = ", ".join(str(k) for k in known if k is not None)
                 raise InputError(f"{option(name)}: {getattr(self, name)!r} is not one of {allowed}")
         if (self.epochs is None) == (self.steps is None):
             raise InputError("--steps and --epochs: give one of them")
-        parse_angles(self.angles)
-        low, _ = parse_range(self.distance, "--distance")
-        if low <= 0:
-            raise InputError(f"--distance: {self.distance} is not in front of the camera")
-        if parse_range(self.contrast, "--contrast")[0] < 0:
-            raise InputError(f"--contrast: {self.contrast} is negative")
-        parse_range(self.brightness, "--brightness")
+        self._check_ranges()
         if self.patience and not self.held_out:
             raise InputError("--patience: needs a share to be set aside, --held-out 0.2 for instance")
         if self.nps_weight and self.palette is None:
@@ -157,14 +164,31 @@ class TrainSettings:
             raise InputError("--ensemble weighted and --detector-weights: one needs the other")
         if self.detector_weights is not None:
             parse_weights(self.detector_weights, "--detector-weights")
-        if not -90 <= self.elevation - 4 * self.elevation_jitter <= self.elevation + 4 * self.elevation_jitter <= 90:
-            raise InputError("--elevation-jitter: would carry the camera over the pole")
         if 2 * self.translation >= self.size:
             raise InputError(f"--translation: {self.translation} px would move the body out of {self.size} px images")
 
+    def _check_ranges(self) -> None:
+        parse_azimuths(self.angles, "--angles")
+        if parse_range(self.distance, "--distance")[0] <= 0:
+            raise InputError(f"--distance: {self.distance} is not in front of the camera")
+        if parse_range(self.contrast, "--contrast")[0] < 0:
+            raise InputError(f"--contrast: {self.contrast} is negative")
+        parse_range(self.brightness, "--brightness")
+        low, high = parse_range(self.elevation, "--elevation")
+        if low < -90 or high > 90:
+            raise InputError(f"--elevation: {self.elevation} is not in [-90, 90]")
+        if not -90 <= low - 4 * self.elevation_jitter <= high + 4 * self.elevation_jitter <= 90:
+            raise InputError("--elevation-jitter: would carry the camera over the pole")
+        low, high = parse_range(self.zoom, "--zoom")
+        if low < 0.25 or high > 4:
+            raise InputError(f"--zoom: {self.zoom} is not in [0.25, 4]")
+        low, high = parse_range(self.jpeg or "50", "--jpeg")
+        if low < 1 or high > 100:
+            raise InputError(f"--jpeg: {self.jpeg} is not in [1, 100]")
+
     def epoch_images(self, background_count: int) -> int:
-        """Images in one epoch: every background at every training angle."""
-        return background_count * len(parse_angles(self.angles))
+        """Images in one epoch: every background at every training angle, or in every ten degrees of a range."""
+        return background_count * len(parse_azimuths(self.angles).starts)
 
     def total_steps(self, background_count: int) -> int:
         """Updates of the whole run; the last one may hold fewer images than a batch."""
@@ -172,52 +196,6 @@ class TrainSettings:
             return self.steps
         return max(1, math.ceil(self.epochs * self.epoch_images(background_count) / self.batch))
 
-
-_INF = math.inf
-_BOUNDS: dict[str, tuple[float, float, str]] = {
-    # name: low, high, which ends belong to the range
-    "epochs": (0, _INF, "()"),
-    "steps": (1, 10_000_000, "[]"),
-    "batch": (1, 4096, "[]"),
-    "max_seconds": (0, _INF, "()"),
-    "held_out": (0, 0.5, "[]"),
-    "held_out_every": (1, 10_000_000, "[]"),
-    "patience": (0, 10_000_000, "[]"),
-    "angle_jitter": (0, 180, "[]"),
-    "elevation": (-90, 90, "[]"),
-    "elevation_jitter": (0, 22.5, "[]"),
-    "field_of_view": (0, 180, "()"),
-    "size": (16, 4096, "[]"),
-    "translation": (0, 4096, "[]"),
-    "noise": (0, 1, "[]"),
-    "tv_weight": (0, _INF, "[)"),
-    "nps_weight": (0, _INF, "[)"),
-    "rpn_weight": (0, _INF, "[)"),
-    "detectors_per_step": (1, 4096, "[]"),
-    "lr": (0, _INF, "()"),
-    "momentum": (0, 1, "[)"),
-    "lr_epochs": (0, _INF, "()"),
-    "seed": (0, 2**63 - 1, "[]"),
-    "threads": (1, 4096, "[]"),
-    "microbatch": (1, 4096, "[]"),
-    "threshold": (0, 1, "()"),
-    "checkpoint_every": (0, _INF, "[)"),
-    "preview_every": (0, _INF, "[)"),
-}
-_CHOICES: dict[str, tuple] = {
-    "preset": ("paper", "reference", "best"),
-    "samples": (None, 1, 4, 16, 64),
-    "outfits": ("random", "first"),
-    "translation_per": ("image", "batch"),
-    "photometric_on": ("logo", "render"),
-    "loss": ("score", "objectness", "log"),
-    "reduce": ("max", "topk", "logsumexp"),
-    "ensemble": ("mean", "max", "weighted"),
-    "optimizer": ("sgd", "adam"),
-    "schedule": ("constant", "step", "cosine"),
-    "gamut": ("projection", "sigmoid"),
-    "initial": ("grey", "random", "clothing"),
-}
 
 PRESETS: dict[str, dict[str, object]] = {
     "paper": {},

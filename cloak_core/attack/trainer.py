@@ -26,6 +26,7 @@ from cloak_core.attack.previews import save_preview
 from cloak_core.attack.run_folder import RunFolder
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.attack.world import LostProcess, World
+from cloak_core.detectors.scoring import max_person_score
 from cloak_core.errors import InputError
 from cloak_core.scene.exchange import write_colors
 
@@ -180,6 +181,7 @@ class Trainer:
         step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
         if not step.is_finite:
             self._refuse(step)
+        self._watch(step)
         self.optimizer.update(lr)
         self.step += 1
         self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
@@ -188,6 +190,18 @@ class Trainer:
             save_preview(path, step.images, next(iter(step.detections.values())), self.settings.threshold)
             self._tell("preview", path=f"previews/{path.name}")
         return step.figures
+
+    def _watch(self, step: Step) -> None:
+        """Tell the sampler how surely a person was found in each of the batch's images, every process's."""
+        if self.sampler.hard_views is None:
+            return
+        found = torch.zeros(self.sampler.images_of(self.step), dtype=torch.float64, device=self.batcher.device)
+        if step.detections:
+            scores = [max_person_score(said).detach() for said in step.detections.values()]
+            found[self.world.rank :: self.world.size] = torch.stack(scores).mean(0).double()
+        draws = self.sampler.draw(self.step)
+        found = self.world.sum(found).cpu().numpy()
+        self.sampler.hard_views.observe(self.step, draws.pose, draws.sector, found)
 
     def _refuse(self, step: Step) -> None:
         names = [
@@ -223,6 +237,7 @@ class Trainer:
         if self.world.is_first:
             write_colors(self.run.colors, self._final_colors()[0] if final else self._colors_array())
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
+            tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
             self._shown = time.perf_counter()
             self._tell("checkpoint")
@@ -242,6 +257,8 @@ class Trainer:
                 self.optimizer.load(checkpoint.tensors)
                 if self.held_out is not None:
                     self.held_out.load(checkpoint.tensors)
+                if self.sampler.hard_views is not None:
+                    self.sampler.hard_views.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
             self.step, self._earlier = checkpoint.step, checkpoint.time

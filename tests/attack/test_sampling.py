@@ -83,3 +83,13 @@ def test_equal_draws_give_equal_cameras():
     assert len({camera for step in range(50) for camera in cameras(of.draw(step), of.settings)}) == 1
     camera = cameras(of.draw(0), of.settings)[0]
     assert (camera.distance, camera.elevation, camera.azimuth, camera.width) == (2.2, 6.0, 0.0, 416)
+
+
+def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
+    of = sampler(steps=360, batch=10, angles="0..360", elevation="-5:20")
+    draws = whole_run(of)
+    assert len(of.angles) == 36 and is_fresh(of.settings)
+    counts = np.histogram(draws.azimuth, np.arange(0, 361, 10))[0]
+    assert (abs(counts - 100) <= 4).all()
+    assert len(set(draws.azimuth)) == 3600 and draws.elevation.min() < -4 and draws.elevation.max() > 19
+    assert {type(camera.azimuth) for camera in cameras(of.draw(0), of.settings)} == {float}

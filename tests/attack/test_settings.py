@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from cloak_core.attack.parsing import parse_angles, parse_range
+from cloak_core.attack.parsing import parse_angles, parse_azimuths, parse_range
 from cloak_core.attack.settings import (
     PRESETS,
     TrainSettings,
@@ -117,3 +117,25 @@ def test_whole_numbers_are_taken_where_numbers_are_meant():
 def test_settings_are_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         make_settings("best").lr = 1.0
+
+
+def test_ranges_of_azimuths():
+    circle = parse_azimuths("0..360")
+    assert circle.starts == tuple(range(0, 360, 10)) and circle.width == 10 and circle.centers[0] == 5
+    narrow = parse_azimuths("-12..12")
+    assert len(narrow.starts) == 3 and narrow.width == 8
+    assert parse_azimuths("-10:10:5").starts == parse_angles("-10:10:5") and parse_azimuths("0").width == 0
+    for bad in ("10..0", "0..0", "0..400", "-200..200", "0..", "a..b", "0..10..20"):
+        with pytest.raises(InputError, match="--angles"):
+            parse_azimuths(bad)
+
+
+def test_what_distorts_is_off_in_the_papers_presets_and_bounded():
+    for preset in ("paper", "reference"):
+        settings = make_settings(preset)
+        off = (settings.hard_views, settings.occluders, settings.zoom, settings.blur, settings.jpeg)
+        assert off == (0, 0, "1", 0, None)
+    for bad in ({"zoom": "0:1"}, {"blur": 3}, {"jpeg": "0:50"}, {"hard_views": 1.5}, {"occluders": -1},
+                {"elevation": "95"}, {"elevation": "10:5"}):  # fmt: skip
+        with pytest.raises(InputError, match="--" + next(iter(bad)).replace("_", "-")):
+            make_settings("best", **bad)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.attack import hard_views
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.attack.settings import make_settings
@@ -225,6 +226,19 @@ def test_fresh_views_go_on_to_the_same_bits(tmp_path):
     rest = run(tmp_path / "part", resume=True, **fresh)
     assert np.array_equal(whole.colors, rest.colors)
     assert not np.array_equal(whole.colors, run(tmp_path / "fixed", steps=7).colors)
+
+
+def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch):
+    """New chances every third step, so that the run stops with some that are not yet in force."""
+    monkeypatch.setattr(hard_views, "EVERY", 3)
+    scheme = {"angles": "0..360", "hard_views": 0.6, "occluders": 2, "blur": 1, "jpeg": "40:80", "zoom": "0.8:1.2"}
+    whole = run(tmp_path / "whole", steps=9, **scheme)
+    for seconds in (1e-6,) * 4:
+        run(tmp_path / "part", steps=9, max_seconds=seconds, resume=True, **scheme)
+    rest = run(tmp_path / "part", steps=9, resume=True, **scheme)
+    assert rest.stopped == "" and np.array_equal(whole.colors, rest.colors)
+    others = run(tmp_path / "even", steps=9, **(scheme | {"hard_views": 0.0}))
+    assert not np.array_equal(whole.colors, others.colors)
 
 
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
