@@ -1,6 +1,7 @@
 """The DETR family, and whatever else transformers' AutoModelForObjectDetection loads; local files only."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.extras import require
@@ -43,6 +45,17 @@ class Preprocessing:
         return (target, scaled) if height <= width else (scaled, target)
 
 
+class Undetached(TorchFunctionMode):
+    """Inside this mode `Tensor.detach` does nothing.
+
+    RT-DETR and D-FINE cut the graph between decoder layers, and where they choose their queries, to steady their own
+    training. Frozen, that leaves a gradient of the images that may not even point downhill; this is the exact one.
+    """
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        return args[0] if function is torch.Tensor.detach else function(*args, **(kwargs or {}))
+
+
 class TransformersDetector(Detector):
     """A transformers object-detection model: one box per query, its class probability for person as the score.
 
@@ -56,7 +69,8 @@ class TransformersDetector(Detector):
         self.labels: int = model.config.num_labels
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        output = self.model(pixel_values=self.preprocessing(images))
+        with Undetached() if images.requires_grad else nullcontext():
+            output = self.model(pixel_values=self.preprocessing(images))
         logits, boxes = at_least_float32(output.logits), at_least_float32(output.pred_boxes)
         probability = logits.softmax(dim=-1) if logits.shape[-1] == self.labels + 1 else logits.sigmoid()
         half = boxes[..., 2:] / 2
