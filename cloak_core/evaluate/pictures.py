@@ -19,6 +19,7 @@ from cloak_core.evaluate.stage import Stage
 BODIES = 3
 ANGLES = 5
 FAILURES = 6
+WORST = 10
 SIDES = {"front": 0.0, "left": 90.0, "back": 180.0, "right": 270.0}
 """Azimuths of the flat views; left and right are the body's own."""
 
@@ -30,7 +31,8 @@ def write_pictures(
     """Write the pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
 
     `gallery`: the first image drawn of up to 3 bodies at up to 5 angles (evenly spaced), in own clothing and cloaked;
-    `failures`: per detector, the cloaked images with the highest scores above the threshold; `controls`: one image
+    `failures`: per detector, the cloaked images with the highest scores above the threshold; `worst`: per detector, of
+    the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
     under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
     """
     shoot = lambda trial, control: _shoot(folder, stage, int(trial), control, detectors, threshold)
@@ -41,6 +43,10 @@ def write_pictures(
         "gallery": [pair(trial) for trial in shown],
         "failures": {
             spec: [pair(trial) for trial in failure_trials(measurement, d, threshold)]
+            for d, spec in enumerate(measurement.specs)
+        },
+        "worst": {
+            spec: [pair(trial) | {"success": rate} for trial, rate in worst_trials(measurement, d, threshold)]
             for d, spec in enumerate(measurement.specs)
         },
         "controls": _label(stage, middle) | {"images": {c: shoot(middle, c) for c in measurement.controls}},
@@ -68,6 +74,18 @@ def failure_trials(measurement: Measurement, detector: int, threshold: float) ->
     score = measurement.score[detector, 0]
     worst = np.argsort(-score, kind="stable")[:FAILURES]
     return [int(i) for i in worst if score[i] > threshold]
+
+
+def worst_trials(measurement: Measurement, detector: int, threshold: float) -> list[tuple[int, float]]:
+    """Of the ten bodies with the lowest success, and not all of it, the most certain cloaked image and the success;
+    the worst first, equals by their mean score."""
+    score, pose = measurement.score[detector, 0], measurement.trials.pose
+    rows = []
+    for body in np.unique(pose):
+        mine = np.flatnonzero(pose == body)
+        success = float((score[mine] <= threshold).mean())
+        rows.append((success, -float(score[mine].mean()), int(mine[score[mine].argmax()])))
+    return [(trial, success) for success, _, trial in sorted(rows)[:WORST] if success < 1]
 
 
 def _label(stage: Stage, trial: int) -> dict:

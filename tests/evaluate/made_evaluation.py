@@ -120,6 +120,7 @@ def make_pictures(folder: Path, measurement: Measurement) -> dict:
     return {
         "gallery": [pair(t) for t in range(0, len(measurement.trials), 4)],
         "failures": {spec: [pair(t) for t in worst] for spec in measurement.specs},
+        "worst": {spec: [pair(worst[0]) | {"success": 0.25}] for spec in measurement.specs},
         "controls": label(8) | {"images": {c: shoot(8, c) for c in CONTROLS}},
         "flat": dict.fromkeys(("front", "left", "back", "right"), "flat.png"),
     }

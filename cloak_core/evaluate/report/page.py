@@ -125,6 +125,7 @@ def _detector(stored: StoredEvaluation, d: int, spec: str, rates: dict, threshol
     figures["Success by body"] = svg(plots.success_by_body(measurement, d, threshold))
     figures["Success by threshold"] = svg(plots.success_by_threshold(measurement, d, threshold))
     failures = stored.pictures["failures"].get(spec, [])
+    worst = stored.pictures.get("worst", {}).get(spec, [])
     return {
         "index": d,
         "spec": spec,
@@ -134,6 +135,8 @@ def _detector(stored: StoredEvaluation, d: int, spec: str, rates: dict, threshol
         "bare": measurement.bare.shape[1],
         "figures": figures,
         "failures": [_pair(folder, [spec], shot) for shot in failures],
+        "worst": [_pair(folder, [spec], shot) | {"success": shot["success"]} for shot in worst],
+        "bodies": len(set(measurement.trials.pose.tolist())),
         "failed": int((measurement.score[d, 0] > threshold).sum()),
         "hash": summary["inputs"]["detector_hashes"][spec],
     }

@@ -14,6 +14,10 @@ Curves = dict[str, list[tuple[float, float]]]
 """Named curves of (step, value)."""
 
 
+MOST_BODIES = 40
+"""Bodies that a plot names one by one."""
+
+
 def success_by_angle(measurement: Measurement, detector: int, threshold: float) -> Figure:
     """Success of the trained colours with its 95 % band, and of every control, over the azimuth."""
     figure, (axis,) = new_figure(width=2 * WIDTH, height=3.0)
@@ -60,8 +64,10 @@ def line(axis: object, keys: np.ndarray, rates: list[Rate], name: str, band: boo
 
 
 def success_by_body(measurement: Measurement, detector: int, threshold: float) -> Figure:
-    """Success of trained colours and controls on each body, with 95 % intervals."""
+    """Success of trained colours and controls on each body, with 95 % intervals; of many bodies, sorted, without."""
     bodies = np.unique(measurement.trials.pose)
+    if len(bodies) > MOST_BODIES:
+        return _success_sorted(measurement, detector, threshold)
     height = max(2.9, 1.0 + (0.2 + 0.1 * len(measurement.controls)) * len(bodies))
     figure, (axis,) = new_figure(height=height)
     count = len(measurement.controls)
@@ -78,6 +84,25 @@ def success_by_body(measurement: Measurement, detector: int, threshold: float) -
     axis.set_yticks(np.arange(len(bodies)), [measurement.body_names[int(p)] for p in bodies])
     axis.set_ylim(len(bodies) - 0.45, -0.55)
     axis.grid(axis="y", visible=False)
+    legend_above(figure)
+    return figure
+
+
+def _success_sorted(measurement: Measurement, detector: int, threshold: float) -> Figure:
+    """Success on every body, each pattern's bodies from its worst to its best."""
+    figure, (axis,) = new_figure()
+    pose = measurement.trials.pose
+    for c, control in enumerate(measurement.controls):
+        gone = measurement.score[detector, c] <= threshold
+        rates = np.sort([gone[pose == body].mean() for body in np.unique(pose)])
+        look = SERIES[control]
+        axis.step(
+            np.arange(len(rates)) + 1, rates, where="mid", color=look.color, linestyle=look.dash, label=look.label
+        )
+    axis.set_ylim(-0.02, 1.02)
+    axis.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    axis.set_ylabel("attack success")
+    axis.set_xlabel("bodies, from the worst to the best")
     legend_above(figure)
     return figure
 
