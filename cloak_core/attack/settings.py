@@ -60,7 +60,7 @@ class TrainSettings:
     size: int = 416
     """Width and height of the rendered images, pixels."""
     samples: int | None = None
-    """Samples per pixel: 1, 4, 16 or 64; None takes the renderer's default."""
+    """Samples per pixel: 1, 4, 16 or 64; None takes the renderer's default, 4 where every image has its own camera."""
     outfits: str = "random"
     """Clothing of the body outside the logo: "random" (a draw per image) or "first"."""
 

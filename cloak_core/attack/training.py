@@ -35,6 +35,9 @@ from cloak_core.scene.palette import read_palette
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""
+FRESH_SAMPLES = 4
+"""Per pixel, in views that are used once, unless settings say otherwise: what sampling misses of a face in one view it
+finds in the next, so that the error of single gradients averages out as the noise of small batches does."""
 
 
 def train(
@@ -122,9 +125,10 @@ def _train(
 
 def make_bank(bodies: Bodies, settings: TrainSettings, device: torch.device) -> ViewBank:
     """The views of a run. Where every image has a camera of its own, keeping views gains nothing."""
-    samples = {"samples": settings.samples} if settings.samples else {}
-    memory = {"memory_bytes": FRESH_VIEWS_BYTES} if is_fresh(settings) else {}
-    return ViewBank(bodies, device=device, **samples, **memory)
+    if is_fresh(settings):
+        samples = settings.samples or FRESH_SAMPLES
+        return ViewBank(bodies, device=device, samples=samples, memory_bytes=FRESH_VIEWS_BYTES)
+    return ViewBank(bodies, device=device, samples=settings.samples)
 
 
 def make_batcher(settings: TrainSettings, material: Material, logo: Logo, device: torch.device) -> Batcher:

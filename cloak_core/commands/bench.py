@@ -50,6 +50,8 @@ class Step(Command):
     """Images per update."""
     distance: str = "2.2"
     """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
+    samples: Literal[1, 4, 16, 64] | None = None
+    """Samples per pixel; None takes what training would."""
     threads: int = 2
     """Threads torch may use."""
     repeats: int = 20
@@ -67,18 +69,24 @@ class Step(Command):
             open_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
             open_backgrounds(self.backgrounds),
-            settings=make_settings("best", batch=self.batch, distance=self.distance, device=self.device),
+            settings=make_settings(
+                "best", batch=self.batch, distance=self.distance, samples=self.samples, device=self.device
+            ),
             threads=self.threads,
             repeats=self.repeats,
         )
 
     def show(self, result: dict) -> None:
         for spec, figures in result.items():
+            if not isinstance(figures, dict) or "floor_ms" not in figures:
+                continue
             out.print(
                 f"{spec}: floor {figures['floor_ms']:.1f} ms, step {figures['step_ms']:.1f} ms, ratio "
                 f"{figures['ratio']:.3f}; {figures['overhead_ms_per_image']:.2f} ms per image beside the detector",
                 markup=False,
             )
+            parts = ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in figures["parts_ms"].items())
+            out.print(f"    ms per step: {parts}", markup=False)
 
 
 @dataclass(kw_only=True)
