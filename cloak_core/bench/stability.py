@@ -1,75 +1,53 @@
 """`cloak bench stability`: hard cases, each against the brute-force twin in exact integers.
 
-What must agree is the triangle at every sample. Beside it stand the depth's error against exact fractions, in units of
-the depth's last place, and what batch, threads and device change (nothing may).
+What must agree is the triangle at every sample, and, where nothing hides anything, the area of every triangle in every
+pixel. Beside it stand the depth's error against exact fractions, in units of the depth's last place, and what batch,
+threads, precision and device change (nothing may).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from cloak_core.bench.oracle import (
-    Piece,
-    covered,
-    depth,
-    exact_nearness,
-    hits,
-    pieces,
-    sample_positions,
-    screen_of,
-    twin,
-)
-from cloak_core.bench.views import machine, torch_threads
-from cloak_core.errors import InputError
+from cloak_core.bench.exact import seen_areas
+from cloak_core.bench.oracle import Piece, covered, depth, exact_nearness, hits, pieces, sample_positions, twin
+from cloak_core.bench.stability_cases import CASES, Case
+from cloak_core.bench.stability_checks import CHECKS
+from cloak_core.bench.views import machine
+from cloak_core.render.area import area_fragments
 from cloak_core.render.covering import DEPTH_BITS
-from cloak_core.render.projection import GRID, GUARD, Screen, project
-from cloak_core.render.rasterizer import rasterize
-from cloak_core.render.views import ViewBank
-from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
+from cloak_core.render.rasterizer import bounding_window, rasterize
 
-HALF = GRID // 2
-
-
-@dataclass(frozen=True)
-class Case:
-    """Triangles on a screen, and how many triangles must cover each sample (None: any number)."""
-
-    screen: Screen
-    triangles: Tensor
-    cover: int | None = None
-    front_only: bool = False
-    cull: bool = False
+AREA = 1e-6
+"""Largest difference, as a share of a pixel, between areas that are to be the same."""
 
 
 def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict:
-    """All cases, at 1 and 4 samples per pixel. `mismatches` must be 0."""
+    """All cases, at 1 and 4 samples per pixel and by area. `mismatches` must be 0."""
     rows, worst = {}, Fraction(0)
     for name, make in CASES.items():
         wrong = count = 0
         for seed in range(seeds):
             case = make(np.random.default_rng(seed))
-            for grid in grids:
-                count += 1
-                wrong += mismatches(case, grid)
+            count += len(grids)
+            wrong += sum(mismatches(case, grid) for grid in grids)
+            if case.cover is not None:
+                count, wrong = count + 1, wrong + area_mismatches(case)
             worst = max(worst, depth_error(case))
         rows[name] = {"cases": count, "mismatches": wrong}
-    checks = CHECKS | ({"CPU against CUDA": _cuda} if torch.cuda.is_available() else {})
-    for name, check in checks.items():
-        rows[name] = {"cases": 1, "mismatches": int(check())}
+    for name, check in CHECKS.items():
+        found = check()
+        wrong, remark = found if found is not None else (0, "not run: there is no such device here")
+        rows[name] = {"cases": int(found is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
     total = lambda key: sum(row[key] for row in rows.values())
     return {
         "cases": total("cases"),
         "mismatches": total("mismatches"),
         "max_error_ulp": float(worst),
         "by_case": rows,
-        "cuda": torch.cuda.get_device_name() if torch.cuda.is_available() else "none on this machine: not compared",
         "machine": machine(),
     }
 
@@ -82,6 +60,19 @@ def mismatches(case: Case, grid: int) -> int:
     if case.cover is not None:
         wrong += int((hits(case.screen, case.triangles, grid, case.front_only) != case.cover).sum())
     return wrong
+
+
+def area_mismatches(case: Case) -> int:
+    """Pixels that are not covered just once, and areas of triangles in pixels that clipping finds otherwise, in a case
+    where every sample is covered once."""
+    screen, count = case.screen, case.triangles.shape[1]
+    cull = torch.tensor([case.cull])
+    ours, exact = torch.zeros(2, screen.width * screen.height, count, dtype=torch.float64)
+    found = area_fragments(screen, case.triangles, cull, bounding_window(screen))
+    ours.view(-1).index_add_(0, found.pixel * count + found.triangle, found.area.double())
+    seen = seen_areas(screen, case.triangles, case.cull)
+    exact.view(-1).index_add_(0, seen.pixel * count + seen.triangle, seen.area)
+    return int(((ours.sum(1) - case.cover).abs() > AREA).sum()) + int(((ours - exact).abs() > AREA).sum())
 
 
 def depth_error(case: Case, limit: int = 200) -> Fraction:
@@ -98,222 +89,3 @@ def _error_at(piece: Piece, x: int, y: int) -> Fraction:
     top = (1 << DEPTH_BITS) - 1
     exact = min(exact_nearness(piece, x, y) * (1 << DEPTH_BITS), top)
     return abs((top - depth(piece, x, y)) - exact)
-
-
-# --- cases -----------------------------------------------------------------------------------------------------------
-
-
-def _rows(array: object) -> Tensor:
-    return torch.as_tensor(np.asarray(array, np.int64).reshape(-1, 3)).T.contiguous()
-
-
-def _snapped(x: object, y: object, nearness: object, triangles: object, size: tuple[int, int] = (8, 8), **more) -> Case:
-    return Case(screen_of(np.asarray(x), np.asarray(y), np.asarray(nearness), *size), _rows(triangles), **more)
-
-
-def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int = 1, spread: int = 3) -> Case:
-    low, high = -spread * GRID // unit, (max(size) + spread) * GRID // unit
-    x, y = rng.integers(low, high, (2, 40)) * unit
-    return _snapped(x, y, rng.uniform(0.1, 1, 40), rng.integers(0, 40, (60, 3)), size)
-
-
-def _lattice(rng: np.random.Generator) -> Case:
-    """Vertices on sample points and diagonals through them: every sample covered once."""
-    n, offset = 11, int(rng.choice([0, 1, HALF, HALF + 1]))
-    x, y = (np.stack(np.meshgrid(np.arange(n), np.arange(n)), -1).reshape(-1, 2) - 1).T * GRID + offset
-    at = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (t.ravel() for t in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
-    return _snapped(
-        x, y, np.full(n * n, 0.5), np.concatenate([np.stack(t, -1) for t in ((a, b, c), (a, c, d))]), cover=1
-    )
-
-
-def _fan(rng: np.random.Generator) -> Case:
-    """Huge triangles around one point that covers the screen: no hole, none twice."""
-    angle = np.sort(rng.uniform(0, 2 * np.pi, 12))
-    angle[::4] = np.arange(3) * np.pi / 2  # level and upright edges through the centre
-    angle = np.sort(np.concatenate([angle, np.arange(4) * np.pi / 2 + 0.1]))
-    center = int(rng.integers(2, 6)) * GRID + HALF
-    x = np.concatenate([[center], np.round(np.cos(angle) * 3000 * GRID).astype(int)])
-    y = np.concatenate([[center], np.round(np.sin(angle) * 3000 * GRID).astype(int)])
-    ring = np.arange(len(angle))
-    triangles = np.stack([np.zeros_like(ring), ring + 1, (ring + 1) % len(ring) + 1], -1)
-    return _snapped(x, y, np.full(len(x), 0.5), triangles, cover=1)
-
-
-def _slivers(rng: np.random.Generator) -> Case:
-    """Strips 1, 2 and 3 grid steps wide through sample points, cut into triangles; and some without any width."""
-    x, y, triangles = [], [], []
-    for i, width in enumerate((0, 1, 1, 2, 3)):
-        left, drop = (2 * i - 3) * GRID, int(rng.integers(7, 12)) * GRID
-        x += [left, left + width, left + drop + width, left + drop]
-        y += [0, 0, drop, drop]
-        triangles += [[4 * i, 4 * i + 1, 4 * i + 2], [4 * i, 4 * i + 2, 4 * i + 3]]
-    return _snapped(x, y, rng.uniform(0.1, 1, len(x)), triangles)
-
-
-def _degenerate(rng: np.random.Generator) -> Case:
-    """Points, lines, duplicates in every order of corners, inverted ones."""
-    corner = rng.integers(0, 8, (2, 6)) * GRID + HALF
-    orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]]
-    same = [[a[i] for i in rng.permutation(orders)[0]] for a in ([0, 1, 2], [3, 4, 5], [0, 1, 2], [3, 4, 5], [1, 2, 0])]
-    return _snapped(*corner, rng.uniform(0.1, 1, 6), [[0, 0, 0], [1, 1, 4], *same, *orders])
-
-
-def _coplanar(rng: np.random.Generator) -> Case:
-    """Overlapping triangles of one plane: whichever is nearer after rounding, the twin says the same."""
-    x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 40))
-    return _snapped(x, y, 0.5 + x / (60.0 * GRID) + y / (90.0 * GRID), rng.integers(0, 40, (60, 3)))
-
-
-def _equal_depths(rng: np.random.Generator) -> Case:
-    x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 30))
-    return _snapped(x, y, np.full(30, rng.uniform(0.1, 1)), rng.integers(0, 30, (80, 3)))
-
-
-def _far_corners(rng: np.random.Generator) -> Case:
-    start = rng.integers(-GUARD // 2, GUARD // 2, (2, 30))
-    end = rng.integers(0, 8 * GRID, (2, 30)) - start
-    x, y = np.concatenate([start, end, end + rng.integers(-9 * GRID, 9 * GRID, (2, 30))], 1)
-    return _snapped(x, y, rng.uniform(0.1, 1, 90), np.arange(90).reshape(3, 30).T)
-
-
-def _space(rng: np.random.Generator, spread: float, camera: Camera, flatten: float = 1.0, scale: float = 1.0) -> Case:
-    """Random triangles in space, projected."""
-    points = rng.normal(0, spread, (3, 30)) * np.array([[1.0], [flatten], [1.0]]) * scale
-    screen = project(torch.from_numpy(points).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
-    return Case(screen, _rows(rng.integers(0, 30, (40, 3))))
-
-
-def _sphere(rng: np.random.Generator, levels: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """A closed, convex, outward body in a random orientation: an octahedron, subdivided. Vertices [V, 3], triangles."""
-    points = [np.array(p, float) for p in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))]
-    triangles = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
-    for _ in range(levels):
-        middle: dict[tuple[int, int], int] = {}
-
-        def between(a: int, b: int, middle: dict = middle) -> int:
-            if (key := (min(a, b), max(a, b))) not in middle:
-                middle[key] = len(points)
-                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
-            return middle[key]
-
-        split = [(a, b, c, between(a, b), between(b, c), between(c, a)) for a, b, c in triangles]
-        triangles = [t for a, b, c, d, e, f in split for t in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))]
-    turn = np.linalg.qr(rng.normal(0, 1, (3, 3)))[0]
-    return np.array(points) @ (turn * np.linalg.det(turn)), np.array(triangles)
-
-
-def _closed(rng: np.random.Generator) -> Case:
-    """A convex body that fills the image: its front covers every sample exactly once."""
-    points, triangles = _sphere(rng)
-    camera = Camera(distance=3.0, field_of_view=20.0, width=16, height=16)
-    screen = project(torch.from_numpy(points.T.copy()).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
-    return Case(screen, _rows(triangles), cover=1, front_only=True, cull=True)
-
-
-def _one_pixel(rng: np.random.Generator) -> Case:
-    x, y = rng.integers(2 * GRID, 3 * GRID, (2, 3000))
-    return _snapped(x, y, rng.uniform(0.1, 1, 3000), np.arange(3000).reshape(-1, 3), (4, 4))
-
-
-_AROUND = Camera(distance=1.0, width=8, height=6, field_of_view=70.0, near=0.05)
-_SMALL = Camera(width=16, height=12)
-
-CASES: dict[str, Callable[[np.random.Generator], Case]] = {
-    "random triangles": _random,
-    "corners and edges on samples": lambda rng: _random(rng, unit=HALF // 2),
-    "shared edges through samples": _lattice,
-    "fans of huge triangles": _fan,
-    "slivers of 0 to 3 grid steps": _slivers,
-    "degenerate, duplicate, inverted": _degenerate,
-    "coplanar overlaps": _coplanar,
-    "equal depths": _equal_depths,
-    "corners at the guard band": _far_corners,
-    "closed mesh": _closed,
-    "near plane and behind the camera": lambda rng: _space(rng, 1.0, _AROUND),
-    "far outside the image": lambda rng: _space(rng, 300.0, _SMALL),
-    "grazing view": lambda rng: _space(rng, 0.6, Camera(elevation=0.0, width=16, height=12), flatten=1e-4),
-    "scale 1e-6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e-6, width=16, height=12), scale=1e-6),
-    "scale 1e6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e6, width=16, height=12), scale=1e6),
-    "a thousand triangles in a pixel": _one_pixel,
-    "image 1 x 1": lambda rng: _random(rng, (1, 1)),
-    "image 13 x 2": lambda rng: _random(rng, (13, 2)),
-    "empty mesh": lambda rng: _snapped([], [], [], [], (3, 2)),
-}
-
-
-# --- checks without a twin: each returns how much is wrong -----------------------------------------------------------
-
-
-def _body(count: int = 4000) -> tuple[Tensor, Tensor]:
-    rng = np.random.default_rng(0)
-    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, count)))
-    return vertices, _rows(rng.integers(0, count, (count, 3)))
-
-
-def _keys(vertices: Tensor, triangles: Tensor, cameras: list[Camera]) -> Tensor:
-    screen = project(vertices.expand(len(cameras), -1, -1), cameras, [(0.0, 0.0, 0.0)] * len(cameras))
-    return rasterize(screen, triangles, 2).triangles().cpu()
-
-
-def _batch_and_threads() -> int:
-    cameras = [Camera(azimuth=a, distance=d, width=64, height=48) for a in (0, 80) for d in (0.4, 2.0)]
-    vertices, triangles = _body()
-    with torch_threads(1):
-        together = _keys(vertices, triangles, cameras)
-    with torch_threads(4):
-        apart = torch.cat([_keys(vertices, triangles, [camera]) for camera in cameras])
-    return int((together != apart).sum())
-
-
-def _cuda() -> int:
-    vertices, triangles = _body()
-    cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
-    return int((_keys(vertices, triangles, cameras) != _keys(vertices.cuda(), triangles.cuda(), cameras)).sum())
-
-
-def _images() -> int:
-    """Weights of views built together on four threads and alone on one, by more than 1e-6."""
-    points, triangles = _sphere(np.random.default_rng(2), 4)
-    bodies = Bodies(vertices=points[None], triangles=triangles)
-    keys = [(0, Camera(azimuth=a, distance=4.0, width=64, height=48)) for a in (0, 80)]
-    wrong = 0
-    for samples in (None, 4):
-        with torch_threads(4):
-            together = ViewBank(bodies, samples=samples).views(keys)
-        with torch_threads(1):
-            apart = [ViewBank(bodies, samples=samples).view(*key) for key in keys]
-        for a, b in zip(together, apart, strict=True):
-            same = torch.equal(a.pixels, b.pixels) and torch.equal(a.face, b.face)
-            wrong += int(((a.weight - b.weight).abs() > 1e-6).sum()) if same else len(a.weight)
-    return wrong
-
-
-def _million_in_one_pixel() -> int:
-    rng = np.random.default_rng(1)
-    corner = rng.integers(2 * GRID, 3 * GRID, (2, 3_000_000))
-    screen = screen_of(*corner, rng.uniform(0.1, 0.9, 3_000_000), 5, 5)
-    ids = rasterize(screen, torch.arange(3_000_000).view(-1, 3).T.contiguous()).triangles()[0, ..., 0]
-    return int(ids[2, 2] < 0) + int((ids >= 0).sum() != 1)
-
-
-def _not_finite() -> int:
-    wrong = 0
-    for value in (float("nan"), float("inf"), -float("inf")):
-        vertices = torch.zeros(1, 3, 9, dtype=torch.float64)
-        vertices[0, 1, 7] = value
-        try:
-            project(vertices, [Camera()], [(0.0, 0.0, 0.0)])
-            wrong += 1
-        except InputError as error:
-            wrong += "vertex 7" not in str(error)
-    return wrong
-
-
-CHECKS: dict[str, Callable[[], int]] = {
-    "batch and thread independence": _batch_and_threads,
-    "images do not depend on batch and threads": _images,
-    "a million triangles in a pixel": _million_in_one_pixel,
-    "NaN and infinity are named": _not_finite,
-}

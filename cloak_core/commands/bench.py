@@ -192,10 +192,11 @@ class Stability(Command):
 
         result = run_bench_stability()
         if result["mismatches"]:
-            result["failed"] = f"{result['mismatches']} of {result['cases']} cases differ from exact arithmetic"
+            result["failed"] = f"{result['mismatches']} mismatches in {result['cases']} cases"
         return result
 
     def show(self, result: dict) -> None:
         for name, row in result["by_case"].items():
-            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches", markup=False)
-        out.print(f"largest error {result['max_error_ulp']:.3g} units in the last place")
+            remark = f" ({row['remark']})" if "remark" in row else ""
+            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches{remark}", markup=False)
+        out.print(f"largest error of a depth {result['max_error_ulp']:.3g} units in the last place")

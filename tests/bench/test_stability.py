@@ -1,23 +1,47 @@
-"""The stability run finds nothing wrong, and would find it."""
+"""The stability run finds nothing wrong in any case, and would find it."""
 
 import numpy as np
 import pytest
+import torch
 
-from cloak_core.bench import stability
+from cloak_core.bench import stability, stability_checks
 
 
-def test_no_mismatch_in_any_case() -> None:
-    result = stability.run_bench_stability(grids=(1,), seeds=1)
-    assert result["mismatches"] == 0, result["by_case"]
-    assert result["cases"] == len(result["by_case"]) >= 20
-    assert result["max_error_ulp"] < 1.01
+@pytest.mark.parametrize("name", stability.CASES)
+def test_no_case_differs(name: str) -> None:
+    case = stability.CASES[name](np.random.default_rng(0))
+    assert stability.mismatches(case, 1) == 0 and stability.depth_error(case, 40) < 1.01
+    assert case.cover is None or stability.area_mismatches(case) == 0
+
+
+# The million triangles have a test of their own, in test_rasterizer.py.
+@pytest.mark.parametrize("name", [name for name in stability.CHECKS if "million" not in name])
+def test_no_check_fails(name: str) -> None:
+    found = stability.CHECKS[name]()
+    assert found is None if name == "CPU against CUDA" and not torch.cuda.is_available() else found[0] == 0
+
+
+def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = {name: stability.CASES[name] for name in ("closed mesh", "image 1 x 1")}
+    checks = {"one wrong": lambda: (1, ""), "absent": lambda: None}
+    for target, value in (("CASES", some), ("CHECKS", checks)):
+        monkeypatch.setattr(stability, target, value)
+    result = stability.run_bench_stability(grids=(1,), seeds=2)
+    assert (result["cases"], result["mismatches"]) == (4 + 2 + 1, 1)
+    assert result["by_case"]["absent"]["cases"] == 0 and "not run" in result["by_case"]["absent"]["remark"]
 
 
 @pytest.mark.parametrize("name", ["shared edges through samples", "closed mesh", "fans of huge triangles"])
 def test_a_missing_triangle_is_a_mismatch(name: str) -> None:
     case = stability.CASES[name](np.random.default_rng(0))
-    whole = stability.mismatches(case, 1)
     seen = np.unique(stability.rasterize(case.screen, case.triangles).triangles().numpy())
     keep = np.setdiff1d(np.arange(case.triangles.shape[1]), seen[-1:])
     broken = stability.Case(case.screen, case.triangles[:, keep], case.cover, case.front_only, case.cull)
-    assert whole == 0 and stability.mismatches(broken, 1) > 0
+    assert stability.mismatches(broken, 1) > 0 and stability.area_mismatches(broken) > 0
+
+
+def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = stability_checks.TwinLight.__call__
+    off = lambda self, *where: tuple(value + 2e-4 for value in twin(self, *where))
+    monkeypatch.setattr(stability_checks.TwinLight, "__call__", off)
+    assert stability_checks.precision()[0] > 100

@@ -1,0 +1,190 @@
+"""The hard cases of `cloak bench stability`: triangles on a screen, each made from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloak_core.bench.oracle import screen_of
+from cloak_core.render.projection import GRID, GUARD, Screen, project
+from cloak_core.scene.cameras import Camera
+
+HALF = GRID // 2
+
+
+@dataclass(frozen=True)
+class Case:
+    """Triangles on a screen, and how many triangles must cover each sample (None: any number)."""
+
+    screen: Screen
+    triangles: Tensor
+    cover: int | None = None
+    front_only: bool = False
+    cull: bool = False
+
+
+def rows(array: object) -> Tensor:
+    """Triangles listed one by one as [3, T]."""
+    return torch.as_tensor(np.asarray(array, np.int64).reshape(-1, 3)).T.contiguous()
+
+
+def _snapped(x: object, y: object, nearness: object, triangles: object, size: tuple[int, int] = (8, 8), **more) -> Case:
+    return Case(screen_of(np.asarray(x), np.asarray(y), np.asarray(nearness), *size), rows(triangles), **more)
+
+
+def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int = 1, spread: int = 3) -> Case:
+    low, high = -spread * GRID // unit, (max(size) + spread) * GRID // unit
+    x, y = rng.integers(low, high, (2, 40)) * unit
+    return _snapped(x, y, rng.uniform(0.1, 1, 40), rng.integers(0, 40, (60, 3)), size)
+
+
+def _lattice(rng: np.random.Generator) -> Case:
+    """Vertices on sample points and diagonals through them: every sample covered once."""
+    n, offset = 11, int(rng.choice([0, 1, HALF, HALF + 1]))
+    x, y = (np.stack(np.meshgrid(np.arange(n), np.arange(n)), -1).reshape(-1, 2) - 1).T * GRID + offset
+    at = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (t.ravel() for t in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
+    return _snapped(
+        x, y, np.full(n * n, 0.5), np.concatenate([np.stack(t, -1) for t in ((a, b, c), (a, c, d))]), cover=1
+    )
+
+
+def _fan(rng: np.random.Generator) -> Case:
+    """Huge triangles around one point that covers the screen: no hole, none twice."""
+    angle = np.sort(rng.uniform(0, 2 * np.pi, 12))
+    angle[::4] = np.arange(3) * np.pi / 2  # level and upright edges through the centre
+    angle = np.sort(np.concatenate([angle, np.arange(4) * np.pi / 2 + 0.1]))
+    center = int(rng.integers(2, 6)) * GRID + HALF
+    x = np.concatenate([[center], np.round(np.cos(angle) * 3000 * GRID).astype(int)])
+    y = np.concatenate([[center], np.round(np.sin(angle) * 3000 * GRID).astype(int)])
+    ring = np.arange(len(angle))
+    triangles = np.stack([np.zeros_like(ring), ring + 1, (ring + 1) % len(ring) + 1], -1)
+    return _snapped(x, y, np.full(len(x), 0.5), triangles, cover=1)
+
+
+def _slivers(rng: np.random.Generator) -> Case:
+    """Strips 1, 2 and 3 grid steps wide through sample points, cut into triangles; and some without any width."""
+    x, y, triangles = [], [], []
+    for i, width in enumerate((0, 1, 1, 2, 3)):
+        left, drop = (2 * i - 3) * GRID, int(rng.integers(7, 12)) * GRID
+        x += [left, left + width, left + drop + width, left + drop]
+        y += [0, 0, drop, drop]
+        triangles += [[4 * i, 4 * i + 1, 4 * i + 2], [4 * i, 4 * i + 2, 4 * i + 3]]
+    return _snapped(x, y, rng.uniform(0.1, 1, len(x)), triangles)
+
+
+def _strips(rng: np.random.Generator) -> Case:
+    """A screen of strips through sample points, 0 to 3 grid steps wide and thinner before snapping: no hole, none
+    covered twice."""
+    at = (np.arange(-4, 14) * GRID + HALF)[:, None] + np.cumsum([0, 0, 0.3, 0.3, 1, 2, 3]) + rng.integers(-3, 4)
+    x = np.concatenate([[-40 * GRID], np.round(at.ravel()), [40 * GRID]]).astype(int)
+    lean, count = int(rng.integers(-2, 3)) * 10 * GRID // 2, len(x)
+    y = np.repeat([-GRID, 9 * GRID], count)
+    a = np.arange(count - 1)
+    halves = ((a, a + 1, a + 1 + count), (a, a + 1 + count, a + count))
+    triangles = np.concatenate([np.stack(t, -1) for t in halves])
+    return _snapped(np.concatenate([x, x + lean]), y, np.full(2 * count, 0.5), triangles, cover=1)
+
+
+def _identical(rng: np.random.Generator) -> Case:
+    """One triangle again and again, its corners in any order, and one behind it listed first."""
+    x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 3))
+    again = [rng.permutation(3) for _ in range(20)]
+    return _snapped(np.tile(x, 2), np.tile(y, 2), [0.5, 0.6, 0.7, 0.2, 0.2, 0.2], [[3, 4, 5], *again])
+
+
+def _degenerate(rng: np.random.Generator) -> Case:
+    """Points, lines, duplicates in every order of corners, inverted ones."""
+    corner = rng.integers(0, 8, (2, 6)) * GRID + HALF
+    orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]]
+    same = [[a[i] for i in rng.permutation(orders)[0]] for a in ([0, 1, 2], [3, 4, 5], [0, 1, 2], [3, 4, 5], [1, 2, 0])]
+    return _snapped(*corner, rng.uniform(0.1, 1, 6), [[0, 0, 0], [1, 1, 4], *same, *orders])
+
+
+def _coplanar(rng: np.random.Generator) -> Case:
+    """Overlapping triangles of one plane: whichever is nearer after rounding, the twin says the same."""
+    x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 40))
+    return _snapped(x, y, 0.5 + x / (60.0 * GRID) + y / (90.0 * GRID), rng.integers(0, 40, (60, 3)))
+
+
+def _equal_depths(rng: np.random.Generator) -> Case:
+    x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 30))
+    return _snapped(x, y, np.full(30, rng.uniform(0.1, 1)), rng.integers(0, 30, (80, 3)))
+
+
+def _far_corners(rng: np.random.Generator) -> Case:
+    start = rng.integers(-GUARD // 2, GUARD // 2, (2, 30))
+    end = rng.integers(0, 8 * GRID, (2, 30)) - start
+    x, y = np.concatenate([start, end, end + rng.integers(-9 * GRID, 9 * GRID, (2, 30))], 1)
+    return _snapped(x, y, rng.uniform(0.1, 1, 90), np.arange(90).reshape(3, 30).T)
+
+
+def _space(rng: np.random.Generator, spread: float, camera: Camera, flatten: float = 1.0, scale: float = 1.0) -> Case:
+    """Random triangles in space, projected."""
+    points = rng.normal(0, spread, (3, 30)) * np.array([[1.0], [flatten], [1.0]]) * scale
+    screen = project(torch.from_numpy(points).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
+    return Case(screen, rows(rng.integers(0, 30, (40, 3))))
+
+
+def ball(rng: np.random.Generator, levels: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """A closed, convex, outward body in a random orientation: an octahedron, subdivided. Vertices [V, 3], triangles."""
+    points = [np.array(p, float) for p in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))]
+    triangles = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
+    for _ in range(levels):
+        middle: dict[tuple[int, int], int] = {}
+
+        def between(a: int, b: int, middle: dict = middle) -> int:
+            if (key := (min(a, b), max(a, b))) not in middle:
+                middle[key] = len(points)
+                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
+            return middle[key]
+
+        split = [(a, b, c, between(a, b), between(b, c), between(c, a)) for a, b, c in triangles]
+        triangles = [t for a, b, c, d, e, f in split for t in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))]
+    turn = np.linalg.qr(rng.normal(0, 1, (3, 3)))[0]
+    return np.array(points) @ (turn * np.linalg.det(turn)), np.array(triangles)
+
+
+def _closed(rng: np.random.Generator) -> Case:
+    """A convex body that fills the image: its front covers every sample exactly once."""
+    points, triangles = ball(rng)
+    camera = Camera(distance=3.0, field_of_view=20.0, width=16, height=16)
+    screen = project(torch.from_numpy(points.T.copy()).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
+    return Case(screen, rows(triangles), cover=1, front_only=True, cull=True)
+
+
+def _one_pixel(rng: np.random.Generator) -> Case:
+    x, y = rng.integers(2 * GRID, 3 * GRID, (2, 3000))
+    return _snapped(x, y, rng.uniform(0.1, 1, 3000), np.arange(3000).reshape(-1, 3), (4, 4))
+
+
+_AROUND = Camera(distance=1.0, width=8, height=6, field_of_view=70.0, near=0.05)
+_SMALL = Camera(width=16, height=12)
+
+CASES: dict[str, Callable[[np.random.Generator], Case]] = {
+    "random triangles": _random,
+    "corners and edges on samples": lambda rng: _random(rng, unit=HALF // 2),
+    "shared edges through samples": _lattice,
+    "fans of huge triangles": _fan,
+    "slivers of 0 to 3 grid steps": _slivers,
+    "strips of 0 to 3 grid steps and thinner": _strips,
+    "degenerate, duplicate, inverted": _degenerate,
+    "identical triangles": _identical,
+    "coplanar overlaps": _coplanar,
+    "equal depths": _equal_depths,
+    "corners at the guard band": _far_corners,
+    "closed mesh": _closed,
+    "through the near plane, behind the camera": lambda rng: _space(rng, 1.0, _AROUND),
+    "far outside the image": lambda rng: _space(rng, 300.0, _SMALL),
+    "grazing view": lambda rng: _space(rng, 0.6, Camera(elevation=0.0, width=16, height=12), flatten=1e-4),
+    "scale 1e-6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e-6, width=16, height=12), scale=1e-6),
+    "scale 1e6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e6, width=16, height=12), scale=1e6),
+    "a thousand triangles in a pixel": _one_pixel,
+    "image 1 x 1": lambda rng: _random(rng, (1, 1)),
+    "image 13 x 2": lambda rng: _random(rng, (13, 2)),
+    "empty mesh": lambda rng: _snapped([], [], [], [], (3, 2)),
+}

@@ -1,0 +1,159 @@
+"""What `cloak bench stability` checks without a twin: what batch, threads, device and precision change (nothing may).
+
+Each check returns how much is wrong, and a remark for the report or nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloak_core.bench.lighting import TwinLight
+from cloak_core.bench.oracle import screen_of
+from cloak_core.bench.reference import matrix_of
+from cloak_core.bench.stability_cases import ball, rows
+from cloak_core.bench.views import torch_threads
+from cloak_core.errors import InputError
+from cloak_core.render.projection import GRID, project
+from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.shading import Light
+from cloak_core.render.views import View, ViewBank
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.exchange import Bodies
+
+IMAGE = 1e-6
+"""Largest difference between images that are to be the same."""
+_LIGHT = Light(position=(1.0, 2.0, 3.0))
+
+
+def _body(count: int = 4000) -> tuple[Tensor, Tensor]:
+    rng = np.random.default_rng(0)
+    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, count)))
+    return vertices, rows(rng.integers(0, count, (count, 3)))
+
+
+def _ids(vertices: Tensor, triangles: Tensor, cameras: list[Camera]) -> Tensor:
+    screen = project(vertices.expand(len(cameras), -1, -1), cameras, [(0.0, 0.0, 0.0)] * len(cameras))
+    return rasterize(screen, triangles, 2).triangles().cpu()
+
+
+def batch_and_threads() -> tuple[int, str]:
+    """Face ids of views together on four threads, and one by one on one."""
+    cameras = [Camera(azimuth=a, distance=d, width=64, height=48) for a in (0, 80) for d in (0.4, 2.0)]
+    vertices, triangles = _body()
+    with torch_threads(4):
+        together = _ids(vertices, triangles, cameras)
+    with torch_threads(1):
+        apart = torch.cat([_ids(vertices, triangles, [camera]) for camera in cameras])
+    return int((together != apart).sum()), ""
+
+
+def ties() -> tuple[int, str]:
+    """Identical triangles, alone and in a batch: the lowest id, everywhere."""
+    corners = torch.tensor([[-2.0, 2.0, 0.0], [-1.5, -1.5, 2.0], [0.0, 0.1, 0.2]], dtype=torch.float64).unsqueeze(0)
+    triangles = rows([[1, 2, 0], [0, 1, 2], [2, 1, 0], [0, 2, 1]] * 5)
+    cameras = [Camera(azimuth=a, width=16, height=16) for a in (0, 10, 20)]
+    seen = [_ids(corners, triangles, cameras), *(_ids(corners, triangles, [camera]) for camera in cameras)]
+    return sum(int((ids > 0).sum()) + (not (ids == 0).any()) for ids in seen), ""
+
+
+def _ball() -> Bodies:
+    points, triangles = ball(np.random.default_rng(2), 4)
+    return Bodies(vertices=points[None], triangles=triangles)
+
+
+_KEYS = [(0, Camera(azimuth=a, distance=4.0, width=64, height=48)) for a in (0, 80)]
+
+
+def _differ(a: View, b: View) -> int:
+    """Weights that differ by more than `IMAGE`; all where pixels or faces differ."""
+    same = torch.equal(a.pixels.cpu(), b.pixels.cpu()) and torch.equal(a.face.cpu(), b.face.cpu())
+    return int(((a.weight.cpu() - b.weight.cpu()).abs() > IMAGE).sum()) if same else len(a.weight)
+
+
+def images() -> tuple[int, str]:
+    """Views built together on four threads, and one by one on one."""
+    wrong = 0
+    for samples in (None, 4):
+        with torch_threads(4):
+            together = ViewBank(_ball(), samples=samples).views(_KEYS)
+        with torch_threads(1):
+            apart = [ViewBank(_ball(), samples=samples).view(*key) for key in _KEYS]
+        wrong += sum(_differ(a, b) for a, b in zip(together, apart, strict=True))
+    return wrong, ""
+
+
+def precision() -> tuple[int, str]:
+    """Light in float32 against its twin in float64, at every visible sample: weights and highlights."""
+    bodies, wrong, worst, ulp = _ball(), 0, 0.0, 0.0
+    for pose, camera in _KEYS:
+        view = matrix_of(ViewBank(bodies, _LIGHT, samples=1).view(pose, camera), bodies.face_count)
+        y, x = (t.numpy() + 0.5 for t in (view.pixel // camera.width, view.pixel % camera.width))
+        exact = TwinLight(bodies, camera, _LIGHT)(view.face.numpy(), x.astype(np.float64), y.astype(np.float64))
+        for ours, twin in zip((view.weight, view.specular[view.pixel]), exact, strict=True):
+            error = np.abs(ours.numpy() - twin)
+            wrong, worst = wrong + int((error > IMAGE).sum()), max(worst, float(error.max()))
+        ulp = max(ulp, float((np.abs(view.weight.numpy() - exact[0]) / np.spacing(np.float32(exact[0]))).max()))
+    return wrong, f"largest difference {worst:.1e}; of a weight {ulp:.1f} units in the last place"
+
+
+def float32_input() -> tuple[int, str]:
+    """The same numbers handed over in float32 and in float64."""
+    points, triangles = ball(np.random.default_rng(2), 4)
+    single = points.astype(np.float32)
+    views = [
+        ViewBank(Bodies(vertices=p[None], triangles=triangles)).view(*_KEYS[0])
+        for p in (single, single.astype(np.float64))
+    ]
+    return _differ(*views), ""
+
+
+def cuda() -> tuple[int, str] | None:
+    """Face ids and images on the CPU and on CUDA; None where there is no CUDA device."""
+    if not torch.cuda.is_available():
+        return None
+    vertices, triangles = _body()
+    cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
+    wrong = int((_ids(vertices, triangles, cameras) != _ids(vertices.cuda(), triangles.cuda(), cameras)).sum())
+    for samples in (None, 4):
+        here, there = (ViewBank(_ball(), samples=samples, device=device).views(_KEYS) for device in ("cpu", "cuda"))
+        wrong += sum(_differ(a, b) for a, b in zip(here, there, strict=True))
+    return wrong, torch.cuda.get_device_name()
+
+
+def million_in_one_pixel() -> tuple[int, str]:
+    """A million triangles inside one pixel: one of them is seen at its centre, nothing anywhere else."""
+    rng = np.random.default_rng(1)
+    corner = rng.integers(2 * GRID, 3 * GRID, (2, 3_000_000))
+    screen = screen_of(*corner, rng.uniform(0.1, 0.9, 3_000_000), 5, 5)
+    ids = rasterize(screen, torch.arange(3_000_000).view(-1, 3).T.contiguous()).triangles()[0, ..., 0]
+    return int(ids[2, 2] < 0) + int((ids >= 0).sum() != 1), ""
+
+
+def not_finite() -> tuple[int, str]:
+    """NaN and both infinities: an error that names the vertex."""
+    wrong = 0
+    for value in (float("nan"), float("inf"), -float("inf")):
+        vertices = torch.zeros(1, 3, 9, dtype=torch.float64)
+        vertices[0, 1, 7] = value
+        try:
+            project(vertices, [Camera()], [(0.0, 0.0, 0.0)])
+            wrong += 1
+        except InputError as error:
+            wrong += "vertex 7" not in str(error)
+    return wrong, ""
+
+
+CHECKS: dict[str, Callable[[], tuple[int, str] | None]] = {
+    "face ids: batch, one thread against four": batch_and_threads,
+    "images: batch, one thread against four": images,
+    "equal depths go to the lower id in any batch": ties,
+    "light: float32 against float64": precision,
+    "vertices: float32 against float64": float32_input,
+    "CPU against CUDA": cuda,
+    "a million triangles in one pixel": million_in_one_pixel,
+    "NaN and infinity name the vertex": not_finite,
+}
