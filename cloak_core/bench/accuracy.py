@@ -149,7 +149,7 @@ def _peer_times(bank: PeerBank, camera: Camera, repeats: int) -> dict[str, float
     key = [(0, camera)]
     median = lambda work: timed(work, repeats, warm_up=2)["median"]
     pose = timed(bank.pose, min(repeats, 5), warm_up=1)["median"]
-    bank.peer.aim(bank.target(camera, bank.screen(key)))
+    bank.peer.aim(bank.target(camera))
     look = median(bank.peer.look)
     return {"visibility_ms": look, "new_view_ms": median(lambda: bank.build(key)), "cached_ms": None, "pose_ms": pose}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from cloak_core.render.covering import DEPTH_BITS, ID_BITS, Window
 from cloak_core.render.projection import Screen
 from cloak_core.render.rasterizer import EMPTY, Visibility, bounding_window
 from cloak_core.render.shading import Light
-from cloak_core.render.views import GRIDS, ViewBank
+from cloak_core.render.views import GRIDS, View, ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
 
@@ -47,29 +48,50 @@ def _state(kind: type[Peer]) -> str:
 
 
 class PeerBank(ViewBank):
-    """A `ViewBank` of one pose that asks a peer what is seen."""
+    """A `ViewBank` of one pose that asks a peer what is seen, one view at a time."""
 
     def __init__(self, bodies: Bodies, light: Light, samples: int, peer: Peer) -> None:
         super().__init__(bodies, light, samples)
         self.peer, self._closed = peer, closed_outward(bodies)
+        self._targets: dict[Camera, Target] = {}
+        self._seen: Visibility | None = None
 
     def pose(self) -> None:
         """Hand the first pose to the peer, as is done for each new pose."""
         self.peer.pose(np.ascontiguousarray(self.bodies.vertices[0], np.float32))
 
+    def build(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
+        """As for every bank; the peer looks once, before the work is cut into parts."""
+        self._seen = self.seen(wanted[0][1])
+        return super().build(wanted)
+
     def visibility(
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
-        """The peer's answer; the keys hold no depth."""
-        target = self.target(wanted[0][1], screen, window)
+        """A part of what the peer saw."""
+        whole = self._seen.window
+        window, n = window or whole, self._seen.grid
+        rows, columns = (
+            slice(window.y0 - whole.y0, window.y1 - whole.y0),
+            slice(window.x0 - whole.x0, window.x1 - whole.x0),
+        )
+        keys = self._seen.keys[:, rows.start * n : rows.stop * n, columns.start * n : columns.stop * n]
+        return replace(self._seen, keys=keys.contiguous(), window=window)
+
+    def seen(self, camera: Camera) -> Visibility:
+        """What the peer sees; the keys hold no depth."""
+        target = self.target(camera)
         self.peer.aim(target)
         ids = torch.from_numpy(np.ascontiguousarray(self.peer.look())).to(torch.int64)
         keys = torch.where(ids < 0, EMPTY, ids | (((1 << DEPTH_BITS) - 1) << ID_BITS)).unsqueeze(0)
-        return Visibility(keys, target.window, target.camera.width, target.camera.height, target.n)
+        return Visibility(keys, target.window, camera.width, camera.height, target.n)
 
-    def target(self, camera: Camera, screen: Screen, window: Window | None = None) -> Target:
-        """The view as peers take it."""
-        vertices = self.bodies.vertices[0].astype(np.float64)
-        pivot = camera.pivot or tuple(((vertices.min(0) + vertices.max(0)) / 2).tolist())
-        cull = self._closed and bool((screen.view[2] >= screen.near).all())
-        return Target(camera, pivot, GRIDS[self.samples], window or bounding_window(screen), cull)
+    def target(self, camera: Camera) -> Target:
+        """The camera's view as peers take it: the part of the image that holds the body."""
+        if camera not in self._targets:
+            screen = self.screen([(0, camera)])
+            vertices = self.bodies.vertices[0].astype(np.float64)
+            pivot = camera.pivot or tuple(((vertices.min(0) + vertices.max(0)) / 2).tolist())
+            cull = self._closed and bool((screen.view[2] >= screen.near).all())
+            self._targets[camera] = Target(camera, pivot, GRIDS[self.samples], bounding_window(screen), cull)
+        return self._targets[camera]
