@@ -8,6 +8,9 @@ from jaxtyping import install_import_hook
 
 from tests import reliability_record
 
+# What tests decode stays out of the user's cache.
+os.environ["CLOAK_CACHE"] = "off"
+
 # Not the commands: tyro fills required options with a marker before the user's words replace it.
 ROOMS = ("attack", "bench", "detectors", "evaluate", "output", "pretrain", "render", "scene")
 install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")

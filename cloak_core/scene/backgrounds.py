@@ -1,11 +1,13 @@
 """Backgrounds: a folder of images, or procedural scenes as the embedded default.
 
-Images are kept in memory as uint8 at the size they were asked for, up to a bound; beyond it they are made anew.
+Images are kept in memory as uint8 at the size they were asked for, up to a bound, and those of folders decoded on disk
+(`scene.decoded`); what is in neither is made anew.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 import os
 from collections import OrderedDict
@@ -21,12 +23,14 @@ from PIL import Image, ImageOps
 from torch import Tensor
 
 from cloak_core.errors import InputError
+from cloak_core.scene.decoded import DecodedImages, cache_folder
 from cloak_core.scene.procedural import draw_scene
 from cloak_core.scene.selection import select, split_selection
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MEMORY_BYTES = 1 << 30
 """Bound on the images that one set of backgrounds keeps in memory."""
+MAX_FILE_BYTES = 256 << 20
 PROCEDURAL_COUNT = 256
 _SPLITS = ("train", "test")
 _log = logging.getLogger("cloak")
@@ -162,40 +166,69 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not files:
         raise InputError(f"{folder}: no jpg, png or webp image in this folder (sub-folders are not searched)")
+    decoded = DecodedImages(cache_folder())
     room = max(1, memory_bytes // (3 * size[0] * size[1]))
     good: list[Path] = []
+    digests: list[str] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        for file, image in zip(files, pool.map(lambda p: _try_read(p, *size), files), strict=True):
+        found = pool.map(lambda path: _try_read(path, *size, decoded), files)
+        for file, (image, digest) in zip(files, found, strict=True):
             if image is not None:
                 good.append(file)
+                digests.append(digest)
                 if len(ready) < room:
                     ready.append(image)
     if not good:
         raise InputError(f"{folder}: none of its {len(files)} images can be read")
     backgrounds = Backgrounds(
-        [p.name for p in good],
-        lambda i, h, w: _read(good[i], h, w),
+        [path.name for path in good],
+        lambda i, h, w: _read(good[i], h, w, decoded, digests[i])[0],
         memory_bytes,
-        lambda i: hashlib.sha256(good[i].read_bytes()).hexdigest(),
+        digests.__getitem__,
     )
     for i, image in enumerate(ready):
         backgrounds._cache.put((i, *size), torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1))
     return backgrounds
 
 
-def _try_read(path: Path, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
+def _try_read(
+    path: Path, height: int, width: int, decoded: DecodedImages
+) -> tuple[UInt8[np.ndarray, "H W 3"] | None, str]:
     try:
-        return _read(path, height, width)
+        return _read(path, height, width, decoded)
     except InputError as error:
         _log.warning("%s; skipped", error)
-        return None
+        return None, ""
 
 
-def _read(path: Path, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
-    """The file upright, resized so that it just covers height x width, and centre-cropped."""
+def _read(
+    path: Path, height: int, width: int, decoded: DecodedImages, digest: str | None = None
+) -> tuple[UInt8[np.ndarray, "H W 3"], str]:
+    """The file upright, resized so that it just covers height x width, and centre-cropped; and its SHA-256 (hex).
+
+    From among the decoded ones where it is there; a file whose digest is known already is not read for that.
+    """
+    image = None if digest is None else decoded.get(digest, height, width)
+    if image is not None:
+        return image, digest
     try:
-        with Image.open(path, formats=("JPEG", "PNG", "WEBP")) as image:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise InputError(f"{path}: larger than any image taken here ({MAX_FILE_BYTES >> 20} MiB)")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: not a readable image ({error})") from error
+    digest = hashlib.sha256(data).hexdigest()
+    image = decoded.get(digest, height, width)
+    if image is None:
+        image = _decode(path, data, height, width)
+        decoded.put(digest, image)
+    return image, digest
+
+
+def _decode(path: Path, data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image:
             image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
             upright = ImageOps.exif_transpose(image)
             return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
