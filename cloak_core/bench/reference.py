@@ -17,9 +17,10 @@ from torch import Tensor
 
 from cloak_core.bench.exact import OutOfReach, Seen, seen_areas
 from cloak_core.bench.lighting import TwinLight
+from cloak_core.render.dressing import View
 from cloak_core.render.projection import Screen, project
 from cloak_core.render.shading import Light
-from cloak_core.render.views import View, ViewBank
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies

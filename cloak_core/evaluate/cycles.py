@@ -25,8 +25,8 @@ from cloak_core.blender_python import ADD_ON, find_blender
 from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.stage import Indices, Stage
+from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import NormalOperator
-from cloak_core.render.views import DressedView
 from cloak_core.scene.exchange import Bodies, sha256_arrays, write_json
 
 SCRIPT = "cycles_frames.py"

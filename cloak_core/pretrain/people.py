@@ -12,8 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.render.dressing import View
 from cloak_core.render.shading import Light
-from cloak_core.render.views import View, ViewBank
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
 

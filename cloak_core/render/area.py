@@ -16,7 +16,8 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
-from cloak_core.render.covering import PixelGrid, Window, chunk_size, expand
+from cloak_core.render.candidates import PixelGrid, Window
+from cloak_core.render.covering import chunk_size, expand
 from cloak_core.render.fragments import Fragments, Points
 from cloak_core.render.projection import GRID, Screen
 from cloak_core.render.rasterizer import Chunk, candidates

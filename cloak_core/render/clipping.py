@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from cloak_core.render.covering import Soup
+from cloak_core.render.candidates import Soup
 from cloak_core.render.projection import GRID, GUARD, snap
 
 _CORNERS = 8

@@ -19,9 +19,9 @@ import torch
 from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
+from cloak_core.render.dressing import DressedView
 from cloak_core.render.sparse import csr
 from cloak_core.render.threads import one_thread
-from cloak_core.render.views import DressedView
 from cloak_core.scene.cameras import Number
 
 

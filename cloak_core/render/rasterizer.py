@@ -26,19 +26,9 @@ from jaxtyping import Bool, Int32, Int64
 from torch import Tensor
 
 from cloak_core.errors import InputError
+from cloak_core.render.candidates import EXACT_EXTENT, Candidates, SampleGrid, Soup, Window, find_candidates
 from cloak_core.render.clipping import clip
-from cloak_core.render.covering import (
-    DEPTH_BITS,
-    EXACT_EXTENT,
-    ID_BITS,
-    Candidates,
-    SampleGrid,
-    Setup,
-    Soup,
-    Window,
-    chunk_size,
-    find_candidates,
-)
+from cloak_core.render.covering import DEPTH_BITS, ID_BITS, Setup, chunk_size
 from cloak_core.render.projection import GRID, Screen
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)

@@ -15,7 +15,8 @@ from cloak_core.bench.peers.open3d import Open3D
 from cloak_core.bench.peers.opengl import OpenGL
 from cloak_core.bench.peers.protocol import Peer, Target
 from cloak_core.bench.reference import closed_outward
-from cloak_core.render.covering import DEPTH_BITS, ID_BITS, Window
+from cloak_core.render.candidates import Window
+from cloak_core.render.covering import DEPTH_BITS, ID_BITS
 from cloak_core.render.projection import Screen
 from cloak_core.render.rasterizer import EMPTY, Visibility, bounding_window
 from cloak_core.render.shading import Light

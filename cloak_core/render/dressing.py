@@ -1,0 +1,143 @@
+"""A view as a sparse matrix, and a view dressed for a logo: everything else filled in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float32, Int64, UInt8
+from torch import Tensor
+
+from cloak_core.render.sparse import csr, offsets
+from cloak_core.render.texture import look_up
+from cloak_core.scene.cameras import Vector
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pose seen by one camera: N covered pixels, E fragments, as a sparse matrix pixels x faces (CSR)."""
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    """Flat index y * W + x, ascending."""
+    coverage: Float32[Tensor, " N"]
+    """Share of the pixel that the body covers, in (0, 1]."""
+    specular: Float32[Tensor, " N"]
+    """Highlight, the same in all channels."""
+    crow: Int64[Tensor, " N1"]
+    """N + 1 row offsets."""
+    face: Int64[Tensor, " E"]
+    weight: Float32[Tensor, " E"]
+    """What a face's colour is multiplied by: its share of the pixel times its light."""
+    uv: Float32[Tensor, "2 E"] | None = None
+    """Where bodies have textures: texture coordinates in the middle of what is seen of the face in the pixel."""
+
+    @cached_property
+    def box(self) -> tuple[int, int, int, int]:
+        """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
+        return _box(self.pixels, self.coverage, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class DressedView:
+    """A view with everything but the logo's colours filled in: N covered pixels.
+
+    They are ordered by what a render has to do with them: first the M that the logo touches, then, up to
+    `front_count`, the others at whose edge the background shows, then the rest.
+    """
+
+    height: int
+    width: int
+    pixels: Int64[Tensor, " N"]
+    coverage: Float32[Tensor, " N"]
+    planes: Float32[Tensor, "3 N"]
+    """The other faces and the highlight, in the light's colour; not clamped."""
+    front_count: int
+    logo_crow: Int64[Tensor, " M1"]
+    """M + 1 row offsets of the logo's matrix, logo pixels x logo faces."""
+    logo_face: Int64[Tensor, " E"]
+    """Position in the list of logo faces, 0 .. L - 1."""
+    logo_weight: Float32[Tensor, " E"]
+    logo_count: int
+    """L."""
+    light_color: Vector
+    box: tuple[int, int, int, int]
+
+    @property
+    def base(self) -> Float32[Tensor, "N 3"]:
+        """`planes` pixel by pixel."""
+        return self.planes.T
+
+    @property
+    def logo_pixels(self) -> int:
+        """M."""
+        return len(self.logo_crow) - 1
+
+    @property
+    def logo_rows(self) -> Int64[Tensor, " M"]:
+        """Rows of `pixels` that the logo touches: the first M."""
+        return torch.arange(self.logo_pixels, device=self.pixels.device)
+
+    @cached_property
+    def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:
+        """The logo's matrix the other way round, faces x logo pixels: row offsets, logo pixel, weight."""
+        row = torch.repeat_interleave(self.logo_crow.diff(), output_size=len(self.logo_face))
+        order = torch.argsort(self.logo_face, stable=True)
+        crow = offsets(self.logo_face, self.logo_count)
+        return crow, row.index_select(0, order), self.logo_weight.index_select(0, order)
+
+
+def dress(
+    view: View,
+    logo: Int64[Tensor, " L"],
+    colors: Float32[Tensor, "F 3"],
+    light_color: Vector,
+    texture: UInt8[Tensor, "h w 3"] | None = None,
+) -> DressedView:
+    """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
+    position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
+    position[logo] = torch.arange(len(logo), device=logo.device)
+    place = position.index_select(0, view.face)
+    is_logo = place >= 0
+    rest = torch.where(is_logo, 0, view.weight)
+    if texture is None:
+        worn = csr(view.crow, view.face, rest, (len(view.pixels), len(colors))) @ colors
+    else:
+        entries = torch.arange(len(view.face), device=logo.device)
+        worn = csr(view.crow, entries, rest, (len(view.pixels), len(entries))) @ look_up(texture, view.uv)
+    tint = torch.tensor(light_color, device=logo.device)
+    planes = ((worn + view.specular.unsqueeze(1)) * tint).T
+    entry = is_logo.nonzero().view(-1)
+    row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face)).index_select(0, entry)
+    per_row = torch.bincount(row, minlength=len(view.pixels))
+    kind = torch.where(per_row > 0, 0, torch.where(view.coverage < 1, 1, 2))
+    order = torch.argsort(kind, stable=True)
+    logo_pixels, edge_pixels, _ = torch.bincount(kind, minlength=3).tolist()
+    logo_crow = row.new_zeros(logo_pixels + 1)
+    logo_crow[1:] = per_row.index_select(0, order[:logo_pixels]).cumsum(0)
+    return DressedView(
+        view.height,
+        view.width,
+        view.pixels.index_select(0, order),
+        view.coverage.index_select(0, order),
+        planes.index_select(1, order).contiguous(),
+        logo_pixels + edge_pixels,
+        logo_crow,
+        place.index_select(0, entry),
+        view.weight.index_select(0, entry),
+        len(logo),
+        light_color,
+        view.box,
+    )
+
+
+def _box(pixels: Tensor, coverage: Tensor, width: int) -> tuple[int, int, int, int]:
+    inside = pixels[coverage >= 0.5]
+    if not len(inside):
+        return 0, 0, 0, 0
+    y = torch.div(inside, width, rounding_mode="floor")
+    x = inside - y * width
+    x0, x1, y0, y1 = torch.stack([x.min(), x.max(), y.min(), y.max()]).tolist()
+    return x0, y0, x1 + 1, y1 + 1
