@@ -55,6 +55,12 @@ class SampleGrid:
         """First and last column, first and last row of the samples in triangles' bounding boxes, int32."""
         return *self._span(x, self.column0, self.columns), *self._span(y, self.row0, self.rows)
 
+    def first(self, box: tuple[Tensor, ...], view: Int64[Tensor, " N"] | None) -> Int64[Tensor, " N"]:
+        """Flat index of boxes' first samples, all views one after the other."""
+        c0, _, r0, _ = box
+        first = (r0 - self.row0).to(torch.int64).mul_(self.columns).add_(c0 - self.column0)
+        return first if view is None else first.add_(view * (self.rows * self.columns))
+
     def _span(self, position: Int32[Tensor, "3 N"], first: int, count: int) -> tuple[Tensor, Tensor]:
         a, b, c = position.unbind(0)
         low, high = torch.minimum(a, b), torch.maximum(a, b)

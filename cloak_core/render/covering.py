@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from cloak_core.render.candidates import Candidates, SampleGrid, Soup
+from cloak_core.render.candidates import Candidates, Soup
 
 ID_BITS = 24
 DEPTH_BITS = 39
@@ -38,7 +38,7 @@ class Setup:
     """
 
     columns: int
-    """Samples in a row of the window."""
+    """From a sample to the one below it, in flat indices."""
     area: Tensor
     """A; like `edge`, `across`, `down` and `width` of the type that holds edge functions exactly."""
     edge: tuple[Tensor, Tensor]
@@ -61,30 +61,28 @@ class Setup:
 
     @staticmethod
     def build(
-        samples: SampleGrid,
+        step: int,
+        columns: int,
         soup: Soup,
         found: Candidates,
-        view: Int64[Tensor, " M"] | None,
+        first: Int64[Tensor, " M"],
         ids: Int64[Tensor, " M"],
         exact: torch.dtype,
     ) -> Setup:
+        """step: between samples, in grid units; the other arguments as the attributes of these names."""
         place = _canonical(soup, found)
         flat = lambda t: t.reshape(-1).index_select(0, place.view(-1)).view(3, -1)
         x, y = flat(soup.x).unbind(0), flat(soup.y).unbind(0)
         n0, n1, n2 = soup.nearness.index_select(0, flat(soup.corner).view(-1)).view(3, -1).unbind(0)
         c0, c1, r0, r1 = found.box
-        right = (c0 * samples.step).add_(samples.half).sub_(x[0]).to(exact)
-        below = (r0 * samples.step).add_(samples.half).sub_(y[0]).to(exact)
+        right = (c0 * step).add_(step // 2).sub_(x[0]).to(exact)
+        below = (r0 * step).add_(step // 2).sub_(y[0]).to(exact)
         d1x, d2x, d1y, d2y = ((c[i] - c[0]).to(exact) for c in (x, y) for i in (1, 2))
         area = (d1x * d2y).sub_(d1y * d2x)
         edge = (d2y * right).sub_(d2x * below), (d1x * below).sub_(d1y * right)
         size = area.to(torch.float64)
-        first = (r0 - samples.row0).to(torch.int64).mul_(samples.columns).add_(c0 - samples.column0)
-        if view is not None:
-            first += view * (samples.rows * samples.columns)
-        step = samples.step
         return Setup(
-            samples.columns,
+            columns,
             area,
             edge,
             across=_level(((d1y - d2y).mul_(step), d2y * step, d1y * -step)),

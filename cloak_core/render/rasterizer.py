@@ -94,7 +94,9 @@ def rasterize(
     if keys.numel():
         flat = keys.view(-1)
         for chunk in candidates(screen, triangles, samples, cull):
-            for rows in Setup.build(samples, chunk.soup, chunk.found, chunk.view, chunk.ids, chunk.exact).rows():
+            first = samples.first(chunk.found.box, chunk.view)
+            setup = Setup.build(samples.step, samples.columns, chunk.soup, chunk.found, first, chunk.ids, chunk.exact)
+            for rows in setup.rows():
                 for index, key in rows.hits():
                     flat.scatter_reduce_(0, index, key, "amin")
     return Visibility(keys, window, screen.width, screen.height, grid)

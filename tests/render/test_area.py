@@ -8,7 +8,7 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.bench.reference import matrix_of, reference
-from cloak_core.render.area import clipped_area
+from cloak_core.render.area import overlaps
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
@@ -37,7 +37,7 @@ def polygon_area_in_square(triangle: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0, 5.0, 200.0])
-def test_clipped_area_equals_a_polygon_clipper(spread: float) -> None:
+def test_overlaps_equal_a_polygon_clipper(spread: float) -> None:
     rng = np.random.default_rng(int(spread * 10))
     corners = rng.normal(0.5, spread, (400, 3, 2))
     corners[:60] = np.round(corners[:60] * 2) / 2  # corners and edges on the square's own
@@ -45,9 +45,15 @@ def test_clipped_area_equals_a_polygon_clipper(spread: float) -> None:
     back = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
     corners[back] = corners[back][:, ::-1]
     x, y = (list(torch.from_numpy(corners[..., axis].T.copy())) for axis in (0, 1))
-    expected = [polygon_area_in_square(triangle) for triangle in corners]
-    np.testing.assert_allclose(clipped_area(x, y).numpy(), expected, atol=1e-9)
-    assert max(expected) > 0.05
+    width, height = (torch.from_numpy(rng.integers(1, 4, 400)) for _ in range(2))
+    ours = np.zeros((400, 3, 3))
+    for owner, row, column, area in overlaps(x, y, width, height):
+        ours[owner, row, column] = area
+    for index, triangle in enumerate(corners):
+        for row, column in np.ndindex(int(height[index]), int(width[index])):
+            expected = polygon_area_in_square(triangle - [column, row])
+            assert abs(ours[index, row, column] - expected) < 1e-9
+    assert ours.max() > 0.05 and ((ours[:, 1:, 1:] > 0.05).any() or spread < 1)
 
 
 def test_a_disc_has_its_area_and_inner_pixels_are_full() -> None:
