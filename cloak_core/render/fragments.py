@@ -7,8 +7,7 @@ area.py makes it from exact areas.
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float32, Float64, Int64
@@ -47,19 +46,6 @@ class Fragments:
     """Each fragment's point; None: they stand in the same order."""
     offset: Float32[Tensor, "2 N"] | None = None
     """From that point to where the fragment is lit, right and down, pixels; None: nothing."""
-
-    @staticmethod
-    def join(parts: list[Fragments]) -> Fragments:
-        """Fragments of bands of one view, from top to bottom, as one."""
-        cat = lambda items, names: [torch.cat([getattr(item, name) for item in items]) for name in names]
-        points = Points(*cat([part.points for part in parts], [f.name for f in fields(Points)]))
-        own = cat(parts, ("view", "pixel", "triangle", "area"))
-        parts = [part for part in parts if len(part.view)]
-        if not parts or parts[0].point is None:
-            return Fragments(*own, points)
-        starts = itertools.accumulate([len(part.points.view) for part in parts], initial=0)
-        point = torch.cat([part.point + start for part, start in zip(parts, starts, strict=False)])
-        return Fragments(*own, points, point, torch.cat([part.offset for part in parts], 1))
 
 
 def merge_samples(visibility: Visibility) -> Fragments:

@@ -23,6 +23,7 @@ class Kept:
     def put(self, key: object, item: object) -> object:
         tensors = [value for value in vars(item).values() if isinstance(value, Tensor)]
         size = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+        self.bytes -= self._items.pop(key, (None, 0))[1]
         self._items[key] = (item, size)
         self.bytes += size
         while self.bytes > self.limit and len(self._items) > 1:

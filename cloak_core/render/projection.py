@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float64, Int32
@@ -46,6 +46,15 @@ class Screen:
     """Least and greatest x, least and greatest y of all vertices; (0, 0, 0, 0) where there are none."""
     focal: Float64[Tensor, "B 1"]
     near: Float64[Tensor, "B 1"]
+
+    def part(self, views: slice) -> Screen:
+        """Some of its views."""
+        rows = lambda t: None if t is None else t[views]
+        return replace(
+            self,
+            view=tuple(axis[views] for axis in self.view),
+            **{name: rows(getattr(self, name)) for name in ("x", "y", "nearness", "safe", "focal", "near")},
+        )
 
 
 def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivots: Sequence[Vector]) -> Screen:

@@ -18,8 +18,9 @@ its corners, so identical triangles tie, and ties go to the lower triangle.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Int32, Int64
@@ -30,6 +31,7 @@ from cloak_core.render.candidates import EXACT_EXTENT, Candidates, SampleGrid, S
 from cloak_core.render.clipping import clip
 from cloak_core.render.covering import DEPTH_BITS, ID_BITS, Setup, chunk_size
 from cloak_core.render.projection import GRID, Screen
+from cloak_core.render.threads import even, spread
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
 """Triangles of one body; ids are the low bits of a key and all ones mean "none"."""
@@ -73,6 +75,7 @@ def rasterize(
     grid: int = 1,
     cull: Bool[Tensor, " B"] | None = None,
     window: Window | None = None,
+    workers: int = 1,
 ) -> Visibility:
     """The nearest triangle at every sample.
 
@@ -80,6 +83,7 @@ def rasterize(
     grid: n, for n * n samples per pixel: 1, 2, 4 or 8.
     cull: views in which triangles that show their back are dropped; none where absent.
     window: the part of the image to work on; where absent, the bounding box of the bodies on the screen.
+    workers: CPU threads that share the views, or one view's rows.
 
     Nothing is differentiable. Memory follows the window's samples plus a few arrays of `covering.chunk_size` elements.
     """
@@ -90,16 +94,48 @@ def rasterize(
     window = window or bounding_window(screen)
     rows, columns = (window.y1 - window.y0) * grid, (window.x1 - window.x0) * grid
     keys = torch.full((len(screen.x), rows, columns), EMPTY, dtype=torch.int64, device=screen.x.device)
-    samples = SampleGrid(window, grid)
+
+    def cover(part: tuple[slice, Window]) -> None:
+        views, band = part
+        own = keys[views, (band.y0 - window.y0) * grid : (band.y1 - window.y0) * grid]
+        _cover(
+            own.view(-1), screen.part(views), triangles, SampleGrid(band, grid), None if cull is None else cull[views]
+        )
+
     if keys.numel():
-        flat = keys.view(-1)
-        for chunk in candidates(screen, triangles, samples, cull):
-            first = samples.first(chunk.found.box, chunk.view)
-            setup = Setup.build(samples.step, samples.columns, chunk.soup, chunk.found, first, chunk.ids, chunk.exact)
-            for rows in setup.rows():
-                for index, key in rows.hits():
-                    flat.scatter_reduce_(0, index, key, "amin")
+        if len(keys) > 1:
+            parts = [(views, window) for views in even(len(keys), workers)]
+        else:
+            parts = [(slice(0, 1), band) for band in row_bands(screen, window, workers)]
+        spread(cover, parts, workers)
     return Visibility(keys, window, screen.width, screen.height, grid)
+
+
+def _cover(
+    keys: Int64[Tensor, " N"],
+    screen: Screen,
+    triangles: Int64[Tensor, "3 T"],
+    samples: SampleGrid,
+    cull: Bool[Tensor, " B"] | None,
+) -> None:
+    for chunk in candidates(screen, triangles, samples, cull):
+        first = samples.first(chunk.found.box, chunk.view)
+        setup = Setup.build(samples.step, samples.columns, chunk.soup, chunk.found, first, chunk.ids, chunk.exact)
+        for rows in setup.rows():
+            for index, key in rows.hits():
+                keys.scatter_reduce_(0, index, key, "amin")
+
+
+def row_bands(screen: Screen, window: Window, count: int) -> list[Window]:
+    """A window cut into up to `count` bands of rows with about as many vertices each."""
+    height = window.y1 - window.y0
+    if count <= 1 or height < count or not screen.y.numel():
+        return [window]
+    rows = torch.histc((screen.y.float() / GRID).clamp(window.y0, window.y1), height, window.y0, window.y1).cumsum(0)
+    shares = torch.arange(1, count, device=rows.device) * (rows[-1] / count)
+    cuts = [window.y0 + 1 + cut for cut in torch.searchsorted(rows, shares).tolist()]
+    edges = sorted({window.y0, *(min(cut, window.y1) for cut in cuts), window.y1})
+    return [replace(window, y0=y0, y1=y1) for y0, y1 in itertools.pairwise(edges)]
 
 
 def bounding_window(screen: Screen) -> Window:

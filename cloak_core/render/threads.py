@@ -1,16 +1,25 @@
-"""How many CPU threads geometry gets: one."""
+"""How CPU threads share geometry: each works on views, or bands of one, of its own."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import torch
+
+MOST_WORKERS = 4
+"""Beyond, threads wait for each other's Python between operations of some ten microseconds."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Run what is inside on one CPU thread.
+    """Run the operations inside on one CPU thread.
 
     A view takes hundreds of small operations, and a second thread gains next to nothing in them; but where anything
     else runs on the machine, each of them waits for both threads to be scheduled, which made views 50 times slower.
@@ -22,3 +31,40 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def workers(device: torch.device) -> int:
+    """How many threads may work on views at once: as many as torch may use here, up to `MOST_WORKERS`."""
+    return min(torch.get_num_threads(), MOST_WORKERS) if device.type == "cpu" else 1
+
+
+def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) -> list[Result]:
+    """The work on every item, in order, by up to `count` threads that run each operation on their own.
+
+    They meet only at the end, so that one that has to wait for the machine does not hold up every operation of others.
+    """
+
+    results: list[Result | None] = [None] * len(items)
+    left = iter(range(len(items)))
+
+    def run() -> None:
+        with one_thread():
+            for index in left:
+                results[index] = work(items[index])
+
+    count = min(count, len(items))
+    if count <= 1:
+        run()
+        return results
+    with ThreadPoolExecutor(count - 1) as pool:
+        others = [pool.submit(run) for _ in range(count - 1)]
+        run()
+        for other in others:
+            other.result()
+    return results
+
+
+def even(length: int, parts: int) -> list[slice]:
+    """0 .. length cut into up to `parts` runs of about the same length."""
+    cuts = sorted({length * i // parts for i in range(parts + 1)})
+    return [slice(*pair) for pair in itertools.pairwise(cuts)]

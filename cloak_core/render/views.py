@@ -17,15 +17,16 @@ from torch import Tensor
 
 from cloak_core.errors import InputError
 from cloak_core.render.area import area_fragments
+from cloak_core.render.assembly import Lit, assemble
+from cloak_core.render.candidates import Window
 from cloak_core.render.competition import SIDE
 from cloak_core.render.dressing import DressedView, View, dress
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
 from cloak_core.render.kept import Kept
 from cloak_core.render.projection import Screen, project
-from cloak_core.render.rasterizer import Visibility, Window, bounding_window, rasterize
+from cloak_core.render.rasterizer import Visibility, bounding_window, rasterize, row_bands
 from cloak_core.render.shading import Light, NormalOperator
-from cloak_core.render.sparse import offsets
-from cloak_core.render.threads import one_thread
+from cloak_core.render.threads import even, one_thread, spread, workers
 from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.exchange import Bodies
@@ -109,38 +110,61 @@ class ViewBank:
             dressed = self._kept.put(key, dress(view, logo, self._colors[outfit], self.light.color, texture))
         return dressed
 
-    @one_thread()
     def build(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
-        """Rasterize and light views of one image size, all at once, without keeping them."""
-        screen = self.screen(wanted)
-        fragments = self._fragments(wanted, screen)
-        normals, lights = self._view_space_light(wanted)
-        weight, highlight, uv = light_fragments(
-            fragments, screen, self._triangles, normals, lights, self.light, self._corner_uv
-        )
-        face = self._triangle_face.index_select(0, fragments.triangle)
-        return _assemble(fragments, face, weight, highlight, uv, screen, self._split_faces)
+        """Rasterize and light views of one image size, all at once, without keeping them.
 
-    @one_thread()
+        On the CPU, torch's threads share the views, or the one view's rows.
+        """
+        count = workers(self.device)
+        if len(wanted) == 1:
+            with one_thread():
+                return self._build(wanted, count)
+        self._get_ready(wanted)
+        parts = [wanted[part] for part in even(len(wanted), count)]
+        return [view for views in spread(self._build, parts, count) for view in views]
+
+    def _build(self, wanted: Sequence[tuple[int, Camera]], count: int = 1) -> list[View]:
+        screen = self.screen(wanted)
+        normals, lights = self._view_space_light(wanted)
+
+        def lit(band: Window) -> Lit:
+            found = self._band(wanted, screen, band)
+            light = light_fragments(found, screen, self._triangles, normals, lights, self.light, self._corner_uv)
+            face = self._triangle_face.index_select(0, found.triangle)
+            return Lit(found.view, found.pixel, found.area, face, *light)
+
+        parts = spread(lit, self._bands(screen, count), count)
+        return assemble(Lit.join(parts), screen, self._split_faces)
+
     def screen(self, wanted: Sequence[tuple[int, Camera]]) -> Screen:
         """The views' vertices on the screen."""
-        poses = [self._pose(pose) for pose, _ in wanted]
-        vertices = poses[0].vertices.unsqueeze(0) if len(poses) == 1 else torch.stack([pose.vertices for pose in poses])
-        pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
-        return project(vertices, [camera for _, camera in wanted], pivots)
+        with one_thread():
+            poses = [self._pose(pose) for pose, _ in wanted]
+            only = len(poses) == 1
+            vertices = poses[0].vertices.unsqueeze(0) if only else torch.stack([pose.vertices for pose in poses])
+            pivots = [camera.pivot or pose.center for pose, (_, camera) in zip(poses, wanted, strict=True)]
+            return project(vertices, [camera for _, camera in wanted], pivots)
 
-    @one_thread()
     def visibility(
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
         """The nearest triangle at every sample."""
-        return rasterize(screen, self._triangles, GRIDS[self.samples], self._cull(wanted, screen), window)
+        count, cull = workers(self.device), self._cull(wanted, screen)
+        with one_thread():
+            return rasterize(screen, self._triangles, GRIDS[self.samples], cull, window, count)
 
-    @one_thread()
-    def visible(self, wanted: Sequence[tuple[int, Camera]]) -> Visibility | Fragments:
-        """What is seen, without its light: samples, or where coverage is measured by area, fragments."""
-        screen = self.screen(wanted)
-        return self._fragments(wanted, screen) if self.by_area else self.visibility(wanted, screen)
+    def visible(self, wanted: Sequence[tuple[int, Camera]]) -> Visibility | list[Fragments]:
+        """What is seen, without its light: samples, or where coverage is measured by area, fragments, in parts."""
+        if not self.by_area:
+            return self.visibility(wanted, self.screen(wanted))
+        self._get_ready(wanted)
+        count = workers(self.device)
+        if len(wanted) > 1:
+            parts = [(part := wanted[views], self.screen(part), None) for views in even(len(wanted), count)]
+        else:
+            screen = self.screen(wanted)
+            parts = [(wanted, screen, band) for band in self._bands(screen, count)]
+        return spread(lambda part: self._band(*part), parts, count)
 
     def _cull(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Bool[Tensor, " B"]:
         """Bodies whose closed surface faces outwards drop their back faces, except in views where the near plane cuts
@@ -150,16 +174,20 @@ class ViewBank:
             cull &= (screen.view[2] >= screen.near).all(1).cpu()
         return cull
 
-    def _fragments(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Fragments:
+    def _get_ready(self, wanted: Sequence[tuple[int, Camera]]) -> None:
+        """The poses, before several threads ask for them at once."""
+        for pose, _ in wanted:
+            self._pose(pose)
+
+    def _bands(self, screen: Screen, count: int) -> list[Window]:
+        """One view's window in bands for so many threads, each small enough for the memory set aside."""
         window = bounding_window(screen)
-        height = max(1, window.y1 - window.y0)
-        per_row = max(1, self._cost(height * (window.x1 - window.x0)) // height)
-        rows = max(1, self._batch_numbers // per_row)
-        if rows >= window.y1 - window.y0 or len(screen.x) > 1:
-            return self._band(wanted, screen, window)
-        tops = range(window.y0, window.y1, rows)  # one large view, band by band
-        bands = [replace(window, y0=y, y1=min(y + rows, window.y1)) for y in tops]
-        return Fragments.join([self._band(wanted, screen, band) for band in bands])
+        height = window.y1 - window.y0
+        if len(screen.x) > 1 or not height:
+            return [window]
+        rows = max(1, self._batch_numbers * height // max(1, self._cost(height * (window.x1 - window.x0))))
+        cut = lambda band: [replace(band, y0=y, y1=min(y + rows, band.y1)) for y in range(band.y0, band.y1, rows)]
+        return [part for band in row_bands(screen, window, count) for part in cut(band)]
 
     def _cost(self, pixels: int) -> int:
         """What building one view takes, in numbers of 8 bytes held at once: samples, or pieces of triangles."""
@@ -167,7 +195,8 @@ class ViewBank:
             return pixels * self.samples
         return 2 * pixels + PIECE_COST * self._triangles.shape[1]
 
-    def _band(self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window) -> Fragments:
+    def _band(self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None) -> Fragments:
+        window = window or bounding_window(screen)
         if self.by_area:
             return area_fragments(screen, self._triangles, self._cull(wanted, screen), window)
         return merge_samples(self.visibility(wanted, screen, window))
@@ -207,48 +236,3 @@ class _Pose:
     normals: Float32[Tensor, "3 V"]
     center: Vector
     """Of the bounding box."""
-
-
-def _assemble(
-    fragments: Fragments,
-    face: Tensor,
-    weight: Tensor,
-    highlight: Tensor,
-    uv: Tensor | None,
-    screen: Screen,
-    split_faces: bool,
-) -> list[View]:
-    """Cut the fragments of a batch into its views' matrices."""
-    batch, total = len(screen.x), screen.width * screen.height
-    place = fragments.view * total + fragments.pixel
-    places, row = torch.unique_consecutive(place, return_inverse=True)
-    fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
-    coverage, highlight = fold(fragments.area), fold(highlight)
-    if split_faces:
-        row, face, weight, uv = _merge_faces(row, face, weight, uv, fragments.area)
-    crow = offsets(row, len(places))
-    first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
-    row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
-    views = []
-    for index in range(batch):
-        rows = slice(row_ends[index], row_ends[index + 1])
-        entries = slice(entry_ends[index], entry_ends[index + 1])
-        pixels = places[rows] - index * total
-        own_crow = crow[rows.start : rows.stop + 1] - entries.start
-        parts = (t.clone() for t in (coverage[rows], highlight[rows]))
-        matrix = [t[..., entries].clone() if t is not None else None for t in (face, weight, uv)]
-        views.append(View(screen.height, screen.width, pixels, *parts, own_crow, *matrix))
-    return views
-
-
-def _merge_faces(
-    row: Tensor, face: Tensor, weight: Tensor, uv: Tensor | None, area: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """Sum the weights of a polygon's triangles within each pixel; texture coordinates are continuous in a polygon, so
-    that their mean by area is its middle's."""
-    count = int(face.max()) + 1 if len(face) else 1
-    entry, inverse = torch.unique(row * count + face, return_inverse=True)
-    row = torch.div(entry, count, rounding_mode="floor")
-    fold = lambda t: t.new_zeros(*t.shape[:-1], len(entry)).index_add_(-1, inverse, t)
-    uv = None if uv is None else fold(uv * area) / fold(area)
-    return row, entry - row * count, fold(weight), uv

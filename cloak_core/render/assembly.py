@@ -1,0 +1,73 @@
+"""From the lit fragments of a batch to its views' matrices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float32, Int64
+from torch import Tensor
+
+from cloak_core.render.dressing import View
+from cloak_core.render.projection import Screen
+from cloak_core.render.sparse import offsets
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """N fragments with their faces and light, sorted by view and pixel."""
+
+    view: Int64[Tensor, " N"]
+    pixel: Int64[Tensor, " N"]
+    area: Float32[Tensor, " N"]
+    face: Int64[Tensor, " N"]
+    weight: Float32[Tensor, " N"]
+    highlight: Float32[Tensor, " N"]
+    uv: Float32[Tensor, "2 N"] | None
+    """Texture coordinates, where the bodies have some."""
+
+    @staticmethod
+    def join(bands: list[Lit]) -> Lit:
+        """Of bands of one view, from top to bottom."""
+        if len(bands) == 1:
+            return bands[0]
+        columns = ([getattr(band, field.name) for band in bands] for field in fields(Lit))
+        return Lit(*(None if column[0] is None else torch.cat(column, -1) for column in columns))
+
+
+def assemble(lit: Lit, screen: Screen, split_faces: bool) -> list[View]:
+    """Cut the fragments of a batch into its views' matrices."""
+    batch, total = len(screen.x), screen.width * screen.height
+    place = lit.view * total + lit.pixel
+    places, row = torch.unique_consecutive(place, return_inverse=True)
+    fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
+    coverage, highlight = fold(lit.area), fold(lit.highlight)
+    face, weight, uv = lit.face, lit.weight, lit.uv
+    if split_faces:
+        row, face, weight, uv = _merge_faces(row, face, weight, uv, lit.area)
+    crow = offsets(row, len(places))
+    first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
+    row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
+    views = []
+    for index in range(batch):
+        rows = slice(row_ends[index], row_ends[index + 1])
+        entries = slice(entry_ends[index], entry_ends[index + 1])
+        pixels = places[rows] - index * total
+        own_crow = crow[rows.start : rows.stop + 1] - entries.start
+        parts = (t.clone() for t in (coverage[rows], highlight[rows]))
+        matrix = [t[..., entries].clone() if t is not None else None for t in (face, weight, uv)]
+        views.append(View(screen.height, screen.width, pixels, *parts, own_crow, *matrix))
+    return views
+
+
+def _merge_faces(
+    row: Tensor, face: Tensor, weight: Tensor, uv: Tensor | None, area: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+    """Sum the weights of a polygon's triangles within each pixel; texture coordinates are continuous in a polygon, so
+    that their mean by area is its middle's."""
+    count = int(face.max()) + 1 if len(face) else 1
+    entry, inverse = torch.unique(row * count + face, return_inverse=True)
+    row = torch.div(entry, count, rounding_mode="floor")
+    fold = lambda t: t.new_zeros(*t.shape[:-1], len(entry)).index_add_(-1, inverse, t)
+    uv = None if uv is None else fold(uv * area) / fold(area)
+    return row, entry - row * count, fold(weight), uv
