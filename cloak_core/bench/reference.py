@@ -8,6 +8,7 @@ pixel, blocks of 8 x 8 pixels averaged.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,8 @@ EXACT, SAMPLED = "exact areas, clipped in float64", "64 x 64 samples per pixel"
 _CHUNK = 1 << 18
 FACTOR = 8
 """Times as large, and samples along a pixel's side, where samples have to do."""
+FINER = (1, 4)
+"""Into how many parts the sides of pixels are cut until exact areas come into reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,23 +80,36 @@ class Reference:
 
 def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
     """By exact areas where they are in reach, else by samples. Takes seconds to minutes."""
-    try:
-        return exact(bodies, camera, light, pose)
-    except OutOfReach:
-        return sampled(bodies, camera, light, pose)
+    for parts in FINER:
+        with contextlib.suppress(OutOfReach):
+            return exact(bodies, camera, light, pose, parts)
+    return sampled(bodies, camera, light, pose)
 
 
-def exact(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
-    """By clipping. Raises `OutOfReach` where too many triangles overlap."""
-    screen = screen_of_pose(bodies, camera, pose)
+def exact(bodies: Bodies, camera: Camera, light: Light, pose: int = 0, parts: int = 1) -> Reference:
+    """By clipping. Raises `OutOfReach` where too many triangles overlap.
+
+    parts: pixels are cut into parts x parts small ones first, which leaves fewer triangles in each.
+    """
+    fine = replace(camera, width=camera.width * parts, height=camera.height * parts)
+    screen = screen_of_pose(bodies, fine, pose)
     triangles = torch.from_numpy(bodies.triangles.T.astype(np.int64))
     cull = closed_outward(bodies, pose) and bool((screen.view[2] >= screen.near).all())
     seen = seen_areas(screen, triangles, cull)
-    weight, highlight = _lit(seen, bodies, camera, light, pose)
+    share = 1 / parts**2
+    weight, highlight = (t * share for t in _lit(seen, bodies, fine, light, pose))
     face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[seen.triangle]
-    coverage, specular = (_sums(seen.pixel, t, camera.height * camera.width) for t in (seen.area, highlight))
-    matrix = Matrix(seen.pixel, face, weight, coverage, specular, bodies.face_count)
-    return Reference(matrix, _sums(face, seen.area, bodies.face_count), EXACT)
+    pixel, area = _coarse(fine, parts)[seen.pixel], seen.area * share
+    coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
+    matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
+    return Reference(matrix, _sums(face, area, bodies.face_count), EXACT)
+
+
+def _coarse(large: Camera, factor: int) -> Int64[Tensor, " pixels"]:
+    """The pixel of an image `factor` times smaller that each pixel lies in."""
+    index = torch.arange(large.height * large.width)
+    row = torch.div(index, large.width * factor, rounding_mode="floor")
+    return row * (large.width // factor) + torch.div(index % large.width, factor, rounding_mode="floor")
 
 
 def _sums(index: Tensor, values: Tensor, count: int) -> Float64[Tensor, " count"]:
@@ -140,10 +156,7 @@ def _sampled(bodies: Bodies, camera: Camera, light: Light, pose: int) -> Matrix:
     bank = ViewBank(bodies, light, samples=64, memory_bytes=1)
     large = replace(camera, width=camera.width * FACTOR, height=camera.height * FACTOR)
     fine = matrix_of(bank.build([(pose, large)])[0], bodies.face_count)
-    index = np.arange(large.height * large.width)
-    coarse = torch.from_numpy(
-        (index // large.width // FACTOR) * camera.width + index % large.width // FACTOR
-    )  # coarse pixel of every fine one
+    coarse = _coarse(large, FACTOR)
     share = 1 / FACTOR**2
     key, entry = torch.unique(coarse[fine.pixel] * bodies.face_count + fine.face, return_inverse=True)
     weight = _sums(entry, fine.weight.double() * share, len(key))

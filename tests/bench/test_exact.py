@@ -76,6 +76,9 @@ def test_exact_areas_equal_very_many_samples(distance: float, near: float | None
     bodies = Bodies(vertices=vertices, triangles=np.concatenate([ball.triangles, ball.triangles + ball.vertex_count]))
     camera, light = Camera(distance=distance, near=near, width=24, height=24), Light(position=(1.0, 2.0, 3.0))
     a, b = (make(bodies, camera, light) for make in (reference.exact, reference.sampled))
+    finer = reference.exact(bodies, camera, light, parts=2)
+    assert (a.matrix.coverage - finer.matrix.coverage).abs().max() < 1e-3
+    assert (a.visible - finer.visible).abs().max() < 1e-3
     colors = torch.rand(bodies.face_count, 3, generator=torch.Generator().manual_seed(0))
     black = torch.zeros(24 * 24, 3)
     assert (a.matrix.coverage - b.matrix.coverage).abs().max() < 0.01

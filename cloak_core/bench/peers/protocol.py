@@ -34,13 +34,15 @@ class Target:
 
     def rays(self) -> tuple[Float32[np.ndarray, "N 3"], Float32[np.ndarray, "N 3"]]:
         """Origins on the near plane and directions (of length 1 along the optical axis) through all samples."""
-        right, up, back = (np.array(axis) for axis in self.camera.axes)
         rows, columns = self.shape
         x = (self.window.x0 + (np.arange(columns) + 0.5) / self.n - self.camera.width / 2) / self.camera.focal
         y = (self.camera.height / 2 - self.window.y0 - (np.arange(rows) + 0.5) / self.n) / self.camera.focal
-        directions = (y[:, None, None] * up - back) + x[None, :, None] * right
-        origins = np.array(self.camera.position(self.pivot)) + directions * self.camera.near_plane
-        return tuple(a.reshape(-1, 3).astype(np.float32) for a in (origins, directions))
+        directions = np.empty((rows, columns, 3), np.float32)
+        for axis, (right, up, back) in enumerate(zip(*self.camera.axes, strict=True)):
+            directions[..., axis] = np.add.outer((y * up - back).astype(np.float32), (x * right).astype(np.float32))
+        origins = directions * np.float32(self.camera.near_plane)
+        origins += np.array(self.camera.position(self.pivot), np.float32)
+        return origins.reshape(-1, 3), directions.reshape(-1, 3)
 
 
 class Peer(ABC):
