@@ -35,7 +35,10 @@ def tables(result: dict) -> str:
     lines = []
     for name, scene in result["scenes"].items():
         lines += ["", f"### {name}: {scene['triangles']:,} triangles, {scene['pixels']:,} pixels", ""]
-        lines += [f"Reference: {scene['reference']}. {circumstances(scene)}; medians of {scene['repeats']}.", ""]
+        lines += [
+            f"Reference: {scene['reference']}. {circumstances(scene)}; medians of at least {scene['repeats']}.",
+            "",
+        ]
         lines += ["| | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
         for point in scene["points"]:
             label = f"**{point['name']}**" if point["name"] == result["default"] else point["name"]

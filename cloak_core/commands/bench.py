@@ -24,11 +24,15 @@ class Views(Command):
     """Threads torch may use."""
     repeats: int = 20
     """Timed repetitions behind each median."""
+    device: str = "cpu"
+    """Torch device."""
 
     def run(self) -> dict:
         from cloak_core.bench.views import run_bench_views
 
-        return run_bench_views(self.scene, samples=self.samples, threads=self.threads, repeats=self.repeats)
+        return run_bench_views(
+            self.scene, samples=self.samples, threads=self.threads, repeats=self.repeats, device=self.device
+        )
 
     def show(self, result: dict) -> None:
         out.print(f"{result['samples']} sample(s) per pixel, {result['threads']} threads; ms per view")
@@ -134,7 +138,7 @@ class Accuracy(Command):
     threads: int = 2
     """Threads torch and the peers may use."""
     repeats: int = 10
-    """Timed repetitions behind each median."""
+    """Timed repetitions behind each median; more where they are short."""
     out: Path | None = None
     """Folder for tables, a plot and the numbers; scenes measured there earlier stay beside these."""
 

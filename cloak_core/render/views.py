@@ -39,6 +39,8 @@ BATCH_NUMBERS = {"cpu": 1 << 21, "cuda": 1 << 25}
 """Numbers of 8 bytes held at once while views are built; more on the CPU leave its caches and take longer."""
 PIECE_COST = 16
 """Numbers held for each triangle where coverage is measured by area."""
+MOST_BANDS = 4
+"""Parts that one view is cut into for the sake of memory, so that time does not grow with the square of triangles."""
 
 
 class ViewBank:
@@ -186,6 +188,8 @@ class ViewBank:
         if len(screen.x) > 1 or not height:
             return [window]
         rows = max(1, self._batch_numbers * height // max(1, self._cost(height * (window.x1 - window.x0))))
+        if self.by_area:  # every band looks at every triangle
+            rows = max(rows, -(-height // MOST_BANDS))
         cut = lambda band: [replace(band, y0=y, y1=min(y + rows, band.y1)) for y in range(band.y0, band.y1, rows)]
         return [part for band in row_bands(screen, window, count) for part in cut(band)]
 
