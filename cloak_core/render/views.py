@@ -58,7 +58,8 @@ class View:
     weight: Float32[Tensor, " E"]
     """What a face's colour is multiplied by: its share of the pixel times its light."""
     uv: Float32[Tensor, "2 E"] | None = None
-    """Where bodies have textures: texture coordinates in the middle of what is seen of the face in the pixel."""
+    """Where bodies have textures: texture coordinates in the middle of what is seen of the triangle in the pixel;
+    there is an entry for each triangle of a face then."""
 
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
@@ -140,7 +141,7 @@ class ViewBank:
         self._triangles = put(bodies.triangles.T, torch.int64)
         self._triangle_face = put(bodies.triangle_face, torch.int64)
         self._colors = put(bodies.face_colors, torch.float32)
-        images = [bodies.textures[name] if name else None for name in bodies.outfit_textures]
+        images = [bodies.texture_of(outfit) for outfit in range(bodies.outfit_count)]
         self._textures = [None if image is None else put(image, torch.uint8) for image in images]
         textured = any(image is not None for image in images)
         self._corner_uv = put(bodies.uv[bodies.triangle_uv].T, torch.float32) if textured else None
@@ -367,8 +368,8 @@ def _assemble(
     places, row = torch.unique_consecutive(place, return_inverse=True)
     fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
     coverage, highlight = fold(fragments.area), fold(highlight)
-    if split_faces:
-        row, face, weight, uv = _merge_faces(row, face, weight, uv, fragments.area)
+    if split_faces and uv is None:  # triangles of one polygon may lie far apart on a texture
+        row, face, weight = _merge_faces(row, face, weight)
     crow = offsets(row, len(places))
     first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
     row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
@@ -384,17 +385,12 @@ def _assemble(
     return views
 
 
-def _merge_faces(
-    row: Tensor, face: Tensor, weight: Tensor, uv: Tensor | None, area: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """Sum the weights of a polygon's triangles within each pixel; texture coordinates are continuous in a polygon, so
-    that their mean by area is its middle's."""
+def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sum the weights of a polygon's triangles within each pixel."""
     count = int(face.max()) + 1 if len(face) else 1
     entry, inverse = torch.unique(row * count + face, return_inverse=True)
     row = torch.div(entry, count, rounding_mode="floor")
-    fold = lambda t: t.new_zeros(*t.shape[:-1], len(entry)).index_add_(-1, inverse, t)
-    uv = None if uv is None else fold(uv * area) / fold(area)
-    return row, entry - row * count, fold(weight), uv
+    return row, entry - row * count, weight.new_zeros(len(entry)).index_add_(0, inverse, weight)
 
 
 def _box(pixels: Tensor, coverage: Tensor, width: int) -> tuple[int, int, int, int]:
