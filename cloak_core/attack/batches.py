@@ -14,7 +14,8 @@ from cloak_core.attack.sampling import Draws, Sampler, cameras
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
 from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of, true_boxes
-from cloak_core.render.views import DressedView, ViewBank
+from cloak_core.render.dressing import DressedView
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 

@@ -3,12 +3,15 @@
 import statistics
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import torch
 
+from cloak_core.bench.views import machine
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
+from cloak_core.evaluate.report.words import short_name
 
 
 def run_bench_detectors(
@@ -56,6 +59,22 @@ def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options:
     if "naive_ms" in result:
         result["speedup"] = result["naive_ms"] / result["gradient_ms"]
     return result | {"batch": batch, "threads": torch.get_num_threads()}
+
+
+def write_table(results: dict[str, dict[str, float]], path: Path, device: str = "cpu") -> None:
+    """The figures of `run_bench_detectors` as a Markdown table, with machine, versions and date."""
+    lines = [
+        "| detector | forward | forward + input gradient | the same, naive use | times as fast |",
+        "|---|---|---|---|---|",
+    ]
+    for spec, figures in results.items():
+        cells = [f"{figures[key]:.1f}" if key in figures else "" for key in ("forward_ms", "gradient_ms", "naive_ms")]
+        speedup = f"{figures['speedup']:.2f}" if "speedup" in figures else ""
+        lines.append(f"| {' | '.join([short_name(spec), *cells, speedup])} |")
+    batch, threads = (next(iter(results.values()))[key] for key in ("batch", "threads"))
+    facts = ", ".join(f"{name} {value}" for name, value in machine(device).items())
+    head = f"Milliseconds per image, {batch} images at a time, {threads} threads; {facts}."
+    path.write_text("\n".join([head, "", *lines, ""]), "utf-8")
 
 
 @torch.no_grad()

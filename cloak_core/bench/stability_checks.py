@@ -17,10 +17,11 @@ from cloak_core.bench.reference import matrix_of
 from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.bench.views import torch_threads
 from cloak_core.errors import InputError
+from cloak_core.render.dressing import View
 from cloak_core.render.projection import GRID, project
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.shading import Light
-from cloak_core.render.views import View, ViewBank
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, UseAppendAction
 
-from cloak_core.commands.base import Command, open_scene, out
+from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
 
 
@@ -107,13 +107,17 @@ class Detectors(Command):
     """Timed repetitions behind each median."""
     device: str = "cpu"
     """Torch device."""
+    out: Path | None = None
+    """New Markdown file for the table."""
     options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
-        from cloak_core.bench.detectors import run_bench_detectors
+        from cloak_core.bench.detectors import run_bench_detectors, write_table
 
+        if self.out is not None:
+            require_new(self.out)
         specs = self.detector or ("builtin",)
-        return run_bench_detectors(
+        result = run_bench_detectors(
             specs,
             batch=self.batch,
             threads=self.threads,
@@ -121,6 +125,9 @@ class Detectors(Command):
             device=self.device,
             **self.options.arguments(),
         )
+        if self.out is not None:
+            write_table(result, self.out, self.device)
+        return result
 
     def show(self, result: dict) -> None:
         for spec, figures in result.items():

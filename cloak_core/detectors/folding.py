@@ -4,7 +4,6 @@ import itertools
 
 import torch
 from torch import nn
-from torchvision.ops import FrozenBatchNorm2d
 
 
 @torch.no_grad()
@@ -18,18 +17,23 @@ def fold_batch_norm(module: nn.Module) -> int:
     for parent in list(module.modules()):
         children = list(parent.named_children())
         for (_, conv), (name, norm) in itertools.pairwise(children):
-            if type(conv) is nn.Conv2d and isinstance(norm, (nn.BatchNorm2d, FrozenBatchNorm2d)):
+            if type(conv) is nn.Conv2d and _is_batch_norm(norm):
                 _fold(conv, norm)
                 setattr(parent, name, nn.Identity())
                 folded += 1
     return folded
 
 
-def _fold(conv: nn.Conv2d, norm: nn.BatchNorm2d | FrozenBatchNorm2d) -> None:
+def _is_batch_norm(module: nn.Module) -> bool:
+    # Each model of transformers has a copy of torchvision's frozen one under a name of its own.
+    return isinstance(module, nn.BatchNorm2d) or type(module).__name__.endswith("FrozenBatchNorm2d")
+
+
+def _fold(conv: nn.Conv2d, norm: nn.Module) -> None:
     ones = torch.ones_like(norm.running_var, dtype=torch.float64)
     weight = ones if norm.weight is None else norm.weight.double()
     bias = 0 * ones if norm.bias is None else norm.bias.double()
-    scale = weight / (norm.running_var.double() + norm.eps).sqrt()
+    scale = weight / (norm.running_var.double() + getattr(norm, "eps", 1e-5)).sqrt()
     before = 0 * ones if conv.bias is None else conv.bias.double()
     folded = conv.weight.double() * scale[:, None, None, None]
     conv.weight.copy_(folded)

@@ -170,6 +170,7 @@ def _load_transformers(request: Request) -> Detector:
         input_size=request.input_size,
         person_class=request.person_class,
         download=request.download,
+        fold=request.fold,
     )
 
 

@@ -1,5 +1,6 @@
 """The DETR family, and whatever else transformers' AutoModelForObjectDetection loads; local files only."""
 
+import copy
 import json
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from torch.overrides import TorchFunctionMode
 
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.extras import require
+from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
 from cloak_core.errors import InputError
 
@@ -86,10 +88,11 @@ def load_transformers(
     input_size: tuple[int, int] | None = None,
     person_class: str = "person",
     download: bool = False,
+    fold: bool = True,
 ) -> TransformersDetector:
     """A model from a directory, or by its name from the local cache, fetched there where `download` allows it.
 
-    No remote code is run.
+    No remote code is run; batch norm is folded where that changes nothing, unless told not to.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
     """
     require("transformers", spec)
@@ -114,9 +117,21 @@ def load_transformers(
     names = tuple(str(labels.get(index, "")) for index in range(model.config.num_labels))
     person = person_index(names, person_class, len(names), f"detector {spec!r}")
     preprocessing = _preprocessing(where, model.config.model_type, input_size, download)
+    model = _folded(model.eval(), preprocessing) if fold else model
     detector = TransformersDetector(model, preprocessing, person, folder.name, spec)
     detector.freeze()
     return detector
+
+
+@torch.no_grad()
+def _folded(model: nn.Module, preprocessing: Preprocessing) -> nn.Module:
+    """The model with its batch norm folded, if it then still says the same: how it runs is its own affair."""
+    folded = copy.deepcopy(model)
+    if not fold_batch_norm(folded):
+        return model
+    pixels = preprocessing(torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0)))
+    before, after = (m(pixel_values=pixels).logits for m in (model, folded))
+    return folded if torch.allclose(after, before, rtol=1e-3, atol=1e-3) else model
 
 
 def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | None, download: bool) -> Preprocessing:

@@ -43,8 +43,8 @@ def assemble(lit: Lit, screen: Screen, split_faces: bool) -> list[View]:
     fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
     coverage, highlight = fold(lit.area), fold(lit.highlight)
     face, weight, uv = lit.face, lit.weight, lit.uv
-    if split_faces:
-        row, face, weight, uv = _merge_faces(row, face, weight, uv, lit.area)
+    if split_faces and uv is None:  # triangles of one polygon may lie far apart on a texture
+        row, face, weight = _merge_faces(row, face, weight)
     crow = offsets(row, len(places))
     first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
     row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
@@ -60,14 +60,9 @@ def assemble(lit: Lit, screen: Screen, split_faces: bool) -> list[View]:
     return views
 
 
-def _merge_faces(
-    row: Tensor, face: Tensor, weight: Tensor, uv: Tensor | None, area: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-    """Sum the weights of a polygon's triangles within each pixel; texture coordinates are continuous in a polygon, so
-    that their mean by area is its middle's."""
+def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sum the weights of a polygon's triangles within each pixel."""
     count = int(face.max()) + 1 if len(face) else 1
     entry, inverse = torch.unique(row * count + face, return_inverse=True)
     row = torch.div(entry, count, rounding_mode="floor")
-    fold = lambda t: t.new_zeros(*t.shape[:-1], len(entry)).index_add_(-1, inverse, t)
-    uv = None if uv is None else fold(uv * area) / fold(area)
-    return row, entry - row * count, fold(weight), uv
+    return row, entry - row * count, weight.new_zeros(len(entry)).index_add_(0, inverse, weight)

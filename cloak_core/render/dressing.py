@@ -32,7 +32,8 @@ class View:
     weight: Float32[Tensor, " E"]
     """What a face's colour is multiplied by: its share of the pixel times its light."""
     uv: Float32[Tensor, "2 E"] | None = None
-    """Where bodies have textures: texture coordinates in the middle of what is seen of the face in the pixel."""
+    """Where bodies have textures: texture coordinates in the middle of what is seen of the triangle in the pixel;
+    there is an entry for each triangle of a face then."""
 
     @cached_property
     def box(self) -> tuple[int, int, int, int]:

@@ -6,6 +6,9 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
+INSET = 0.02
+"""Least weight of a corner: how far, in shares of a triangle's height, points stay off its sides."""
+
 
 def texture_coordinates(
     corner_uv: Float32[Tensor, "2 3 Q"], b1: Float32[Tensor, " Q"], b2: Float32[Tensor, " Q"]
@@ -13,9 +16,9 @@ def texture_coordinates(
     """Texture coordinates of points given by the weights of their triangles' corners 1 and 2.
 
     Points may lie a little outside (the middle of a pixel's part of a triangle is that of its extent); they are moved
-    into the triangle, so that no other chart's colours are looked up.
+    into the triangle, and a little off its border, so that no other chart's colours are looked up.
     """
-    weight = torch.stack([1 - b1 - b2, b1, b2]).clamp(min=0)
+    weight = torch.stack([1 - b1 - b2, b1, b2]).clamp(min=INSET)
     weight = weight / weight.sum(0)
     return (corner_uv * weight).sum(1)
 

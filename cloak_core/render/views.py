@@ -68,7 +68,7 @@ class ViewBank:
         self._triangles = put(bodies.triangles.T, torch.int64)
         self._triangle_face = put(bodies.triangle_face, torch.int64)
         self._colors = put(bodies.face_colors, torch.float32)
-        images = [bodies.textures[name] if name else None for name in bodies.outfit_textures]
+        images = [bodies.texture_of(outfit) for outfit in range(bodies.outfit_count)]
         self._textures = [None if image is None else put(image, torch.uint8) for image in images]
         textured = any(image is not None for image in images)
         self._corner_uv = put(bodies.uv[bodies.triangle_uv].T, torch.float32) if textured else None

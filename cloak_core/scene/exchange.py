@@ -68,7 +68,7 @@ class Bodies:
     textures: dict[str, np.ndarray] = field(default_factory=dict)
     """Named images, uint8 [H, W, 3], row 0 at the top."""
     outfit_textures: tuple[str, ...] = ()
-    """For each outfit the name of the texture it wears, "" for one of plain faces; all are plain where absent. The
+    """For each outfit the name of the texture it wears, "" for one of plain faces; empty where all are plain. The
     `face_colors` of a textured outfit are the texture's means over the faces, for whoever needs one colour a face."""
     name: str = "scene"
     recorded_topology: str | None = None
@@ -99,7 +99,7 @@ class Bodies:
             put("uv", _array(self.uv, np.float32, "uv", (None, 2)))
             put("triangle_uv", _array(self.triangle_uv, np.int32, "triangle_uv", (len(self.triangles), 3)))
         put("textures", {k: _array(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()})
-        put("outfit_textures", tuple(str(n) for n in self.outfit_textures) or ("",) * self.outfit_count)
+        put("outfit_textures", tuple(str(n) for n in self.outfit_textures) if any(self.outfit_textures) else ())
         self._check()
 
     def _check(self) -> None:
@@ -127,7 +127,7 @@ class Bodies:
         self._check_textures()
 
     def _check_textures(self) -> None:
-        if len(self.outfit_textures) != self.outfit_count:
+        if self.outfit_textures and len(self.outfit_textures) != self.outfit_count:
             raise InputError(f"outfit_textures: {len(self.outfit_textures)} for {self.outfit_count} outfits")
         for name, image in self.textures.items():
             if not image.size:
@@ -169,6 +169,11 @@ class Bodies:
             return topology_hash(self.vertex_count, np.full(self.triangle_count, 3), self.triangles.ravel())
         # Polygons whose loops nobody stored: the file's word, else the triangles that stand for them.
         return self.recorded_topology or sha256_arrays(self.triangles, self.triangle_face)
+
+    def texture_of(self, outfit: int) -> np.ndarray | None:
+        """The picture that an outfit wears, uint8 [H, W, 3]; None for one of plain faces."""
+        name = self.outfit_textures[outfit] if self.outfit_textures else ""
+        return self.textures[name] if name else None
 
     def select_poses(self, indices: object) -> Bodies:
         """The same bodies with only these poses (indices, in this order)."""
@@ -253,7 +258,7 @@ def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak
             arrays[key] = getattr(bodies, key)
     arrays |= {f"region_{k}": v for k, v in bodies.regions.items()}
     arrays |= {f"texture_{k}": v for k, v in bodies.textures.items()}
-    if any(bodies.outfit_textures):
+    if bodies.outfit_textures:
         arrays["outfit_textures"] = np.array(bodies.outfit_textures, np.str_)
     record = {
         "format": "cloak scene",

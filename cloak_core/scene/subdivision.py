@@ -63,7 +63,7 @@ def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
         recorded_topology=None,
         **new,
     )
-    worn = [divided.textures.get(name) for name in divided.outfit_textures]
+    worn = [divided.texture_of(outfit) for outfit in range(divided.outfit_count)]
     colors = [
         plain if image is None else texture_means(divided, image)
         for plain, image in zip(divided.face_colors, worn, strict=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from cloak_core.bench.detectors import run_bench_detectors
+from cloak_core.bench.detectors import run_bench_detectors, write_table
 from tests.detectors.helpers import write_tiny
 
 
@@ -15,3 +15,12 @@ def test_bench_measures_both_ways(tmp_path: Path) -> None:
     assert set(result) == {"forward_ms", "gradient_ms", "naive_ms", "speedup", "batch", "threads"}
     assert min(result.values()) > 0 and result["threads"] == 1 and torch.get_num_threads() == threads
     assert result["speedup"] == pytest.approx(result["naive_ms"] / result["gradient_ms"])
+
+
+def test_the_table_holds_what_was_measured(tmp_path: Path) -> None:
+    spec = write_tiny(tmp_path)
+    result = run_bench_detectors([spec], batch=2, size=64, repeats=1, threads=1)
+    write_table(result, tmp_path / "speed.md")
+    head, _, _, _, row = (tmp_path / "speed.md").read_text().splitlines()
+    assert "2 images at a time, 1 threads" in head and torch.__version__ in head
+    assert row.startswith("| darknet tiny |") and row.endswith(f"| {result[spec]['speedup']:.2f} |")

@@ -46,6 +46,10 @@ def config(name: str):
     return make(backbone_config=backbone, decoder_n_points=points, hidden_expansion=0.5, **SMALL, **channels)
 
 
+def has_statistics(module: torch.nn.Module) -> bool:
+    return hasattr(module, "running_var")
+
+
 NAMES = ("Detr", "ConditionalDetr", "DeformableDetr", "RTDetr", "RTDetrV2", "DFine", "Yolos")
 
 
@@ -59,6 +63,9 @@ def save(name: str, folder: Path):
             ) in model.parameters():  # livelier than the library's initialisation, which nearly ignores the image
                 if parameter.dim() > 1:
                     parameter.mul_(3 if name == "Yolos" else 1.5)
+            for module in filter(has_statistics, model.modules()):  # that fold into the convolutions before them
+                module.running_mean.uniform_(-0.2, 0.2)
+                module.running_var.uniform_(0.5, 1.5)
     model.save_pretrained(folder)
     return model
 
@@ -68,6 +75,9 @@ def test_equals_the_library(name: str, tmp_path: Path) -> None:
     model = save(name, tmp_path)
     detector = load_detector(f"transformers:{tmp_path}", input_size=(64, 96))
     assert not detector.training and not [p for p in detector.parameters() if p.requires_grad]
+    assert not [*filter(has_statistics, detector.modules())] and (
+        name == "Yolos" or [*filter(has_statistics, model.modules())]
+    )
     batch = images(2, 64, 96, seed=2)
     pixels = detector.preprocessing(batch)
     with torch.no_grad():

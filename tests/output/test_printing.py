@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
 from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
 from cloak_core.output.printing import print_logo
 from cloak_core.output.sheets import PAGES, pages, tiles
-from cloak_core.render.projection import project
-from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.compositing import compose
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.bodies import face_areas, import_bodies
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies
@@ -104,31 +105,29 @@ def test_no_white_shows_at_the_charts_borders(texture: Texture, layout: Layout, 
 def test_the_textured_body_looks_like_the_coloured_one(
     body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout
 ) -> None:
-    """Rendered through the picture and through the face colours, without light: root mean square within 2/255."""
+    """Rendered through the picture and through the face colours: within 2/255 but for one pixel in a thousand.
+
+    Those lie where a sliver of a face is seen, thinner than the picture's pixels. White noise is the hardest case.
+    """
     faces = dressed(body, logo, colors)
-    texture = bake(body, layout, faces, 200)
-    camera = Camera(width=208, height=208)
-    points = body.vertices[0].astype(np.float64)
-    pivot = tuple((points.min(axis=0) + points.max(axis=0)) / 2)
-    screen = project(torch.tensor(points.T[None].copy()), [camera], [pivot])
-    seen = rasterize(screen, torch.tensor(body.triangles.T.astype(np.int64).copy()), grid=4).triangles()[0].numpy()
-    row, column, sample = np.nonzero(seen >= 0)
-    triangle = seen[row, column, sample]
-    x, y = column + (sample % 4 + 0.5) / 4, row + (sample // 4 + 0.5) / 4
-    # The sample's ray meets the triangle's plane; barycentric coordinates there.
-    right, up, back = (np.array(axis) for axis in camera.axes)
-    ray = (x - 104)[:, None] * right + (104 - y)[:, None] * up - camera.focal * back
-    eye = np.array(camera.position(pivot))
-    a, b, c = points[body.triangles[triangle]].transpose(1, 0, 2)
-    weights = np.linalg.solve(np.stack([a - eye, b - eye, c - eye], axis=2), ray[..., None])[..., 0]
-    weights /= weights.sum(axis=1, keepdims=True)
-    uv = (texture.uv[triangle] * weights[..., None]).sum(axis=1)
-    image = np.zeros((2, 208, 208, 3))
-    np.add.at(image[0], (row, column), look_up(texture, uv) / 16)
-    np.add.at(image[1], (row, column), faces[body.triangle_face[triangle]] * 255 / 16)
-    difference = np.abs(image[0] - image[1])[(seen >= 0).any(axis=2)]
-    assert np.sqrt((difference**2).mean()) < 2
-    assert (difference > 2).mean() < 0.02
+    texture = bake(body, layout, faces, 150)
+    corners = texture.uv.reshape(-1, 2)
+    plain = replace(body, face_colors=faces[None])
+    textured = replace(
+        plain,
+        uv=corners,
+        triangle_uv=np.arange(len(corners)).reshape(-1, 3),
+        textures={"baked": texture.image},
+        outfit_textures=("baked",),
+    )
+    camera, none = Camera(width=208, height=208), np.array([0])  # one face stands for a logo, in its own colour
+    views = [ViewBank(bodies).dress(0, camera, none) for bodies in (textured, plain)]
+    own, black = torch.from_numpy(faces[none]), torch.zeros(1, 3, 208, 208)
+    one, two = (compose([view], own, black)[0].reshape(3, -1)[:, views[1].pixels] for view in views)
+    difference = (one - two).abs().amax(0).numpy() * 255
+    assert len(difference) > 3000
+    assert np.percentile(difference, 99.9) < 2
+    assert difference.max() < 16
 
 
 def test_print_folder(tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray) -> None:

@@ -121,4 +121,5 @@ def test_look_up_is_linear_between_texels_and_repeats() -> None:
 def test_points_outside_are_moved_into_their_triangle() -> None:
     corners = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).unsqueeze(2).expand(2, 3, 2)
     uv = texture_coordinates(corners, torch.tensor([0.25, -0.5]), torch.tensor([0.5, 0.5]))
-    assert torch.allclose(uv, torch.tensor([[0.25, 0.0], [0.5, 1 / 3]]))
+    assert torch.allclose(uv, torch.tensor([[0.25, 0.0], [0.5, 1 / 3]]), atol=0.02)
+    assert uv.min() > 0

@@ -4,31 +4,22 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
-from torchvision.models.detection import FCOS, RetinaNet
+from torchvision.models.detection import FCOS
 from torchvision.models.detection.ssd import SSD
 from torchvision.ops import clip_boxes_to_image
 
-from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
-from cloak_core.detectors.resizing import Placement
+from cloak_core.detectors.protocol import Detections, at_least_float32
+from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 CANDIDATES = 1000
 """Anchors kept per feature level, the ones with the best person score."""
 
 
-class DenseDetector(Detector):
-    """A torchvision one-stage model."""
-
-    def __init__(
-        self, model: RetinaNet | FCOS | SSD, person: int, name: str, spec: str, channels_last: bool = True
-    ) -> None:
-        super().__init__(name, spec)
-        self.person = person
-        self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
-        self.model = model.to(memory_format=self.memory_format)
+class DenseDetector(TorchvisionDetector):
+    """A torchvision RetinaNet, FCOS or SSD."""
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        batch, _ = self.model.transform(list(images))
-        batch.tensors = batch.tensors.contiguous(memory_format=self.memory_format)
+        batch, placement = self.prepare(images)
         features = self.model.backbone(batch.tensors)
         levels = [features] if isinstance(features, Tensor) else list(features.values())
         outputs = {key: at_least_float32(value) for key, value in self.model.head(levels).items()}
@@ -39,9 +30,7 @@ class DenseDetector(Detector):
         rows = kept.reshape(-1)
         deltas = outputs["bbox_regression"].gather(1, kept[..., None].expand(-1, -1, 4)).reshape(-1, 4)
         boxes = self._decode(deltas, anchors[rows])
-        size = batch.image_sizes[0]
-        placement = Placement(scale_x=size[1] / images.shape[3], scale_y=size[0] / images.shape[2])
-        boxes = placement.restore(clip_boxes_to_image(boxes, size))
+        boxes = placement.restore(clip_boxes_to_image(boxes, batch.image_sizes[0]))
         return Detections(boxes=boxes.view(*kept.shape, 4), scores=scores.gather(1, kept))
 
     def _scores(self, outputs: dict[str, Tensor]) -> Float[Tensor, "B A"]:

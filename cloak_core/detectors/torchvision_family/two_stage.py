@@ -4,30 +4,22 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
-from torchvision.models.detection.generalized_rcnn import GeneralizedRCNN
 from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.rpn import concat_box_prediction_layers
 from torchvision.ops import batched_nms, clip_boxes_to_image, remove_small_boxes
 
-from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
-from cloak_core.detectors.resizing import Placement
+from cloak_core.detectors.protocol import Detections, at_least_float32
+from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 MIN_SIDE = 1e-2
 """The model drops boxes with a smaller side, in pixels of its input."""
 
 
-class TwoStageDetector(Detector):
+class TwoStageDetector(TorchvisionDetector):
     """A torchvision GeneralizedRCNN. Masks and keypoints are not computed."""
 
-    def __init__(self, model: GeneralizedRCNN, person: int, name: str, spec: str, channels_last: bool = True) -> None:
-        super().__init__(name, spec)
-        self.person = person
-        self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
-        self.model = model.to(memory_format=self.memory_format)
-
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        batch, _ = self.model.transform(list(images))
-        batch.tensors = batch.tensors.contiguous(memory_format=self.memory_format)
+        batch, placement = self.prepare(images)
         features = self.model.backbone(batch.tensors)
         features = {"0": features} if isinstance(features, Tensor) else features
         proposals, objectness = self._propose(batch, features)
@@ -40,7 +32,6 @@ class TwoStageDetector(Detector):
         scores = at_least_float32(logits).softmax(dim=-1)[:, self.person]
         scores = scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
         counts = [len(part) for part in proposals]
-        placement = Placement(scale_x=size[1] / images.shape[3], scale_y=size[0] / images.shape[2])
         return Detections(
             boxes=pad_sequence(placement.restore(boxes).split(counts), batch_first=True),
             scores=pad_sequence(scores.split(counts), batch_first=True),
