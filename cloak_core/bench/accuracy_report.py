@@ -62,6 +62,7 @@ def pareto(points: list[dict], error: str = "gradient_smooth") -> list[dict]:
 def plot(result: dict, path: Path) -> None:
     """Errors against the time of a new view: a column for each scene, a row for the gradient and for the image."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     names = list(result["scenes"])
     figure = Figure(figsize=(3.3 * len(names) + 1, 6), layout="constrained")
@@ -74,6 +75,10 @@ def plot(result: dict, path: Path) -> None:
             panel.margins(0.12)
             panel.set(xscale="log", yscale="log", title=name if row == 0 else "")
             panel.set(xlabel="new view, ms" if row else "", ylabel=label if column == 0 else "")
+            for axis, steps in ((panel.xaxis, (1, 2, 5)), (panel.yaxis, (1, 3))):
+                axis.set_major_locator(LogLocator(subs=steps))
+                axis.set_major_formatter(lambda value, position: f"{value:g}")
+                axis.set_minor_formatter(NullFormatter())
             panel.grid(True, which="major", color="0.92")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
