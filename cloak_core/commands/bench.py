@@ -90,6 +90,53 @@ class Step(Command):
 
 
 @dataclass(kw_only=True)
+class Ranks(Command):
+    """Time training in several processes (torchrun) beside one, with the same number of threads together."""
+
+    detector: str = "builtin"
+    """What is trained against."""
+    scene: str = "sample:train"
+    """Scene folder, .npz, or sample[:train]."""
+    logo: Path
+    """Face list of that scene."""
+    backgrounds: str = "procedural:train:64"
+    """Folder of images, or procedural[:train]."""
+    batch: int = 8
+    """Images per update, over all processes."""
+    ranks: int = 2
+    """Processes."""
+    threads: int = 2
+    """Threads of torch, over all processes."""
+    steps: int = 45
+    """Updates a training; the first third is not counted."""
+    rounds: int = 3
+    """How often one and several take turns."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.ranks import run_bench_ranks
+
+        return run_bench_ranks(
+            self.detector,
+            self.scene,
+            self.logo,
+            self.backgrounds,
+            batch=self.batch,
+            ranks=self.ranks,
+            threads=self.threads,
+            steps=self.steps,
+            rounds=self.rounds,
+        )
+
+    def show(self, result: dict) -> None:
+        found = result[self.detector]
+        out.print(
+            f"{self.detector}: {found['one']:.1f} images/s in one process, {found['many']:.1f} in {found['ranks']}: "
+            f"{found['throughput']:.3f} of the throughput, {found['threads']} threads each way",
+            markup=False,
+        )
+
+
+@dataclass(kw_only=True)
 class Detectors(Command):
     """Time detectors as Cloak runs them beside the same models used naively."""
 
