@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,7 @@ def run_bench_step(
 
 
 def step_table(result: dict) -> str:
-    """A record of `run_bench_step` as Markdown: a line for each detector, then machine, threads and day."""
+    """A record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
     rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
     lines = [
         "| detector | batch | views | floor, ms | step, ms | ratio | beside the detector, ms per image "
@@ -85,7 +84,7 @@ def step_table(result: dict) -> str:
             f"| {row['ratio']:.3f} | {row['overhead_ms_per_image']:.2f} | {parts} | {row['page_faults']['step']} |"
         )
     place = ", ".join(f"{key} {value}" for key, value in result["machine"].items())
-    return "\n".join(lines) + f"\n\n{place}; {result['threads']} threads; {date.today().isoformat()}.\n"
+    return "\n".join(lines) + f"\n\n{place}; {result['threads']} threads.\n"
 
 
 class _Bench:
