@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -58,14 +59,16 @@ class Step(Command):
     """Timed repetitions behind each median."""
     device: str = "cpu"
     """Torch device."""
+    out: Path | None = None
+    """Markdown file to write the table to."""
 
     def run(self) -> dict:
         from cloak_core.attack.settings import make_settings
-        from cloak_core.bench.step import run_bench_step
+        from cloak_core.bench.step import run_bench_step, step_table
         from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backgrounds import open_backgrounds
 
-        return run_bench_step(
+        result = run_bench_step(
             open_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
             open_backgrounds(self.backgrounds),
@@ -75,6 +78,12 @@ class Step(Command):
             threads=self.threads,
             repeats=self.repeats,
         )
+        if self.out is not None:
+            try:
+                self.out.write_text(step_table(result), "utf-8")
+            except OSError as error:
+                raise InputError(f"{self.out}: cannot be written ({error.strerror})") from None
+        return result
 
     def show(self, result: dict) -> None:
         for spec, figures in result.items():
