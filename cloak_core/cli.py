@@ -42,6 +42,7 @@ COMMANDS: dict[str, str] = {
     "bench growth": "bench:Growth",
     "bench stability": "bench:Stability",
     "bench step": "bench:Step",
+    "bench ranks": "bench:Ranks",
     "bench detectors": "bench:Detectors",
 }
 """Command words -> module:class in cloak_core.commands; imported only when asked for, so that `--help` is quick."""

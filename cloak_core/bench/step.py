@@ -69,6 +69,24 @@ def run_bench_step(
         }
 
 
+def step_table(result: dict) -> str:
+    """A record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
+    rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
+    lines = [
+        "| detector | batch | views | floor, ms | step, ms | ratio | beside the detector, ms per image "
+        "| next batch (thread), ms | paint, ms | update, ms | page faults a step |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        parts = " | ".join(f"{row['parts_ms'][name]:.1f}" for name in ("next_batch", "paint", "update"))
+        lines.append(
+            f"| {row['name']} | {row['batch']} | {row['views']} | {row['floor_ms']:.1f} | {row['step_ms']:.1f} "
+            f"| {row['ratio']:.3f} | {row['overhead_ms_per_image']:.2f} | {parts} | {row['page_faults']['step']} |"
+        )
+    place = ", ".join(f"{key} {value}" for key, value in result["machine"].items())
+    return "\n".join(lines) + f"\n\n{place}; {result['threads']} threads.\n"
+
+
 class _Bench:
     def __init__(
         self, bodies: Bodies, logo_faces: np.ndarray | None, backgrounds: Backgrounds, settings: TrainSettings
@@ -124,7 +142,8 @@ class _Bench:
                 clock.time("update", update)
                 batches.clear()
         prefetcher.close()
-        return clock.record(settings.batch) | {"logo_faces": len(self.logo)}
+        views = "fresh" if is_fresh(settings) else "kept"
+        return {"name": detector.name} | clock.record(settings.batch) | {"views": views, "logo_faces": len(self.logo)}
 
     def _warm_up_steps(self) -> int:
         sampler = self.sampler

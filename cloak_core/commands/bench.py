@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -62,14 +63,16 @@ class Step(Command):
     """Timed repetitions behind each median."""
     device: str = "cpu"
     """Torch device."""
+    out: Path | None = None
+    """Markdown file to write the table to."""
 
     def run(self) -> dict:
         from cloak_core.attack.settings import make_settings
-        from cloak_core.bench.step import run_bench_step
+        from cloak_core.bench.step import run_bench_step, step_table
         from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backgrounds import open_backgrounds
 
-        return run_bench_step(
+        result = run_bench_step(
             open_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
             open_backgrounds(self.backgrounds),
@@ -79,6 +82,12 @@ class Step(Command):
             threads=self.threads,
             repeats=self.repeats,
         )
+        if self.out is not None:
+            try:
+                self.out.write_text(step_table(result), "utf-8")
+            except OSError as error:
+                raise InputError(f"{self.out}: cannot be written ({error.strerror})") from None
+        return result
 
     def show(self, result: dict) -> None:
         for spec, figures in result.items():
@@ -91,6 +100,53 @@ class Step(Command):
             )
             parts = ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in figures["parts_ms"].items())
             out.print(f"    ms per step: {parts}", markup=False)
+
+
+@dataclass(kw_only=True)
+class Ranks(Command):
+    """Time training in several processes (torchrun) beside one, with the same number of threads together."""
+
+    detector: str = "builtin"
+    """What is trained against."""
+    scene: str = "sample:train"
+    """Scene folder, .npz, or sample[:train]."""
+    logo: Path
+    """Face list of that scene."""
+    backgrounds: str = "procedural:train:64"
+    """Folder of images, or procedural[:train]."""
+    batch: int = 8
+    """Images per update, over all processes."""
+    ranks: int = 2
+    """Processes."""
+    threads: int = 2
+    """Threads of torch, over all processes."""
+    steps: int = 45
+    """Updates a training; the first third is not counted."""
+    rounds: int = 3
+    """How often one and several take turns."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.ranks import run_bench_ranks
+
+        return run_bench_ranks(
+            self.detector,
+            self.scene,
+            self.logo,
+            self.backgrounds,
+            batch=self.batch,
+            ranks=self.ranks,
+            threads=self.threads,
+            steps=self.steps,
+            rounds=self.rounds,
+        )
+
+    def show(self, result: dict) -> None:
+        found = result[self.detector]
+        out.print(
+            f"{self.detector}: {found['one']:.1f} images/s in one process, {found['many']:.1f} in {found['ranks']}: "
+            f"{found['throughput']:.3f} of the throughput, {found['threads']} threads each way",
+            markup=False,
+        )
 
 
 @dataclass(kw_only=True)

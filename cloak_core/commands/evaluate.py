@@ -81,7 +81,15 @@ def read_run(folder: Path) -> dict:
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
     if not (folder / "colors.npy").exists():
         raise InputError(f"{folder}: has no trained colours yet (no colors.npy in it)")
-    return read_json(folder / "config.json")
+    config = read_json(folder / "config.json")
+    inputs, detectors = config.get("inputs", {}), config.get("detectors")
+    if not isinstance(inputs, dict) or not all(isinstance(value, str) for value in inputs.values()):
+        raise InputError(f"{folder / 'config.json'}: inputs is not a record of names")
+    if not isinstance(detectors, list) or not all(
+        isinstance(d, dict) and isinstance(d.get("spec"), str) for d in detectors
+    ):
+        raise InputError(f"{folder / 'config.json'}: detectors is not a list of records, each with its spec")
+    return config
 
 
 def kept_back(kind: str, config: dict) -> str:

@@ -91,7 +91,11 @@ def load_detector(
         )
     if layout is not None and parsed.family != "onnx":
         raise InputError(f"detector {spec!r}: --layout is for onnx:FILE")
-    precision = _precision(precision, torch.device(device))
+    try:
+        device = torch.device(device)
+    except RuntimeError as error:
+        raise InputError(f"--device {device}: {str(error).splitlines()[0]}") from None
+    precision = _precision(precision, device)
     if person_class is not None:
         spec = with_person_class(spec, person_class)
     person = person_class or parsed.person_class or PERSON

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from cloak_core.errors import InputError
 from cloak_core.scene.decoded import DecodedImages, cache_folder
+from cloak_core.scene.pictures import MAX_PIXELS
 from cloak_core.scene.procedural import draw_scene
 from cloak_core.scene.selection import select, split_selection
 
@@ -230,8 +231,12 @@ def _decode(path: Path, data: bytes, height: int, width: int) -> UInt8[np.ndarra
     try:
         with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image:
             image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
+            if image.width * image.height > MAX_PIXELS:
+                raise InputError(f"{path}: more than {MAX_PIXELS >> 20} million pixels")
             upright = ImageOps.exif_transpose(image)
             return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
+    except InputError:
+        raise
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: not a readable image ({error})") from error
 

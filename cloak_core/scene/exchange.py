@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import json
 import os
 import shutil
 import tempfile
+import tokenize
 import zipfile
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,6 +29,9 @@ FORMAT_VERSION = 1
 MAX_BYTES = 2 << 30
 """No file is read that would take more memory than this."""
 MAX_JSON_BYTES = 16 << 20
+MAX_FACES = 1 << 24
+MAX_HEADER_BYTES = 64 << 10
+"""Of a .npy file."""
 AXES = "y up, facing +z, right-handed"
 
 
@@ -80,6 +85,8 @@ class Bodies:
         put("triangles", _array(self.triangles, np.int32, "triangles", (None, 3)))
         faces = self.triangle_face if self.triangle_face is not None else np.arange(len(self.triangles))
         put("triangle_face", _array(faces, np.int32, "triangle_face", (len(self.triangles),)))
+        if len(self.triangle_face) and self.triangle_face.max() >= MAX_FACES:
+            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
         if (self.loop_total is None) != (self.loop_vertices is None):
             raise InputError("loop_total and loop_vertices come together")
         if self.loop_total is not None:
@@ -455,7 +462,16 @@ def _read_array(file: object, size: int) -> np.ndarray:
     }.get(version)
     if reader is None:
         raise ValueError(f"npy version {version}")
-    shape, fortran, dtype = reader(file)
+    # numpy takes as much memory as the header says it is long, so the length is looked at first.
+    size_of_length = 2 if version == (1, 0) else 4
+    length = file.read(size_of_length)
+    if int.from_bytes(length, "little") > MAX_HEADER_BYTES:
+        raise ValueError("its header is too long")
+    header = file.read(int.from_bytes(length, "little"))
+    try:
+        shape, fortran, dtype = reader(io.BytesIO(length + header))
+    except (SyntaxError, TypeError, tokenize.TokenError, RecursionError, MemoryError) as error:
+        raise ValueError(f"its header is not one ({_line(error)})") from None
     if dtype.hasobject:
         raise ValueError("it holds Python objects, which are never loaded")
     count = 1

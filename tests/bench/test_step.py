@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from cloak_core.bench.step import run_bench_step
+from cloak_core.bench.step import run_bench_step, step_table
 from cloak_core.errors import InputError
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
@@ -24,6 +24,7 @@ def test_the_record_holds_together(changes):
     before = torch.get_num_threads()
     result = measure(**changes)
     assert torch.get_num_threads() == before
+    assert step_table(result).count("| tiny |") == 2
     for spec in ("tiny:0", "tiny:1"):
         row = result[spec]
         assert row["batch"] == 3 and row["floor_ms"] > 0

@@ -9,7 +9,7 @@ from torch import Tensor
 from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
-from cloak_core.detectors.darknet.weights import read_weights
+from cloak_core.detectors.darknet.weights import check_size, read_weights
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
 from cloak_core.errors import InputError
@@ -63,7 +63,11 @@ def load_darknet(
     Class names come from `class_names`, a .names file beside the cfg, or COCO or VOC by their number. InputError as in
     `read_cfg`, `Network`, `read_weights` and `person_index`.
     """
-    network = Network(read_cfg(cfg), input_size)
+    sections = read_cfg(cfg)
+    # A cfg of a few lines can ask for any amount of memory: none is taken before the file of weights bears it out.
+    with torch.device("meta"):
+        check_size(Network(sections, input_size), weights)
+    network = Network(sections, input_size)
     counts = {head.classes for head in network.heads}
     if len(counts) != 1:
         raise InputError(f"{cfg}: its heads have different numbers of classes {sorted(counts)}")

@@ -1,5 +1,7 @@
 """From .cfg sections to a torch network that runs, trains and folds."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -20,6 +22,8 @@ from cloak_core.detectors.darknet.layers import (
 
 MAX_SIDE = 8192
 MAX_CHANNELS = 1 << 16
+MAX_VALUES = 1 << 28
+"""Of one layer's output on one image: 1 GiB."""
 
 Shape = tuple[int, int, int]
 
@@ -52,6 +56,8 @@ class Network(nn.Module):
                 raise section.error(
                     f"the input {self.input_size[0]}x{self.input_size[1]} is too small to reach this layer"
                 )
+            if math.prod(shape) > MAX_VALUES:
+                raise section.error(f"its output of {' x '.join(map(str, shape))} numbers is beyond any known network")
             layers.append(layer)
             shapes.append(shape)
         self.layers = nn.ModuleList(layers)

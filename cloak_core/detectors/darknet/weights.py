@@ -39,15 +39,12 @@ def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
     return stored
 
 
-@torch.no_grad()
-def read_weights(network: Network, path: Path) -> Network:
-    """Fill an unfolded network from a .weights file, in place.
+def check_size(network: Network, path: Path) -> tuple[int, int]:
+    """Bytes of the header, and the revision, of a file with as many floats as `network` (a meta one, too) asks for.
 
-    InputError when the file is missing, holds fewer or more floats than the cfg asks for (both numbers are given), or
-    holds numbers no network can have (not finite, negative variance).
+    InputError when it is missing or holds others, as in `read_weights`.
     """
-    stored = stored_tensors(network)
-    expected = sum(tensor.numel() for _, _, tensor in stored)
+    expected = sum(tensor.numel() for _, _, tensor in stored_tensors(network))
     if not path.is_file():
         raise InputError(f"{path}: no such file (expected {expected:,} floats of weights)")
     header, revision = _header(path)
@@ -58,6 +55,18 @@ def read_weights(network: Network, path: Path) -> Network:
             f"{path}: expected {expected:,} floats for {network.sections[0].source}, found {found:,}{more} "
             f"({'truncated' if found < expected else 'too long'}, or the weights of another cfg)"
         )
+    return header, revision
+
+
+@torch.no_grad()
+def read_weights(network: Network, path: Path) -> Network:
+    """Fill an unfolded network from a .weights file, in place.
+
+    InputError when the file is missing, holds fewer or more floats than the cfg asks for (both numbers are given), or
+    holds numbers no network can have (not finite, negative variance).
+    """
+    header, revision = check_size(network, path)
+    stored = stored_tensors(network)
     values = torch.from_numpy(np.fromfile(path, dtype="<f4", offset=header).astype(np.float32, copy=False))
     offset = 0
     for index, name, tensor in stored:
