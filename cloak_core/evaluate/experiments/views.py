@@ -71,6 +71,10 @@ def single_angle(lab: Lab) -> Outcome:
         rows += rate_rows({"detector": spec}, result, spec, "angle", angles)
         rates = [result.rate(spec, angle=a) for a in angles]
         band(axis, angles, rates, CYCLE[k % 7], MARKERS[k % 7], DASHES[k % 7], short_name(spec))
+        if not k:
+            own = SERIES["clothing"]
+            clean = [result.share(spec, "clothing", angle=a) for a in angles]
+            axis.plot(angles, clean, color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
         front, ends = result.rate(spec, angle=0.0), [result.rate(spec, angle=a) for a in (-10.0, 10.0)]
         words.append(
             f"{short_name(spec)}: {said_rate(result.rate(spec))} over all angles, {rate_text(front.value)} at 0, "
