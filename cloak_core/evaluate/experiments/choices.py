@@ -95,7 +95,7 @@ def tv(lab: Lab) -> Outcome:
             degree_ticks(axis)
     percent_axis(axes[0])
     legend_above(figure)
-    figures = {"weights": figure} | ({"logos": sheet} if (sheet := _preview_figure(pictures)) else {})
+    figures = {"weights": figure} | ({"pictures-logos": sheet} if (sheet := _preview_figure(pictures)) else {})
     return Outcome("Total variation", rows, _tv_words(rows, spec), figures)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
 
 from cloak_core.errors import InputError
+from cloak_core.evaluate.controls import LOGO
 from cloak_core.evaluate.experiments.page import table
 from cloak_core.evaluate.experiments.registry import finished
 from cloak_core.scene.exchange import read_json
@@ -22,7 +22,7 @@ COLORS = 128
 
 
 def publish(out: Path, folder: Path) -> Path:
-    """Write FOLDER/tables.md, one section for every finished experiment of OUT, with figures beside it; its path."""
+    """Write FOLDER/tables.md, one section for every finished experiment of OUT, with plots beside it; its path."""
     records = finished(out)
     if not records:
         raise InputError(f"{out}: holds no finished experiment")
@@ -30,22 +30,22 @@ def publish(out: Path, folder: Path) -> Path:
     parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../results.md).\n"]
     for name, record in records.items():
         figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in record["figures"] if _is_shown(file)]
-        parts.append(_section(name, record, read_json(out / name / "config.json"), figures))
+        config = read_json(out / name / "config.json")
+        command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
+        parts.append(_section(name, record, config | {"command": command}, figures))
     path = folder / "tables.md"
     path.write_text("\n".join(parts), "utf-8")
     return path
 
 
 def _is_shown(file: str) -> bool:
-    return not file.endswith(".svg")
+    """Plots, but no pictures: whether the photographs in those may be published only their owner knows."""
+    return file.endswith(".png") and not file.startswith("pictures")
 
 
 def _copy(source: Path, target: Path) -> str:
-    if source.suffix == ".png":
-        with Image.open(source) as image:
-            image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(target, optimize=True)
-    else:
-        shutil.copyfile(source, target)
+    with Image.open(source) as image:
+        image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(target, optimize=True)
     return target.name
 
 
@@ -61,13 +61,14 @@ def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> s
     spread = [row for row in rows if row.get("seeds", 1) > 1]
     if spread:
         lines += ["Spread over seeds:", "", *grid([_only(row, "seeds", "worst_seed", "best_seed") for row in spread])]
-    if record.get("thresholds"):
-        lines += ["Success at other thresholds:", "", *grid(record["thresholds"][:SHOWN])]
+    curves = [row for row in record.get("thresholds", []) if row["control"] == LOGO]
+    if curves:
+        lines += ["Trained colours at other thresholds (controls in thresholds.csv):", "", *grid(curves[:SHOWN])]
     if record["paper"]:
         lines += ["The paper's values:", "", *grid(record["paper"])]
     counts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record["counts"].items())
     versions = ", ".join(f"{key} {config[key]}" for key in ("cloak", "torch", "threads") if key in config)
-    lines.append(f"`{config['command']}`\n" if config.get("command") else "")
+    lines += [f"`{config['command']}`\n"] if config["command"] else []
     lines.append(f"{counts}; {versions}.\n")
     return "\n".join(lines)
 

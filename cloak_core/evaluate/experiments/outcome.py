@@ -59,7 +59,7 @@ def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
     for key, figure in drawn.items():
         figures += [path.name for path in save_figure(figure, folder / key)]
     for key, picture in outcome.pictures.items():
-        picture.convert("RGB").save(folder / f"{key}.jpg", quality=88, optimize=True)
+        picture.convert("RGB").save(folder / f"{key}.jpg", quality=85, optimize=True)
         figures.append(f"{key}.jpg")
     rows = [{key: value for key, value in row.items() if key != CURVES} for row in outcome.rows]
     write_csv(folder / "numbers.csv", rows)

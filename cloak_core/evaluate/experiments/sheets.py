@@ -18,7 +18,7 @@ from cloak_core.evaluate.figures import SERIES
 from cloak_core.evaluate.pictures import failure_trials, gallery_trials, shoot_pair
 from cloak_core.evaluate.sheets import draw_sheet
 
-SIDE = 200
+SIDE = 160
 """Of a picture, pixels."""
 
 

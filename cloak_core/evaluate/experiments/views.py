@@ -71,6 +71,10 @@ def single_angle(lab: Lab) -> Outcome:
         rows += rate_rows({"detector": spec}, result, spec, "angle", angles)
         rates = [result.rate(spec, angle=a) for a in angles]
         band(axis, angles, rates, CYCLE[k % 7], MARKERS[k % 7], DASHES[k % 7], short_name(spec))
+        if not k:
+            own = SERIES["clothing"]
+            clean = [result.share(spec, "clothing", angle=a) for a in angles]
+            axis.plot(angles, clean, color=INK, lw=1.2, ls=":", marker=own.marker, label=own.label)
         front, ends = result.rate(spec, angle=0.0), [result.rate(spec, angle=a) for a in (-10.0, 10.0)]
         words.append(
             f"{short_name(spec)}: {said_rate(result.rate(spec))} over all angles, {rate_text(front.value)} at 0, "
@@ -116,8 +120,8 @@ def wide_angle(lab: Lab) -> Outcome:
             label = {"cloak": name, "test": test}
             whole.append(label | {"angle": "all"} | result.row(spec))
             rows += rate_rows(label, result, spec, "angle", part)
-        band(axis, wide, [results[0][1].rate(spec, angle=a) for a in wide], *look, name)
-        _ring(polar[0], circle, results[1][1], spec, "logo", look[0], look[2], name)
+        band(axis, wide, [results[0][1].rate(spec, angle=a) for a in wide], *look, name, alpha=0.1)
+        _ring(polar[0], circle, results[1][1], spec, "logo", look[0], look[2], name, banded=k == len(kinds) - 1)
         if k == len(kinds) - 1:
             own = SERIES["clothing"]
             clean = [results[0][1].share(spec, "clothing", angle=a) for a in wide]
@@ -146,12 +150,13 @@ def _ring(
     color: str,
     dash: object,
     name: str,
+    banded: bool = False,
 ) -> None:
-    """A closed line of rates around the body, with its band."""
+    """A closed line of rates around the body, with its band where asked for: on a circle only one can be read."""
     rates = [result.rate(spec, control, angle=a) for a in (*angles, angles[0])]
     at = np.radians([*angles, 360 + angles[0]])
     axis.plot(at, [r.value for r in rates], color=color, ls=dash, lw=1.8 if control == "logo" else 1.2, label=name)
-    if control == "logo":
+    if banded:
         axis.fill_between(at, [r.low for r in rates], [r.high for r in rates], color=color, alpha=0.12, lw=0)
 
 
