@@ -47,12 +47,17 @@ def run_bench_views(
 
 
 def cached_render(bank: ViewBank, camera: Camera) -> Callable[[], None]:
-    """One render of the logo onto a ready background with its gradient, ready to be called again and again."""
+    """One render of the logo onto a ready background with its gradient, ready to be called again and again.
+
+    Ready as training has it: background and incoming gradient lie channels-last in memory, as images do here.
+    """
     faces = chest_and_thighs(bank.bodies)
     view = bank.dress(0, camera, faces)
     generator = torch.Generator().manual_seed(0)
     shape = (1, 3, camera.height, camera.width)
-    background, upstream = (torch.rand(shape, generator=generator).to(bank.device) for _ in range(2))
+    background, upstream = (
+        torch.rand(shape, generator=generator).to(bank.device, memory_format=torch.channels_last) for _ in range(2)
+    )
     colors = torch.full((len(faces), 3), 0.5, device=bank.device, requires_grad=True)
 
     def render() -> None:

@@ -117,7 +117,7 @@ class ViewBank:
 
         On the CPU, torch's threads share the views, or the one view's rows.
         """
-        count = workers(self.device)
+        count = self._workers(len(wanted))
         if len(wanted) == 1:
             with one_thread():
                 return self._build(wanted, count)
@@ -151,7 +151,7 @@ class ViewBank:
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
         """The nearest triangle at every sample."""
-        count, cull = workers(self.device), self._cull(wanted, screen)
+        count, cull = self._workers(len(wanted)), self._cull(wanted, screen)
         with one_thread():
             return rasterize(screen, self._triangles, GRIDS[self.samples], cull, window, count)
 
@@ -160,13 +160,18 @@ class ViewBank:
         if not self.by_area:
             return self.visibility(wanted, self.screen(wanted))
         self._get_ready(wanted)
-        count = workers(self.device)
+        count = self._workers(len(wanted))
         if len(wanted) > 1:
             parts = [(part := wanted[views], self.screen(part), None) for views in even(len(wanted), count)]
         else:
             screen = self.screen(wanted)
             parts = [(wanted, screen, band) for band in self._bands(screen, count)]
         return spread(lambda part: self._band(*part), parts, count)
+
+    def _workers(self, views: int) -> int:
+        """How many CPU threads share the work: for one view of few samples one alone is quicker than two that wait
+        for each other's Python."""
+        return 1 if views == 1 and self.samples in (1, 4) else workers(self.device)
 
     def _cull(self, wanted: Sequence[tuple[int, Camera]], screen: Screen) -> Bool[Tensor, " B"]:
         """Bodies whose closed surface faces outwards drop their back faces, except in views where the near plane cuts
