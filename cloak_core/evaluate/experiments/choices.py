@@ -236,7 +236,7 @@ def cost(lab: Lab) -> Outcome:
             rows.append({"variant": name, "steps": steps} | seconds | result.row(spec))
             line.append((seconds["cpu_seconds"], result.rate(spec)))
         known = [(x, r) for x, r in line if x is not None]
-        band(axis, [x for x, _ in known], [r for _, r in known], CYCLE[k], MARKERS[k], DASHES[k], name)
+        band(axis, tuple(x for x, _ in known), [r for _, r in known], CYCLE[k], MARKERS[k], DASHES[k], name)
     percent_axis(axis)
     axis.set_xlabel("processor time of the training (s, views included)")
     axis.set_xscale("log")
