@@ -7,12 +7,33 @@ and give the same result as the torch operations beside them, which other device
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+
 import numba
 import numpy as np
 import torch
 
 loop = numba.njit(cache=True, nogil=True, error_model="numpy")
 """Decorator of functions of arrays and numbers; they release the interpreter, so that threads run them side by side."""
+
+_switched_off = False
+
+
+def use_loops(device: torch.device) -> bool:
+    """Whether work on this device is done by loops."""
+    return device.type == "cpu" and not _switched_off
+
+
+@contextlib.contextmanager
+def torch_alone() -> Iterator[None]:
+    """Within, in all threads, the CPU does what other devices do: torch's operations, no loops."""
+    global _switched_off
+    before, _switched_off = _switched_off, True
+    try:
+        yield
+    finally:
+        _switched_off = before
 
 
 def arrays(*tensors: torch.Tensor) -> list[np.ndarray]:
