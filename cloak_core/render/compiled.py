@@ -8,14 +8,19 @@ and give the same result as the torch operations beside them, which other device
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import inspect
+from collections.abc import Callable, Iterator
 
 import numba
 import numpy as np
 import torch
 
-loop = numba.njit(cache=True, nogil=True, error_model="numpy")
-"""Decorator of functions of arrays and numbers; they release the interpreter, so that threads run them side by side."""
+
+def loop(function: Callable) -> Callable:
+    """Decorator of functions of arrays and numbers; they release the interpreter, so that threads run side by side."""
+    # unwrapped: under pytest, functions come wrapped in a check of types, which cannot be compiled.
+    return numba.njit(inspect.unwrap(function), cache=True, nogil=True, error_model="numpy")
+
 
 _switched_off = False
 
