@@ -27,6 +27,7 @@ from cloak_core.attack.trainer import RunResult, Trainer, TrainingError
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.errors import InputError
+from cloak_core.render.stored import view_files
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.exchange import Bodies
@@ -124,11 +125,11 @@ def _train(
 
 
 def make_bank(bodies: Bodies, settings: TrainSettings, device: torch.device) -> ViewBank:
-    """The views of a run. Where every image has a camera of its own, keeping views gains nothing."""
+    """The views of a run, kept for the next one. Where each image has a camera of its own, keeping gains nothing."""
     if is_fresh(settings):
         samples = settings.samples or FRESH_SAMPLES
         return ViewBank(bodies, device=device, samples=samples, memory_bytes=FRESH_VIEWS_BYTES)
-    return ViewBank(bodies, device=device, samples=settings.samples)
+    return ViewBank(bodies, device=device, samples=settings.samples, files=view_files())
 
 
 def make_batcher(settings: TrainSettings, material: Material, logo: Logo, device: torch.device) -> Batcher:

@@ -20,6 +20,7 @@ from cloak_core.evaluate.recording import store_evaluation
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.store import check_folder
+from cloak_core.render.stored import view_files
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.exchange import Bodies
@@ -120,5 +121,5 @@ def make_stage(
         seed=settings.seed,
     )
     options = {} if settings.samples is None else {"samples": settings.samples}
-    bank = ViewBank(bodies, device=next(iter(detectors.values())).device, **options)
+    bank = ViewBank(bodies, device=next(iter(detectors.values())).device, files=view_files(), **options)
     return Stage(colors, logo, bodies, backgrounds, trials, camera=settings.camera, seed=settings.seed, bank=bank)

@@ -26,10 +26,12 @@ from cloak_core.render.kept import Kept
 from cloak_core.render.projection import Screen, project
 from cloak_core.render.rasterizer import Visibility, bounding_window, rasterize, row_bands
 from cloak_core.render.shading import Light, NormalOperator
+from cloak_core.render.stored import StoredViews
 from cloak_core.render.threads import even, one_thread, spread, workers
 from cloak_core.scene.bodies import is_closed, is_outward
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.kept_files import KeptFiles
 
 GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 """Samples per pixel, and how many of them stand along a pixel's side."""
@@ -48,6 +50,7 @@ class ViewBank:
 
     bodies: the scene; light: see `Light`; memory_bytes: for kept views. samples: where absent, coverage is measured by
     exact area (see area.py), the best there is for its time (docs/accuracy.md); 1, 4, 16 or 64 count samples instead.
+    files: where views are kept between runs (see stored.py), None: nowhere.
     Raises `InputError` for another number of samples, and for a pose or an outfit that the scene does not have.
     """
 
@@ -58,6 +61,7 @@ class ViewBank:
         samples: int | None = None,
         device: str | torch.device = "cpu",
         memory_bytes: int = 2 << 30,
+        files: KeptFiles | None = None,
     ) -> None:
         if samples is not None and samples not in GRIDS:
             raise InputError(f"samples: {samples} per pixel; there are {', '.join(map(str, GRIDS))}")
@@ -77,19 +81,30 @@ class ViewBank:
         closed = is_closed(bodies.triangles)
         self._outward = np.asarray(is_outward(bodies)) if closed else np.zeros(bodies.pose_count, bool)
         self._kept = Kept(memory_bytes)
+        recipe = (self.light, self.samples, self.by_area)
+        self._stored = None if files is None else StoredViews(files, bodies, recipe, textured, self.device)
         self._batch_numbers = BATCH_NUMBERS.get(self.device.type, BATCH_NUMBERS["cpu"])
 
     def view(self, pose: int, camera: Camera) -> View:
-        """The view, from memory where it was built before."""
+        """The view, from memory or the files where it was built before."""
         return self.views([(pose, camera)])[0]
 
     def views(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
-        """Many views; those not in memory are built together, image size by image size."""
-        found = {key: self._kept.get(("view", *key)) for key in wanted}
+        """Many views; those not built before are built together, image size by image size."""
+        found = {key: self._find(*key) for key in wanted}
         for part in self.batches([key for key, view in found.items() if view is None]):
             for key, view in zip(part, self.build(part), strict=True):
                 found[key] = self._kept.put(("view", *key), view)
+                if self._stored is not None:
+                    self._stored.put(*key, view)
         return [found[key] for key in wanted]
+
+    def _find(self, pose: int, camera: Camera) -> View | None:
+        view = self._kept.get(("view", pose, camera))
+        if view is None and self._stored is not None:
+            view = self._stored.get(pose, camera)
+            return None if view is None else self._kept.put(("view", pose, camera), view)
+        return view
 
     def batches(self, wanted: Sequence[tuple[int, Camera]]) -> Iterator[list[tuple[int, Camera]]]:
         """Views cut into parts that `build` takes at once: of one image size, and within the memory set aside."""

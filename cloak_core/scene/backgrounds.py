@@ -23,7 +23,8 @@ from PIL import Image, ImageOps
 from torch import Tensor
 
 from cloak_core.errors import InputError
-from cloak_core.scene.decoded import DecodedImages, cache_folder
+from cloak_core.scene.decoded import DecodedImages
+from cloak_core.scene.kept_files import cache_folder
 from cloak_core.scene.pictures import MAX_PIXELS
 from cloak_core.scene.procedural import draw_scene
 from cloak_core.scene.selection import select, split_selection
@@ -167,7 +168,7 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not files:
         raise InputError(f"{folder}: no jpg, png or webp image in this folder (sub-folders are not searched)")
-    decoded = DecodedImages(cache_folder())
+    decoded = DecodedImages(cache_folder("images"))
     room = max(1, memory_bytes // (3 * size[0] * size[1]))
     good: list[Path] = []
     digests: list[str] = []

@@ -6,7 +6,8 @@ import pytest
 from PIL import Image
 
 from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.decoded import DecodedImages, cache_folder
+from cloak_core.scene.decoded import DecodedImages
+from cloak_core.scene.kept_files import cache_folder
 
 
 def picture(seed: int = 0, height: int = 6, width: int = 8) -> np.ndarray:
@@ -37,15 +38,19 @@ def test_damaged_files_count_as_absent(tmp_path, damage: str):
     assert images.get("a", 6, 8) is None
 
 
-def test_the_oldest_go_when_there_are_too_many(tmp_path):
+def test_the_least_recently_used_go_when_there_are_too_many_and_nothing_else(tmp_path):
+    (tmp_path / "holiday.jpg").write_bytes(bytes(10_000))
     size = picture().nbytes + 4
-    images = DecodedImages(tmp_path, limit=3 * size)
     for i in range(8):
-        images.put(f"{i}", picture(i))
+        DecodedImages(tmp_path).put(f"{i}", picture(i))
         for path in tmp_path.glob(f"{i}-*"):
             os.utime(path, (1000 + i, 1000 + i))
-    images.trim()
-    assert [images.get(f"{i}", 6, 8) is not None for i in range(8)] == [False] * 5 + [True] * 3
+    assert DecodedImages(tmp_path).get("2", 6, 8) is not None
+    # The first picture of a run already counts those of earlier ones.
+    DecodedImages(tmp_path, limit=3 * size).put("8", picture(8))
+    images = DecodedImages(tmp_path)
+    assert [i for i in range(9) if images.get(f"{i}", 6, 8) is not None] == [2, 7, 8]
+    assert (tmp_path / "holiday.jpg").exists()
 
 
 def test_many_writers_of_one_image_leave_one_sound_file(tmp_path):
@@ -81,9 +86,9 @@ def test_the_second_run_decodes_nothing(tmp_path, monkeypatch):
 
 def test_where_the_folder_is(monkeypatch, tmp_path):
     monkeypatch.setenv("CLOAK_CACHE", "off")
-    assert cache_folder() is None
+    assert cache_folder("images") is None
     monkeypatch.setenv("CLOAK_CACHE", str(tmp_path))
-    assert cache_folder() == tmp_path / "images"
+    assert cache_folder("images") == tmp_path / "images"
     monkeypatch.delenv("CLOAK_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "cloak" / "images"
+    assert cache_folder("images") == tmp_path / "cloak" / "images"
