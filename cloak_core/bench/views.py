@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import os
 import platform
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from cloak_core.errors import InputError
 from cloak_core.render.compositing import compose
+from cloak_core.render.stored import StoredViews
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies, read_scene
+from cloak_core.scene.kept_files import KeptFiles
 
 
 def run_bench_views(
@@ -29,7 +33,8 @@ def run_bench_views(
     """Milliseconds per view, one view at a time: median and least of `repeats` runs.
 
     Visibility is project, cover and depth; a new view is everything a cached render needs, from vertices in memory;
-    cached is a render of a chest-and-thighs logo onto a ready background together with its gradient.
+    stored is reading the view that an earlier run built; cached is a render of a chest-and-thighs logo onto a ready
+    background together with its gradient.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
@@ -41,9 +46,18 @@ def run_bench_views(
         result = {
             "visibility_ms": timed(lambda: bank.visibility(key, bank.screen(key)), repeats, device),
             "new_view_ms": timed(lambda: bank.build(key), repeats, device),
+            "stored_ms": _reading(bank, camera, repeats),
             "cached_ms": timed(cached_render(bank, camera), repeats, device),
         }
     return result | {"samples": samples, "threads": threads, "machine": machine(device)}
+
+
+def _reading(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
+    with tempfile.TemporaryDirectory() as folder:
+        view, files = bank.view(0, camera), KeptFiles(Path(folder), ".view", 1 << 30, "views")
+        stored = StoredViews(files, bank.bodies, bank.samples, view.uv is not None, bank.device)
+        stored.put(0, camera, view)
+        return timed(lambda: stored.get(0, camera), repeats, bank.device.type)
 
 
 def cached_render(bank: ViewBank, camera: Camera) -> Callable[[], None]:

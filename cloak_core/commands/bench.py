@@ -37,7 +37,8 @@ class Views(Command):
 
     def show(self, result: dict) -> None:
         out.print(f"{result['samples']} sample(s) per pixel, {result['threads']} threads; ms per view")
-        for key, name in (("visibility_ms", "visibility"), ("new_view_ms", "new view"), ("cached_ms", "cached")):
+        names = ("visibility", "new view", "stored", "cached")
+        for key, name in ((f"{name.replace(' ', '_')}_ms", name) for name in names):
             out.print(f"{name:<12} median {result[key]['median']:8.3f}   min {result[key]['min']:8.3f}")
 
 
