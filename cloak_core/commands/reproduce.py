@@ -19,8 +19,8 @@ class Reproduce(Command):
     name: Positional[str]
     """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, render-gap (needs
     Blender), cost, or all."""
-    out: Path
-    """Folder for results and shared trainings; an interrupted one goes on."""
+    out: Path = Path("runs/reproduce")
+    """Folder for results and shared trainings; what is there already is not done again."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
     scene: str = "sample"

@@ -34,6 +34,8 @@ TV_WEIGHTS = (0.0, 0.1, 0.5, 1.0, 2.5, 10.0)
 CHANGES: dict[str, dict[str, object]] = {
     "preset best": {},
     "SGD instead of Adam": {"optimizer": "sgd", "lr": 1.0, "momentum": 0.9},
+    "learning rate 0.02 instead of 0.05": {"lr": 0.02},
+    "learning rate 0.1 instead of 0.05": {"lr": 0.1},
     "constant learning rate": {"schedule": "constant"},
     "loss: objectness": {"loss": "objectness"},
     "loss: log": {"loss": "log"},
@@ -45,6 +47,8 @@ CHANGES: dict[str, dict[str, object]] = {
     "one angle": {"angles": SINGLE},
     "from random colours": {"initial": "random"},
     "sigmoid instead of projection": {"gamut": "sigmoid"},
+    "half of the images: hard views": {"hard_views": 0.5},
+    "occluders, zoom, blur and JPEG": {"occluders": 2, "zoom": "0.8:1.2", "blur": 1.0, "jpeg": "40:95"},
 }
 """Each changes one choice of preset `best`."""
 PICTURES = 7
@@ -52,10 +56,14 @@ PICTURES = 7
 QUICK_CHANGES = (
     "preset best",
     "SGD instead of Adam",
+    "learning rate 0.02 instead of 0.05",
+    "learning rate 0.1 instead of 0.05",
     "loss: log",
     "no total variation",
     "no photometric noise",
     "one angle",
+    "half of the images: hard views",
+    "occluders, zoom, blur and JPEG",
 )
 
 COSTS: dict[str, dict[str, object]] = {
