@@ -29,13 +29,16 @@ from torch import Tensor
 from cloak_core.errors import InputError
 from cloak_core.render.candidates import EXACT_EXTENT, Candidates, SampleGrid, Soup, Window, find_candidates
 from cloak_core.render.clipping import clip
+from cloak_core.render.compiled import use_loops
 from cloak_core.render.covering import DEPTH_BITS, ID_BITS, Setup, chunk_size
+from cloak_core.render.covering_loops import EMPTY
+from cloak_core.render.covering_loops import cover as cover_by_loops
+from cloak_core.render.flat import flatten
 from cloak_core.render.projection import GRID, Screen
 from cloak_core.render.threads import even, spread
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
 """Triangles of one body; ids are the low bits of a key and all ones mean "none"."""
-EMPTY = torch.iinfo(torch.int64).max
 
 
 @dataclass(frozen=True)
@@ -95,24 +98,37 @@ def rasterize(
     rows, columns = (window.y1 - window.y0) * grid, (window.x1 - window.x0) * grid
     keys = torch.full((len(screen.x), rows, columns), EMPTY, dtype=torch.int64, device=screen.x.device)
 
-    def cover(part: tuple[slice, Window]) -> None:
+    def cover_part(part: tuple[slice, Window]) -> None:
         views, band = part
         own = keys[views, (band.y0 - window.y0) * grid : (band.y1 - window.y0) * grid]
-        _cover(
-            own.view(-1), screen.part(views), triangles, SampleGrid(band, grid), None if cull is None else cull[views]
-        )
+        culled = None if cull is None else cull[views]
+        cover = _cover_by_loops if use_loops(keys.device) else _cover
+        cover(own, screen.part(views), triangles, SampleGrid(band, grid), culled)
 
     if keys.numel():
         if len(keys) > 1:
             parts = [(views, window) for views in even(len(keys), workers)]
         else:
             parts = [(slice(0, 1), band) for band in row_bands(screen, window, workers)]
-        spread(cover, parts, workers)
+        spread(cover_part, parts, workers)
     return Visibility(keys, window, screen.width, screen.height, grid)
 
 
+def _cover_by_loops(
+    keys: Int64[Tensor, "B rows columns"],
+    screen: Screen,
+    triangles: Int64[Tensor, "3 T"],
+    samples: SampleGrid,
+    cull: Bool[Tensor, " B"] | None,
+) -> None:
+    for view, own in enumerate(keys.numpy()):
+        culled = cull is not None and bool(cull[view])
+        flat = flatten(screen, triangles, view).arrays()
+        cover_by_loops(own, *flat, culled, samples.row0, samples.column0, samples.shift)
+
+
 def _cover(
-    keys: Int64[Tensor, " N"],
+    keys: Int64[Tensor, "B rows columns"],
     screen: Screen,
     triangles: Int64[Tensor, "3 T"],
     samples: SampleGrid,
@@ -123,7 +139,7 @@ def _cover(
         setup = Setup.build(samples.step, samples.columns, chunk.soup, chunk.found, first, chunk.ids, chunk.exact)
         for rows in setup.rows():
             for index, key in rows.hits():
-                keys.scatter_reduce_(0, index, key, "amin")
+                keys.view(-1).scatter_reduce_(0, index, key, "amin")
 
 
 def row_bands(screen: Screen, window: Window, count: int) -> list[Window]:

@@ -1,0 +1,136 @@
+"""Triangles to the nearest triangle at every sample, as loops for the CPU; covering.py says how and why it is exact.
+
+Edge functions are evaluated in int64 throughout: within the guard band nothing overflows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloak_core.render.compiled import loop
+from cloak_core.render.covering import DEPTH_BITS, ID_BITS
+
+LIMIT = (1 << DEPTH_BITS) - 1
+EMPTY = np.iinfo(np.int64).max
+_SCALE = float(1 << DEPTH_BITS)
+_SHORT = 4
+"""Rows of up to so many samples are tried one by one; beyond, a division for each edge is quicker."""
+
+
+@loop
+def cover(keys, x, y, nearness, corner, ids, cull, row0, column0, shift):
+    """Every triangle of one view into `keys` [rows, columns], the samples from row0 and column0 on.
+
+    x, y: snapped, int32 [K]; nearness: float64 [K]; corner: int64 [3, N]; ids: int64 [N]; cull: whether clockwise
+    triangles are dropped; shift: there are 2^shift grid units between samples.
+    """
+    rows, columns = keys.shape
+    last_row, last_column = row0 + rows - 1, column0 + columns - 1
+    for t in range(corner.shape[1]):
+        a, b, c = corner[0, t], corner[1, t], corner[2, t]
+        c0, c1 = span(x[a], x[b], x[c], shift, column0, last_column)
+        if c0 > c1:
+            continue
+        r0, r1 = span(y[a], y[b], y[c], shift, row0, last_row)
+        if r0 > r1:
+            continue
+        twice = doubled_area(x, y, a, b, c)
+        if twice == 0 or (cull and twice > 0):
+            continue
+        cover_box(keys, x, y, nearness, in_order(x, y, a, b, c, twice), ids[t], r0, r1, c0, c1, row0, column0, shift)
+
+
+@loop
+def span(a, b, c, shift, first, last):
+    """First and last sample within a triangle's extent along one axis."""
+    half = (1 << shift) >> 1
+    low = (np.int64(min(a, b, c)) + half - 1) >> shift  # ceil((low - half) / step)
+    high = (np.int64(max(a, b, c)) - half) >> shift
+    return max(low, first), min(high, last)
+
+
+@loop
+def doubled_area(x, y, a, b, c):
+    """Twice the signed area of a triangle, positive where clockwise on a screen with y down."""
+    ax, ay = np.int64(x[a]), np.int64(y[a])
+    return (x[b] - ax) * (y[c] - ay) - (x[c] - ax) * (y[b] - ay)
+
+
+@loop
+def in_order(x, y, a, b, c, twice):
+    """A triangle's corners, the topmost one (of two the right one) first, clockwise from there.
+
+    Without a branch: which way it goes, nothing could foresee.
+    """
+    b, c = (c, b) if twice < 0 else (b, c)
+    # One number that is least where a corner is topmost, then rightmost.
+    at_a, at_b, at_c = _height(x, y, a), _height(x, y, b), _height(x, y, c)
+    first_b, first_c = (at_b < at_a) & (at_b < at_c), (at_c < at_a) & (at_c < at_b)
+    p0 = b if first_b else (c if first_c else a)
+    p1 = c if first_b else (a if first_c else b)
+    p2 = a if first_b else (b if first_c else c)
+    return p0, p1, p2
+
+
+@loop
+def _height(x, y, a):
+    return (np.int64(y[a]) << 32) - x[a]
+
+
+@loop
+def cover_box(keys, x, y, nearness, corners, name, r0, r1, c0, c1, row0, column0, shift):
+    """Offer one triangle to the samples of its box; returns how many it covers. name: the low bits of its keys."""
+    p0, p1, p2 = corners
+    x0, y0, step = np.int64(x[p0]), np.int64(y[p0]), 1 << shift
+    half = step >> 1
+    d1x, d1y, d2x, d2y = x[p1] - x0, y[p1] - y0, x[p2] - x0, y[p2] - y0
+    area = d1x * d2y - d1y * d2x
+    n0, size = nearness[p0], float(area)
+    slope1, slope2 = (nearness[p1] - n0) / size, (nearness[p2] - n0) / size
+    across0, across1, across2 = (d1y - d2y) * step, d2y * step, -d1y * step
+    right, held, width = c0 * step + half - x0, 0, c1 - c0 + 1
+    for row in range(r0, r1 + 1):
+        below = row * step + half - y0
+        e1, e2 = d2y * right - d2x * below, d1x * below - d1y * right
+        e0, low, high = area - e1 - e2, 0, width
+        if width > _SHORT:
+            low, high = _run(e0, e1, e2, across0, across1, across2, width)
+        line = keys[row - row0]
+        for k in range(low, high):
+            here1, here2 = e1 + k * across1, e2 + k * across2
+            near = float(here1) * slope1 + float(here2) * slope2 + n0
+            depth = min(max(np.int64(near * _SCALE), 0), LIMIT)
+            key = ((LIMIT - depth) << ID_BITS) | name
+            # Without a branch, as above; in a run all are inside.
+            inside = _inside(e0 + k * across0, here1, here2, across0)
+            at = c0 + k - column0
+            line[at] = min(line[at], key if inside else EMPTY)
+            held += inside
+    return held
+
+
+@loop
+def _run(e0, e1, e2, across0, across1, across2, width):
+    """The run [low, high) of a row's columns that are inside, by the top-left rule: edges 0-2, and 1-2 where it is on
+    the left, own their samples; the others do not."""
+    low, high = 0, min(width, _quotient_up(e2, -across2))
+    if across1 > 0:  # else level on top, and no row of the box lies above it
+        low = max(low, _quotient_up(-e1, across1))
+    if across0 > 0:
+        low = max(low, _quotient_up(-e0, across0))
+    elif across0 < 0:
+        high = min(high, _quotient_up(e0, -across0))
+    elif e0 <= 0:
+        high = 0
+    return low, high
+
+
+@loop
+def _inside(e0, e1, e2, across0):
+    return (e1 >= 0) & (e2 > 0) & ((e0 > 0) | ((e0 == 0) & (across0 > 0)))
+
+
+@loop
+def _quotient_up(value, divisor):
+    """value / divisor, rounded up; divisor > 0."""
+    return -((-value) // divisor)

@@ -1,0 +1,47 @@
+"""The triangles of one view as loops take them: with those that need it clipped already."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float64, Int32, Int64
+from torch import Tensor
+
+from cloak_core.render.clipping import clip
+from cloak_core.render.projection import Screen
+
+
+@dataclass(frozen=True)
+class Flat:
+    """N triangles on the snapped screen, between K corners."""
+
+    x: Int32[Tensor, " K"]
+    y: Int32[Tensor, " K"]
+    nearness: Float64[Tensor, " K"]
+    corner: Int64[Tensor, "3 N"]
+    ids: Int64[Tensor, " N"]
+
+    def arrays(self) -> list:
+        """As numpy arrays, in this order."""
+        return [t.contiguous().numpy() for t in (self.x, self.y, self.nearness, self.corner, self.ids)]
+
+
+def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int) -> Flat:
+    """All triangles of one view; parts of clipped ones come last and keep their triangle's id."""
+    x, y, nearness = (t[view] for t in (screen.x, screen.y, screen.nearness))
+    ids = torch.arange(triangles.shape[1], device=x.device)
+    if screen.safe is None:
+        return Flat(x, y, nearness, triangles, ids)
+    whole = screen.safe[view][triangles].all(0)
+    cut = (~whole).nonzero().view(-1)
+    corners = torch.stack([axis[view][triangles[:, cut]] for axis in screen.view], 1)
+    focal, near = (t[view].expand(len(cut)) for t in (screen.focal, screen.near))
+    soup, owner = clip(corners, focal, near, screen.width, screen.height)
+    return Flat(
+        torch.cat([x, soup.x.view(-1)]),
+        torch.cat([y, soup.y.view(-1)]),
+        torch.cat([nearness, soup.nearness]),
+        torch.cat([triangles[:, whole], soup.corner + len(x)], 1),
+        torch.cat([ids[whole], cut[owner]]),
+    )
