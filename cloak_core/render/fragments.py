@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int64
 from torch import Tensor
 
+from cloak_core.render import fragments_loops
+from cloak_core.render.compiled import arrays, use_loops
 from cloak_core.render.projection import Screen
 from cloak_core.render.rasterizer import EMPTY, ID_BITS, Visibility, triangle_ids
 from cloak_core.render.shading import Light, shade
@@ -51,6 +54,8 @@ class Fragments:
 def merge_samples(visibility: Visibility) -> Fragments:
     """The visible samples of every (pixel, triangle), merged."""
     keys, n, w = visibility.keys, visibility.grid, visibility.window
+    if use_loops(keys.device):
+        return _merge_by_loops(visibility)
     rows, columns = keys.shape[1:]
     index = (keys.view(-1) != EMPTY).nonzero().view(-1)
     triangle = triangle_ids(keys.view(-1).index_select(0, index))
@@ -77,6 +82,17 @@ def merge_samples(visibility: Visibility) -> Fragments:
     return Fragments(view, place - view * total, triangle, area, Points(view, triangle, mean(x), mean(y)))
 
 
+def _merge_by_loops(visibility: Visibility) -> Fragments:
+    keys, n, w = visibility.keys.numpy(), visibility.grid, visibility.window
+    most = fragments_loops.most_fragments(keys, n)
+    view, pixel, triangle = np.empty((3, most), np.int64)
+    x, y = np.empty((2, most))
+    area = np.empty(most, np.float32)
+    count = fragments_loops.merge(keys, n, w.y0 * n, w.x0 * n, visibility.width, view, pixel, triangle, area, x, y)
+    view, pixel, triangle, area, x, y = (torch.from_numpy(t[:count]) for t in (view, pixel, triangle, area, x, y))
+    return Fragments(view, pixel, triangle, area, Points(view, triangle, x, y))
+
+
 def light_fragments(
     fragments: Fragments,
     screen: Screen,
@@ -91,6 +107,8 @@ def light_fragments(
 
     normals and light positions are in each view's own space.
     """
+    if use_loops(fragments.area.device):
+        return _light_by_loops(fragments, screen, triangles, normals, light_positions, light, corner_uv)
     points = fragments.points
     corner = triangles.index_select(1, points.triangle)
     if len(screen.x) > 1:
@@ -106,6 +124,32 @@ def light_fragments(
         weights = facets.weights if fragments.point is None else facets.weights_at(fragments.point, fragments.offset)
         uv = texture_coordinates(corner_uv.index_select(2, fragments.triangle), *weights)
     return weight * fragments.area, highlight * fragments.area, uv
+
+
+def _light_by_loops(
+    fragments: Fragments,
+    screen: Screen,
+    triangles: Int64[Tensor, "3 T"],
+    normals: Float32[Tensor, "3 B V"],
+    light_positions: Float32[Tensor, "3 B"],
+    light: Light,
+    corner_uv: Float32[Tensor, "2 3 T"] | None,
+) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None]:
+    points, offset, point = fragments.points, fragments.offset, fragments.point
+    x, y = (t if point is None else t.index_select(0, point) for t in (points.x, points.y))
+    out = np.empty((2 if corner_uv is None else 4, len(fragments.area)), np.float32)
+    fragments_loops.light(
+        *arrays(fragments.view, fragments.triangle, fragments.area, x, y),
+        np.empty((2, 0), np.float32) if offset is None else offset.numpy(),
+        *arrays(triangles, torch.stack(screen.view), screen.focal.view(-1)),
+        (screen.width / 2, screen.height / 2),
+        *arrays(normals, light_positions),
+        fragments_loops.material(light),
+        np.empty((2, 3, 0), np.float32) if corner_uv is None else corner_uv.numpy(),
+        out,
+    )
+    out = torch.from_numpy(out)
+    return out[0], out[1], None if corner_uv is None else out[2:]
 
 
 @dataclass(frozen=True)
