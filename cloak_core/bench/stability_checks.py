@@ -18,6 +18,7 @@ from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.bench.views import torch_threads
 from cloak_core.errors import InputError
 from cloak_core.render.dressing import View
+from cloak_core.render.compiled import torch_alone
 from cloak_core.render.projection import GRID, project
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.shading import Light
@@ -125,6 +126,19 @@ def cuda() -> tuple[int, str] | None:
     return wrong, torch.cuda.get_device_name()
 
 
+def loops() -> tuple[int, str]:
+    """Face ids and images from compiled loops, and from the torch operations that other devices run."""
+    vertices, triangles = _body()
+    cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
+    ours, views = _ids(vertices, triangles, cameras), [ViewBank(_ball(), samples=s).views(_KEYS) for s in (None, 4)]
+    with torch_alone():
+        wrong = int((ours != _ids(vertices, triangles, cameras)).sum())
+        for samples, mine in zip((None, 4), views, strict=True):
+            theirs = ViewBank(_ball(), samples=samples).views(_KEYS)
+            wrong += sum(_differ(a, b) for a, b in zip(mine, theirs, strict=True))
+    return wrong, ""
+
+
 def million_in_one_pixel() -> tuple[int, str]:
     """A million triangles inside one pixel: one of them is seen at its centre, nothing anywhere else."""
     rng = np.random.default_rng(1)
@@ -154,6 +168,7 @@ CHECKS: dict[str, Callable[[], tuple[int, str] | None]] = {
     "equal depths go to the lower id in any batch": ties,
     "light: float32 against float64": precision,
     "vertices: float32 against float64": float32_input,
+    "compiled loops against torch operations": loops,
     "CPU against CUDA": cuda,
     "a million triangles in one pixel": million_in_one_pixel,
     "NaN and infinity name the vertex": not_finite,

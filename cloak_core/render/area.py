@@ -10,19 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
+from cloak_core.render import area_loops
+from cloak_core.render.area_loops import NOTHING
 from cloak_core.render.candidates import PixelGrid, Window
 from cloak_core.render.competition import Pieces, Triangles, seen_share
+from cloak_core.render.compiled import use_loops
 from cloak_core.render.covering import expand
+from cloak_core.render.flat import flatten
 from cloak_core.render.fragments import Fragments, Points
 from cloak_core.render.projection import GRID, Screen
 from cloak_core.render.rasterizer import Chunk, candidates
 
-_NOTHING = 1e-9
-"""Share of a pixel below which a piece is dropped."""
 _TINY = 1e-30
 _EDGES = ((0, 1), (1, 2), (2, 0))
 
@@ -34,6 +37,9 @@ def area_fragments(
 
     triangles, cull and window as for `rasterizer.rasterize`.
     """
+    if use_loops(screen.x.device):
+        views = [_by_loops(screen, triangles, cull, window, view) for view in range(len(screen.x))]
+        return views[0] if len(views) == 1 else _joined(views)
     found, parts, count = [], [], 0
     for chunk in candidates(screen, triangles, PixelGrid(window), cull):
         parts += _pieces(chunk, screen, count)
@@ -47,7 +53,38 @@ def area_fragments(
     key = pieces.place.to(torch.int32) if places < 1 << 31 else pieces.place
     pieces = pieces.take(torch.sort(key, stable=True).indices)
     area = pieces.area * seen_share(pieces, tri, screen, window)
-    return _fragments(pieces.take(kept := (area > _NOTHING).nonzero().view(-1)), area[kept], tri, screen)
+    return _fragments(pieces.take(kept := (area > NOTHING).nonzero().view(-1)), area[kept], tri, screen)
+
+
+def _by_loops(
+    screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Bool[Tensor, " B"] | None, window: Window, view: int
+) -> Fragments:
+    flat = flatten(screen, triangles, view)
+    x, y, nearness, corner, _ = flat.arrays()
+    culled = cull is not None and bool(cull[view])
+    width = window.x1 - window.x0
+    pieces = area_loops.find_pieces(x, y, corner, culled, window.x0, window.x1, window.y0, window.y1)
+    owner, area, begin = area_loops.by_place(*pieces, width * (window.y1 - window.y0))
+    corner_of = (window.x0, window.y0, width)
+    area_loops.compete(x, y, nearness, corner, owner, area, begin, *corner_of, float(screen.focal[view]))
+    pixel, triangle = np.empty((2, len(owner)), np.int64)
+    share, offset = np.empty(len(owner), np.float32), np.empty((2, len(owner)), np.float32)
+    center = np.empty((2, len(owner)))
+    count = area_loops.emit(
+        x, y, corner, owner, area, begin, *corner_of, screen.width, pixel, triangle, share, center, offset
+    )
+    pixel, triangle, share, center, offset = (
+        torch.from_numpy(t[..., :count]) for t in (pixel, triangle, share, center, offset)
+    )
+    triangle, of = flat.ids.index_select(0, triangle), torch.full_like(pixel, view)
+    return Fragments(of, pixel, triangle, share, Points(of, triangle, *center), None, offset)
+
+
+def _joined(views: list[Fragments]) -> Fragments:
+    join = lambda name: torch.cat([getattr(view, name) for view in views], -1)
+    of, triangle = join("view"), join("triangle")
+    center = (torch.cat([getattr(view.points, axis) for view in views]) for axis in "xy")
+    return Fragments(of, join("pixel"), triangle, join("area"), Points(of, triangle, *center), None, join("offset"))
 
 
 def _triangles(chunk: Chunk) -> Triangles:
@@ -70,7 +107,7 @@ def _pieces(chunk: Chunk, screen: Screen, before: int) -> Iterator[Pieces]:
     if chunk.view is not None:
         place += chunk.view * (screen.width * screen.height)
     for owner, down, across, area in overlaps(x, y, c1 - c0 + 1, r1 - r0 + 1):
-        keep = (area > _NOTHING).nonzero().view(-1)
+        keep = (area > NOTHING).nonzero().view(-1)
         owner, down, across, area = (t.index_select(0, keep) for t in (owner, down, across, area))
         yield Pieces(down.mul_(screen.width).add_(across).add_(place.index_select(0, owner)), owner.add_(before), area)
 

@@ -14,16 +14,11 @@ import torch
 from jaxtyping import Bool, Float64, Int32, Int64
 from torch import Tensor
 
+from cloak_core.render.area_loops import NOTHING, SIDE, WHOLE
 from cloak_core.render.candidates import Candidates, SampleGrid, Soup, Window
 from cloak_core.render.covering import Setup, chunk_size
 from cloak_core.render.projection import GRID, Screen
 from cloak_core.render.rasterizer import EMPTY, inverse_depth, triangle_ids
-
-SIDE = 8
-"""Samples along the side of a doubtful pixel."""
-_WHOLE = 1e-6
-"""Areas that add up to 1 within this leave neither gap nor overlap; rounding stays below 1e-9."""
-_NOTHING = 1e-9
 
 
 class _Record:
@@ -76,7 +71,7 @@ def seen_share(pieces: Pieces, tri: Triangles, screen: Screen, window: Window) -
     places = len(screen.x) * screen.width * screen.height
     total = torch.zeros(places, dtype=torch.float64, device=share.device).index_add_(0, pieces.place, pieces.area)
     total = total.index_select(0, pieces.place)
-    doubtful = ((total - 1).abs() > _WHOLE).nonzero().view(-1)
+    doubtful = ((total - 1).abs() > WHOLE).nonzero().view(-1)
     if not len(doubtful):
         return share
     total, some = total.index_select(0, doubtful), pieces.take(doubtful)
@@ -181,4 +176,4 @@ def _fit(seen: Tensor, area: Tensor, group: Tensor, full: Bool[Tensor, " P"]) ->
     """Shares that fill a pixel at most once, and just once where it is full."""
     sums = torch.zeros(int(group[-1]) + 1, dtype=torch.float64, device=seen.device).index_add_(0, group, area * seen)
     sums = sums.index_select(0, group)
-    return seen / torch.where(full, sums.clamp(min=_NOTHING), sums.clamp(min=1))
+    return seen / torch.where(full, sums.clamp(min=NOTHING), sums.clamp(min=1))

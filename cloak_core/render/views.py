@@ -17,9 +17,9 @@ from torch import Tensor
 
 from cloak_core.errors import InputError
 from cloak_core.render.area import area_fragments
+from cloak_core.render.area_loops import SIDE
 from cloak_core.render.assembly import Lit, assemble
 from cloak_core.render.candidates import Window
-from cloak_core.render.competition import SIDE
 from cloak_core.render.dressing import DressedView, View, dress
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
 from cloak_core.render.kept import Kept
