@@ -129,8 +129,7 @@ def occluded(
         images[image, :, y0:y1, x0:x1] = picture[:, y0:y1, x0:x1].to(images.device) / 255
         areas[image, y0:y1, x0:x1] = True
     behind = hidden.index_select(0, canvas.target)
-    lost = behind if canvas.lost is None else canvas.lost | behind
-    return replace(canvas, target=canvas.target.masked_fill(behind, len(canvas.rows) - 1), lost=lost)
+    return replace(canvas, target=canvas.target.masked_fill(behind, len(canvas.rows) - 1))
 
 
 def draw_occluders(

@@ -168,3 +168,5 @@ def test_mismatched_inputs_are_refused(views) -> None:
         compose(views, colors, backgrounds[:2])
     with pytest.raises(ValueError, match="another logo"):
         compose(views, colors[:-1], backgrounds)
+    with pytest.raises(ValueError, match="2 images"):
+        compose(views, colors.expand(2, -1, -1), backgrounds)
