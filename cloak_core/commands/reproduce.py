@@ -33,8 +33,11 @@ class Reproduce(Command):
     """Backgrounds to test on (default: every second one of --backgrounds)."""
     quick: bool = False
     """Fewer steps, angles, images and seeds."""
-    steps: int | None = None
-    """Updates of every training (default: 150 with --quick, else what the preset says)."""
+    steps: UseAppendAction[tuple[int, ...]] = ()
+    """Updates of a training, once for all or once for each --detector, in their order (default: 150 with --quick, else
+    what the preset says)."""
+    seeds: int | None = None
+    """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
     preset: str = "best"
     """Training preset."""
     publish: Path | None = None
@@ -63,6 +66,7 @@ class Reproduce(Command):
             quick=self.quick,
             preset=self.preset,
             steps=self.steps,
+            seeds=self.seeds,
             device=self.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )

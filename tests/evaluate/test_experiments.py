@@ -58,7 +58,7 @@ def materials() -> Materials:
 
 def options(out: Path, **changes: object) -> Options:
     return replace(
-        Options(out=out, quick=True, steps=2, batch=2, images_per_view=1, size=48, samples=1, seeds=2), **changes
+        Options(out=out, quick=True, steps=(2,), batch=2, images_per_view=1, size=48, samples=1, seeds=2), **changes
     )
 
 
@@ -84,12 +84,22 @@ def test_trainings_and_evaluations_are_made_once(
 
 def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> None:
     faces = chest_thighs(materials.bodies)
-    lab = Lab(materials, options(tmp_path, steps=3))
+    lab = Lab(materials, options(tmp_path, steps=(3,)))
     whole = lab.train(faces, ["red:a.cfg"]).colors
-    other = Lab(materials, options(tmp_path / "other", steps=3))
+    other = Lab(materials, options(tmp_path / "other", steps=(3,)))
     with pytest.raises(Interrupted, match="stopped at step 1"):
         other.train(faces, ["red:a.cfg"], max_seconds=1e-6)
     assert np.array_equal(other.train(faces, ["red:a.cfg"]).colors, whole)
+
+
+def test_each_detector_may_have_its_own_number_of_steps(materials: Materials, tmp_path: Path) -> None:
+    lab = Lab(materials, options(tmp_path, steps=(2, 3)))
+    faces = chest_thighs(materials.bodies)
+    length = lambda *specs: lab.train(faces, specs).settings.steps
+    assert (length("red:a.cfg"), length("blue:b.cfg"), length("red:a.cfg", "blue:b.cfg")) == (2, 3, 3)
+    assert lab.steps() == 2 and lab.options.counts()["steps"] == "2 / 3 by detector"
+    with pytest.raises(InputError, match="--steps: 3 numbers for 2 detectors"):
+        Lab(materials, options(tmp_path, steps=(1, 2, 3)))
 
 
 def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> None:

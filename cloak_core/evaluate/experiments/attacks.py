@@ -92,10 +92,11 @@ def _table1_words(lab: Lab, rows: list[dict]) -> list[str]:
         none = next(row for row in mine if row["logo"] == "none")
         whole = next(r for r in mine if r["logo"] == "chest + thighs" and r["training"] == "multi")
         words.append(
-            f"{short_name(spec)}: chest + thighs, multi-angle {said(whole)}; own clothing {said(none)}; grey "
-            f"{rate_text(whole['grey'])}, random {rate_text(whole['random'])}, stripes {rate_text(whole['stripes'])}, "
-            f"checks {rate_text(whole['checks'])} on the same images. The highest of the table is {best['logo']}, "
-            f"{best['training']}-angle, at {rate_text(best['success'])} (the largest of several: read it as such)."
+            f"{short_name(spec)}, {lab.steps([spec])} steps: chest + thighs, multi-angle {said(whole)}; own clothing "
+            f"{said(none)}; grey {rate_text(whole['grey'])}, random {rate_text(whole['random'])}, stripes "
+            f"{rate_text(whole['stripes'])}, checks {rate_text(whole['checks'])} on the same images. The highest of "
+            f"the table is {best['logo']}, {best['training']}-angle, at {rate_text(best['success'])} (the largest of "
+            "several: read it as such)."
         )
     return words
 
@@ -158,7 +159,10 @@ def transfer(lab: Lab) -> Outcome:
             rows.append({"trained_on": source, "tested_on": row.pop("detector")} | row)
             matrix[i, j] = rows[-1]["success"]
     off = [row for row in rows if row["trained_on"] != row["tested_on"]]
-    words = ["Chest + thighs was trained against each detector at five angles and shown to every other (black box)."]
+    lengths = ", ".join(f"{short_name(spec)} ({lab.steps([spec])} steps)" for spec in lab.specs)
+    words = [
+        f"Chest + thighs was trained at five angles against each of {lengths} and shown to every other (black box)."
+    ]
     if off:
         best = best_row(off)
         words.append(

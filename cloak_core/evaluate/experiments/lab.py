@@ -55,8 +55,8 @@ class Options:
     """Fewer steps, angles, images and seeds: the whole set within 90 minutes on two cores."""
     preset: str = "best"
     """Training preset."""
-    steps: int | None = None
-    """Updates of every training; None: 150 when quick, else what the preset says."""
+    steps: tuple[int, ...] = ()
+    """Updates of a training: one number for all, or one for each detector; none: 150 when quick, else the preset's."""
     batch: int | None = None
     """Images per update; None: what the preset says."""
     seeds: int | None = None
@@ -82,7 +82,9 @@ class Options:
 
     def counts(self) -> dict:
         """What "quick" and the options came to, for the record."""
-        length = self.steps or (QUICK_STEPS if self.quick else f"as in preset {self.preset}")
+        length = QUICK_STEPS if self.quick else f"as in preset {self.preset}"
+        if self.steps:
+            length = self.steps[0] if len(self.steps) == 1 else " / ".join(map(str, self.steps)) + " by detector"
         return {"steps": length, "seeds": len(self.seed_list), "images_per_view": self.test_images, "quick": self.quick}
 
 
@@ -109,6 +111,10 @@ class Lab:
         self.materials, self.options = materials, options
         self.tell = on_progress or (lambda message: _log.info("%s", message))
         """Takes a line of progress."""
+        if len(options.steps) not in (0, 1, len(self.specs)):
+            raise InputError(
+                f"--steps: {len(options.steps)} numbers for {len(self.specs)} detectors; one for all or one for each"
+            )
 
     @property
     def specs(self) -> tuple[str, ...]:
@@ -133,7 +139,7 @@ class Lab:
     ) -> Trained:
         """Colours for these faces against these detectors, run in this precision; `changes` are training settings."""
         bodies = bodies or self.materials.bodies
-        settings = self.train_settings(seed, **changes)
+        settings = self.train_settings(seed, specs, **changes)
         logo = make_logo(bodies, faces)
         more = {} if precision == "float32" else {"precision": precision}
         key = self._train_key(settings, bodies, logo, specs, more)
@@ -151,21 +157,23 @@ class Lab:
         seconds = max((float(e.get("time", 0)) for e in read_events(folder / "events.jsonl")), default=math.nan)
         return Trained(colors, logo, folder, seconds, _cpu_seconds(folder), settings)
 
-    def train_settings(self, seed: int = 0, **changes: object) -> TrainSettings:
-        """The options' preset and counts, with changes by name."""
+    def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
+        """The options' preset and counts for these detectors (none: the first), with changes by name."""
         options = self.options
         values: dict[str, object] = {"seed": seed, "size": options.size, "device": options.device}
-        steps = options.steps or (QUICK_STEPS if options.quick else None)
-        if steps is not None:
-            values["steps"] = steps
+        if options.steps:
+            by_spec = dict(zip(self.specs, options.steps * (len(self.specs) // len(options.steps)), strict=True))
+            values["steps"] = max(by_spec[spec] for spec in specs or self.specs[:1])
+        elif options.quick:
+            values["steps"] = QUICK_STEPS
         if options.size < 416:
             values["translation"] = options.size // 8  # the presets' are meant for 416 pixels
         values |= {k: v for k, v in (("batch", options.batch), ("samples", options.samples)) if v is not None}
         return make_settings(**({"preset": options.preset} | values | changes))
 
-    def steps(self, **changes: object) -> int:
-        """Updates of a training with these changes."""
-        return self.train_settings(**changes).total_steps(len(self.materials.backgrounds))
+    def steps(self, specs: Sequence[str] = (), **changes: object) -> int:
+        """Updates of a training against these detectors (none: the first) with these changes."""
+        return self.train_settings(specs=specs, **changes).total_steps(len(self.materials.backgrounds))
 
     def _train_key(self, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], more: dict) -> str:
         record = {k: v for k, v in settings_record(settings).items() if k not in FREE_SETTINGS}
