@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cloak_core.detectors.scoring import THRESHOLD
 from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.logos import chest_thighs, paper_logos, shapes
 from cloak_core.evaluate.experiments.outcome import Outcome
@@ -15,7 +16,7 @@ from cloak_core.evaluate.experiments.wording import best_row, file_name, rate_te
 from cloak_core.evaluate.figures import (
     CYCLE,
     DASHES,
-    FAINT,
+    INK,
     MARKERS,
     SERIES,
     WIDTH,
@@ -105,9 +106,10 @@ def _table1_figure(panels: dict) -> object:
     names = list(dict.fromkeys(name for points in panels.values() for name, _, _ in points))
     figure, axes = new_figure(WIDTH, 0.9 + 0.42 * len(names), len(panels), sharey=True)
     for axis, (spec, points) in zip(axes, panels.items(), strict=True):
-        for training, color, offset, marker in (("single", CYCLE[1], -0.13, "s"), ("multi", CYCLE[0], 0.13, "o")):
+        looks = {"single": ("one angle", CYCLE[1], "s", -0.13), "multi": ("five angles", CYCLE[0], "o", 0.13)}
+        for training, (label, color, marker, offset) in looks.items():
             mine = [(names.index(n), r) for n, t, r in points if t == training]
-            _points(axis, mine, color, marker, offset, f"trained at {'one angle' if training == 'single' else 'five'}")
+            _points(axis, mine, color, marker, offset, f"trained at {label}")
         axis.set_title(short_name(spec))
         _success_x(axis)
     axes[0].set_yticks(range(len(names)), names)
@@ -140,7 +142,7 @@ def _threshold_figure(curves: dict[str, Repeats]) -> object:
             look = SERIES[control]
             share = np.searchsorted(score, grid, side="right") / len(score)
             axis.plot(grid, share, color=look.color, ls=look.dash, label=look.label)
-        axis.axvline(0.6, color=FAINT, lw=1.2, zorder=0)
+        axis.axvline(THRESHOLD, color=INK, lw=0.8, ls=":", zorder=0)
         axis.set_title(short_name(spec))
         axis.set_xlabel("detection threshold")
     percent_axis(axes[0])

@@ -20,7 +20,6 @@ from cloak_core.evaluate.experiments.repeats import CURVES
 from cloak_core.evaluate.figures import (
     CYCLE,
     DASHES,
-    FAINT,
     INK,
     MARKERS,
     SERIES,
@@ -114,7 +113,7 @@ def threshold_figure(rows: list[dict]) -> Figure | None:
         axis.plot(THRESHOLDS, curve(row), color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=label, clip_on=False)
     own = next(row for row in rows if row["control"] == CLOTHING)
     axis.plot(THRESHOLDS, curve(own), color=INK, lw=1.2, ls=(0, (1, 2)), label=SERIES[CLOTHING].label, clip_on=False)
-    axis.axvline(THRESHOLD, color=FAINT, lw=1.2, zorder=0)
+    axis.axvline(THRESHOLD, color=INK, lw=0.8, ls=":", zorder=0)
     percent_axis(axis)
     axis.set_xlabel("detection threshold")
     legend_above(figure)
