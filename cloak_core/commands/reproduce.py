@@ -26,7 +26,8 @@ class Reproduce(Command):
     scene: str = "sample"
     """Bodies: scene folder, .npz, or sample."""
     unseen: str | None = None
-    """Bodies to test on (default: every second one of --scene, or the sample bodies kept back)."""
+    """Bodies to test on (default: every second one of --scene in every second outfit, or the sample bodies kept
+    back)."""
     backgrounds: str = "procedural"
     """Folder of images, or procedural."""
     unseen_backgrounds: str | None = None

@@ -180,6 +180,8 @@ def test_materials_keep_every_second_one(tmp_path: Path) -> None:
     assert len(opened.backgrounds) == 3 and len(opened.unseen_backgrounds) == 2
     assert not set(opened.backgrounds.identities()) & set(opened.unseen_backgrounds.identities())
     assert not set(opened.bodies.names) & set(opened.unseen.names)
+    worn = [{outfit.tobytes() for outfit in bodies.face_colors} for bodies in (opened.bodies, opened.unseen)]
+    assert worn[0] and worn[1] and not worn[0] & worn[1]
 
 
 def test_repetitions_are_pooled_and_their_spread_is_shown() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -50,6 +50,7 @@ def bodies_record(bodies: Bodies) -> dict:
     return {
         "name": bodies.name,
         "poses": list(bodies.names),
+        "outfits": bodies.outfit_count,
         "faces": bodies.face_count,
         "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.triangle_face, bodies.face_colors),
     }
@@ -69,8 +70,8 @@ def open_materials(
     unseen_backgrounds: str | None = None,
     device: str | torch.device = "cpu",
 ) -> Materials:
-    """Open everything by spec. Without `unseen`, every second body of `scene` is kept from training; likewise for a
-    folder of backgrounds. "sample" and "procedural" have their own unseen parts.
+    """Open everything by spec. Without `unseen`, every second body of `scene` is kept from training, and so is every
+    second outfit; likewise for a folder of backgrounds. "sample" and "procedural" have their own unseen parts.
     """
     return Materials(
         *_open_bodies(scene, unseen),
@@ -83,11 +84,24 @@ def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
     if unseen is not None:
         return open_scene(scene), open_scene(unseen)
     if scene == "sample":
-        return sample_bodies("train"), sample_bodies("unseen")
-    bodies = open_scene(scene)
-    if bodies.pose_count < 2:
-        raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
-    return (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
+        parts = (sample_bodies("train"), sample_bodies("unseen"))
+    else:
+        bodies = open_scene(scene)
+        if bodies.pose_count < 2:
+            raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
+        parts = (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
+    trained, tested = parts
+    return _every_second_outfit(trained, 0), _every_second_outfit(tested, 1)
+
+
+def _every_second_outfit(bodies: Bodies, first: int) -> Bodies:
+    """The bodies in every second of their outfits, from this one on; as they are where there is only one."""
+    if bodies.outfit_count == 1:
+        return bodies
+    textures = bodies.outfit_textures[first::2]
+    return replace(
+        bodies, face_colors=bodies.face_colors[first::2], outfit_textures=textures, recorded_topology=bodies.topology
+    )
 
 
 def _open_backgrounds(spec: str, unseen: str | None) -> tuple[Backgrounds, Backgrounds]:
