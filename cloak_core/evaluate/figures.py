@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 from matplotlib.ticker import MultipleLocator
 
 
@@ -40,6 +41,8 @@ DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)
 INK, FAINT = "#1f2328", "#d5d9de"
 WIDTH = 6.4
 """Of a full-width figure, inches."""
+LEGEND = 8
+"""Size of a legend's text, points."""
 
 _STYLE = {
     "font.family": "DejaVu Sans",
@@ -63,7 +66,7 @@ _STYLE = {
     "ytick.color": INK,
     "xtick.labelsize": 8,
     "ytick.labelsize": 8,
-    "legend.fontsize": 8,
+    "legend.fontsize": LEGEND,
     "legend.frameon": False,
     "lines.linewidth": 1.8,
     "lines.markersize": 4.5,
@@ -104,8 +107,9 @@ def degree_ticks(axis: object) -> None:
 def legend_above(figure: Figure) -> None:
     """One legend for the figure, above its axes, in as many columns as its width holds."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    widths = [0.067 * len(label) + 0.62 for label in labels]  # inches: text of 8 points, handle and space
-    room = figure.get_figwidth() - 0.3
+    text = lambda label: TextPath((0, 0), label, size=LEGEND).get_extents().width / 72  # inches
+    widths = [text(label) + 0.62 for label in labels]  # with handle and space
+    room = figure.get_figwidth() - 0.1
     columns = len(labels) if sum(widths) <= room else max(1, int(room / max(widths)))
     figure.set_figheight(figure.get_figheight() + 0.17 * (-(-len(labels) // columns) - 1))  # not at the axes' cost
     figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=2.6, columnspacing=1.6)

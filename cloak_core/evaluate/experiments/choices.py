@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from PIL import Image
 
 from cloak_core.evaluate.experiments.attacks import MULTI, SINGLE, narrow_angles, repeated
@@ -22,6 +25,7 @@ from cloak_core.evaluate.figures import (
     new_figure,
     percent_axis,
 )
+from cloak_core.evaluate.intervals import Rate
 from cloak_core.evaluate.report.words import short_name
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.bodies import subdivide
@@ -89,22 +93,42 @@ def tv(lab: Lab) -> Outcome:
     settings = lab.train_settings(angles=SINGLE)
     every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.batch))  # 5 epochs
     figure, axes = new_figure(columns=2, sharey=True)
-    rows, pictures = [], {}
+    rows, pictures, results = [], {}, {name: [] for name in tests}
     for k, weight in enumerate(weights):
         trained = repeated(lab, faces, [spec], bodies=one, angles=SINGLE, tv_weight=weight, preview_every=every)
         pictures[weight] = trained[0]
         for axis, (name, bodies) in zip(axes, tests.items(), strict=True):
-            result = lab.evaluate(trained, angles, [spec], bodies=bodies)
+            images = 4 * lab.options.test_images  # one body instead of several
+            result = lab.evaluate(trained, angles, [spec], bodies=bodies, images_per_view=images)
             rows.append({"tv_weight": weight, "test": name} | result.row(spec))
-            rates = [result.rate(spec, angle=a) for a in angles]
-            band(axis, angles, rates, CYCLE[k], MARKERS[k], DASHES[k], f"weight {weight:g}")
+            results[name].append(result.rate(spec))
+            # Without bands: those of four curves in one place hide each other. The intervals are in `_weight_figure`.
+            rates = [result.rate(spec, angle=a).value for a in angles]
+            axis.plot(angles, rates, color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=f"weight {weight:g}")
             axis.set_title(name)
             axis.set_xlabel("azimuth (degrees)")
             degree_ticks(axis)
     percent_axis(axes[0])
     legend_above(figure)
-    figures = {"weights": figure} | ({"pictures-logos": sheet} if (sheet := _preview_figure(pictures)) else {})
+    figures = {"weights": _weight_figure(weights, results), "angles": figure}
+    figures |= {"pictures-logos": sheet} if (sheet := _preview_figure(pictures)) else {}
     return Outcome("Total variation", rows, _tv_words(rows, spec), figures)
+
+
+def _weight_figure(weights: Sequence[float], results: dict[str, list[Rate]]) -> Figure:
+    """Success over all angles with its interval against the weight, a series for each test."""
+    figure, (axis,) = new_figure()
+    for k, (name, rates) in enumerate(results.items()):
+        value = np.array([r.value for r in rates])
+        error = np.abs(np.array([[r.low, r.high] for r in rates]).T - value)
+        at = np.arange(len(rates)) + 0.12 * (2 * k - 1)
+        axis.errorbar(at, value, error, fmt=MARKERS[k], color=CYCLE[k], lw=1.2, capsize=2, label=name, clip_on=False)
+    axis.set_xticks(range(len(weights)), [f"{weight:g}" for weight in weights])
+    axis.set_xlabel("weight of total variation")
+    axis.grid(axis="x", visible=False)
+    percent_axis(axis)
+    legend_above(figure)
+    return figure
 
 
 def _tv_words(rows: list[dict], spec: str) -> list[str]:

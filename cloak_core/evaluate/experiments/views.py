@@ -35,7 +35,7 @@ FIVE_DISTANCES = (1.4, 1.8, 2.2, 2.6, 3.0)
 
 def rate_rows(label: dict, result: Repeats, spec: str, column: str, values: tuple[float, ...]) -> list[dict]:
     """One row per angle or distance: success with interval, every control beside it."""
-    return [label | {column: value} | rate_row(result, spec, **{column: value}) for value in values]
+    return [label | {"detector": spec, column: value} | rate_row(result, spec, **{column: value}) for value in values]
 
 
 def rate_row(result: Repeats, spec: str, **where: float) -> dict:
@@ -68,7 +68,7 @@ def single_angle(lab: Lab) -> Outcome:
     rows, words = [], ["Chest + thighs was trained at azimuth 0 alone and tested at unseen angles around it."]
     for k, spec in enumerate(lab.specs):
         result = lab.evaluate(repeated(lab, faces, [spec], angles=SINGLE), angles, [spec])
-        rows += rate_rows({"detector": spec}, result, spec, "angle", angles)
+        rows += rate_rows({}, result, spec, "angle", angles)
         rates = [result.rate(spec, angle=a) for a in angles]
         band(axis, angles, rates, CYCLE[k % 7], MARKERS[k % 7], DASHES[k % 7], short_name(spec))
         if not k:
@@ -199,7 +199,9 @@ def distance(lab: Lab) -> Outcome:
             rates = [turned.rate(spec, angle=a, distance=d) for a in angles]
             band(panels[k], angles, rates, CYCLE[j], MARKERS[j], DASHES[j], f"{d} m", alpha=0.07)
             rows += [
-                {"cloak": name, "distance": d, "angle": a} | rate_row(turned, spec, angle=a, distance=d) for a in angles
+                {"cloak": name, "detector": spec, "distance": d, "angle": a}
+                | rate_row(turned, spec, angle=a, distance=d)
+                for a in angles
             ]
         panels[k].set_title(name)
         panels[k].set_xlabel("azimuth (degrees)")
