@@ -1,6 +1,7 @@
 """The colours and how a gradient moves them: optimiser, learning rate, and staying inside [0, 1]."""
 
 import math
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -9,6 +10,9 @@ from torch import Tensor
 from cloak_core.attack.settings import TrainSettings
 
 _STATE = "optimizer."
+ADAM_BETAS = (0.9, 0.999)
+ADAM_EPSILON = 1e-8
+"""torch's own defaults."""
 COSINE_END = 0.01
 """Share of the learning rate that the cosine schedule ends at."""
 
@@ -24,17 +28,21 @@ def learning_rate(settings: TrainSettings, step: int, steps: int, epoch: float) 
 
 
 class ColorOptimizer:
-    """Colours [L, 3] under an optimiser. `colors()` is differentiable; `update` follows its gradient."""
+    """Colours [L, 3] under an optimiser. `colors()` is differentiable; `update` follows its gradient.
+
+    SGD and Adam are written out: torch's own import its compiler, which takes longer than many a step, and their steps
+    are the same to the bit (on the CPU).
+    """
 
     def __init__(self, settings: TrainSettings, initial: Float[Tensor, "L 3"]) -> None:
         self._sigmoid = settings.gamut == "sigmoid"
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
         self._parameter = start.requires_grad_()
-        if settings.optimizer == "adam":
-            self._optimizer: torch.optim.Optimizer = torch.optim.Adam([self._parameter], lr=settings.lr)
-        else:
-            self._optimizer = torch.optim.SGD([self._parameter], lr=settings.lr, momentum=settings.momentum)
+        self._move = _adam if settings.optimizer == "adam" else partial(_sgd, momentum=settings.momentum)
+        self._names = {"exp_avg", "exp_avg_sq"} if settings.optimizer == "adam" else set()
+        self._names |= {"momentum_buffer"} if settings.momentum else set()
+        self._state: dict[str, Tensor] = {}
 
     def colors(self) -> Float[Tensor, "L 3"]:
         """The colours, in [0, 1], as part of the graph."""
@@ -48,32 +56,56 @@ class ColorOptimizer:
     def clear(self) -> None:
         self._parameter.grad = None
 
+    @torch.no_grad()
     def update(self, lr: float) -> None:
         """One step against the gradient; projected colours are cut back to [0, 1]."""
-        for group in self._optimizer.param_groups:
-            group["lr"] = lr
-        self._optimizer.step()
+        self._move(self._parameter, self._parameter.grad, self._state, lr)
         if not self._sigmoid:
-            with torch.no_grad():
-                self._parameter.clamp_(0, 1)
+            self._parameter.clamp_(0, 1)
 
     def state(self) -> dict[str, Tensor]:
         """Everything that later updates depend on, for a checkpoint."""
-        own = self._optimizer.state.get(self._parameter, {})
-        tensors = {_STATE + name: value for name, value in own.items() if isinstance(value, Tensor)}
-        return {"parameter": self._parameter.detach(), **tensors}
+        own = {_STATE + name: value for name, value in self._state.items()}
+        return {"parameter": self._parameter.detach(), **own}
 
+    @torch.no_grad()
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Continue from `state()`. KeyError or ValueError where the tensors belong to another run."""
-        if tensors["parameter"].shape != self._parameter.shape:
+        shape = self._parameter.shape
+        if tensors["parameter"].shape != shape:
             raise ValueError(f"{len(tensors['parameter'])} colours instead of {len(self._parameter)}")
-        with torch.no_grad():
-            self._parameter.copy_(tensors["parameter"])
         own = {name.removeprefix(_STATE): value for name, value in tensors.items() if name.startswith(_STATE)}
-        if own:
-            record = self._optimizer.state_dict()
-            record["state"] = {0: own}
-            self._optimizer.load_state_dict(record)
+        steps = own.pop("step", None)
+        if any(value.shape != shape for value in own.values()) or set(own) not in (set(), self._names):
+            raise ValueError("the optimiser's state is that of other colours or of another optimiser")
+        if (steps is None) == ("exp_avg" in own) or (steps is not None and (steps.numel() != 1 or steps < 1)):
+            raise ValueError("the optimiser's state does not say after how many steps")
+        self._parameter.copy_(tensors["parameter"])
+        self._state = {name: value.to(self._parameter, copy=True) for name, value in own.items()}
+        if steps is not None:
+            self._state["step"] = steps.to("cpu", torch.float32, copy=True)
+
+
+def _sgd(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float, momentum: float) -> None:
+    if momentum:
+        if "momentum_buffer" in state:
+            state["momentum_buffer"].mul_(momentum).add_(gradient)
+        else:
+            state["momentum_buffer"] = gradient.clone()
+        gradient = state["momentum_buffer"]
+    parameter.add_(gradient, alpha=-lr)
+
+
+def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float) -> None:
+    if not state:
+        state["step"] = torch.zeros(())
+        state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
+    state["step"] += 1
+    step = state["step"].item()
+    state["exp_avg"].lerp_(gradient, 1 - ADAM_BETAS[0])
+    state["exp_avg_sq"].mul_(ADAM_BETAS[1]).addcmul_(gradient, gradient, value=1 - ADAM_BETAS[1])
+    root = state["exp_avg_sq"].sqrt().div_((1 - ADAM_BETAS[1] ** step) ** 0.5).add_(ADAM_EPSILON)
+    parameter.addcdiv_(state["exp_avg"], root, value=-lr / (1 - ADAM_BETAS[0] ** step))
 
 
 def initial_colors(settings: TrainSettings, clothing: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:

@@ -1,4 +1,6 @@
 import itertools
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -52,6 +54,51 @@ def test_colours_stay_in_gamut_and_state_restores_exactly(optimizer, gamut):
     second.load({name: tensor.clone() for name, tensor in first.state().items()})
     steps(second, pushes[3:])
     assert torch.equal(whole.colors(), second.colors())
+
+
+@pytest.mark.parametrize("kind", ["sgd", "momentum", "adam"])
+def test_updates_are_those_of_torch_to_the_bit(kind):
+    changes = {"optimizer": "sgd", "momentum": 0.9} if kind == "momentum" else {"optimizer": kind}
+    ours = ColorOptimizer(make_settings("best", **changes), torch.full((50, 3), 0.5))
+    theirs = torch.full((50, 3), 0.5).requires_grad_()
+    if kind == "adam":
+        reference = torch.optim.Adam([theirs])
+    else:
+        reference = torch.optim.SGD([theirs], momentum=changes.get("momentum", 0.0))
+    generator = torch.Generator().manual_seed(1)
+    for step in range(40):
+        push, lr = torch.randn(50, 3, generator=generator) * 10 ** (step % 5 - 2), 0.05 / (1 + step)
+        for colors in (ours.colors(), theirs):
+            colors.grad = push.clone()
+        ours.update(lr)
+        reference.param_groups[0]["lr"] = lr
+        reference.step()
+        theirs.data.clamp_(0, 1)
+        assert torch.equal(ours.colors(), theirs), step
+
+
+def test_training_does_not_load_torchs_compiler():
+    """It takes longer than all else that a run loads."""
+    code = (
+        "import sys; from cloak_core.attack.optimizing import ColorOptimizer; from cloak_core.attack import training;"
+    )
+    code += "from cloak_core.attack.settings import make_settings; import torch;"
+    code += "ColorOptimizer(make_settings('best'), torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"optimizer.exp_avg": torch.zeros(3, 3)}, {"optimizer.exp_avg": None}, {"optimizer.step": None},
+     {"optimizer.step": torch.tensor(0.0)}, {"optimizer.step": torch.ones(2)}, {"optimizer.other": torch.zeros(4, 3)}],
+)  # fmt: skip
+def test_a_state_that_does_not_fit_is_refused(change):
+    optimizer = ColorOptimizer(make_settings("best"), torch.full((4, 3), 0.5))
+    optimizer.colors().grad = torch.ones(4, 3)
+    optimizer.update(0.1)
+    state = {name: value for name, value in (optimizer.state() | change).items() if value is not None}
+    with pytest.raises(ValueError, match="the optimiser's state"):
+        optimizer.load(state)
 
 
 def test_foreign_state_is_refused():
