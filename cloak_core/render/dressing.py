@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
+from cloak_core.render import dressing_loops
+from cloak_core.render.compiled import use_loops
 from cloak_core.render.sparse import csr, offsets
 from cloak_core.render.texture import look_up
 from cloak_core.scene.cameras import Vector
@@ -38,7 +40,8 @@ class View:
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
         """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
-        return _box(self.pixels, self.coverage, self.width)
+        box = dressing_loops.box if use_loops(self.pixels.device) else _box
+        return box(self.pixels, self.coverage, self.width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,39 +101,56 @@ def dress(
     texture: UInt8[Tensor, "h w 3"] | None = None,
 ) -> DressedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
+    split = dressing_loops.split if use_loops(view.pixels.device) else _split
+    lit = (view.pixels, view.coverage, view.specular, view.crow, view.face, view.weight, view.uv)
+    pixels, coverage, planes, front_count, *matrix = split(*lit, logo, colors, light_color, texture)
+    return DressedView(
+        view.height, view.width, pixels, coverage, planes, front_count, *matrix, len(logo), light_color, view.box
+    )
+
+
+def _split(
+    pixels: Int64[Tensor, " N"],
+    coverage: Float32[Tensor, " N"],
+    specular: Float32[Tensor, " N"],
+    crow: Int64[Tensor, " N1"],
+    face: Int64[Tensor, " E"],
+    weight: Float32[Tensor, " E"],
+    uv: Float32[Tensor, "2 E"] | None,
+    logo: Int64[Tensor, " L"],
+    colors: Float32[Tensor, "F 3"],
+    light_color: Vector,
+    texture: UInt8[Tensor, "h w 3"] | None,
+) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
+    """See dressing_loops.py, which does the same on the CPU."""
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
     position[logo] = torch.arange(len(logo), device=logo.device)
-    place = position.index_select(0, view.face)
+    place = position.index_select(0, face)
     is_logo = place >= 0
-    rest = torch.where(is_logo, 0, view.weight)
+    rest = torch.where(is_logo, 0, weight)
     if texture is None:
-        worn = csr(view.crow, view.face, rest, (len(view.pixels), len(colors))) @ colors
+        worn = csr(crow, face, rest, (len(pixels), len(colors))) @ colors
     else:
-        entries = torch.arange(len(view.face), device=logo.device)
-        worn = csr(view.crow, entries, rest, (len(view.pixels), len(entries))) @ look_up(texture, view.uv)
+        entries = torch.arange(len(face), device=logo.device)
+        worn = csr(crow, entries, rest, (len(pixels), len(entries))) @ look_up(texture, uv)
     tint = torch.tensor(light_color, device=logo.device)
-    planes = ((worn + view.specular.unsqueeze(1)) * tint).T
+    planes = ((worn + specular.unsqueeze(1)) * tint).T
     entry = is_logo.nonzero().view(-1)
-    row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face)).index_select(0, entry)
-    per_row = torch.bincount(row, minlength=len(view.pixels))
-    kind = torch.where(per_row > 0, 0, torch.where(view.coverage < 1, 1, 2))
+    row = torch.repeat_interleave(crow.diff(), output_size=len(face)).index_select(0, entry)
+    per_row = torch.bincount(row, minlength=len(pixels))
+    kind = torch.where(per_row > 0, 0, torch.where(coverage < 1, 1, 2))
     order = torch.argsort(kind, stable=True)
     logo_pixels, edge_pixels, _ = torch.bincount(kind, minlength=3).tolist()
     logo_crow = row.new_zeros(logo_pixels + 1)
     logo_crow[1:] = per_row.index_select(0, order[:logo_pixels]).cumsum(0)
-    return DressedView(
-        view.height,
-        view.width,
-        view.pixels.index_select(0, order),
-        view.coverage.index_select(0, order),
+    return (
+        pixels.index_select(0, order),
+        coverage.index_select(0, order),
         planes.index_select(1, order).contiguous(),
         logo_pixels + edge_pixels,
         logo_crow,
         place.index_select(0, entry),
-        view.weight.index_select(0, entry),
-        len(logo),
-        light_color,
-        view.box,
+        weight.index_select(0, entry),
     )
 
 

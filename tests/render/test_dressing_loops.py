@@ -1,0 +1,62 @@
+"""Dressing by compiled loops against the torch operations that other devices use."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.render.compiled import torch_alone
+from cloak_core.render.dressing import View, dress
+
+HEIGHT, WIDTH, FACES = 20, 30, 40
+
+
+def random_view(seed: int, covered: int = 250) -> View:
+    """Pixels of 1 to 4 entries, half of them at an edge; texture coordinates beyond the picture, too."""
+    random = np.random.default_rng(seed)
+    counts = random.integers(1, 5, covered)
+    entries = int(counts.sum())
+    numbers = lambda *size: torch.from_numpy(random.uniform(0, 1, size).astype(np.float32))
+    coverage = numbers(covered) + 0.01
+    return View(
+        HEIGHT,
+        WIDTH,
+        torch.from_numpy(np.sort(random.choice(HEIGHT * WIDTH, covered, replace=False))),
+        coverage.where(coverage < 0.5, 1.0).where(torch.arange(covered) % 3 > 0, coverage.clamp(max=1)),
+        numbers(covered) * 0.1,
+        torch.from_numpy(np.concatenate([[0], counts.cumsum()])),
+        torch.from_numpy(random.integers(0, FACES, entries)),
+        numbers(entries),
+        numbers(2, entries) * 4 - 2,
+    )
+
+
+@pytest.mark.parametrize("logo_share", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("textured", [False, True])
+@pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (1.0, 0.6, 0.3)])
+@pytest.mark.parametrize("seed", range(3))
+def test_loops_equal_operations(seed: int, light: tuple, textured: bool, logo_share: float) -> None:
+    random = np.random.default_rng(100 + seed)
+    logo = torch.from_numpy(random.permutation(FACES)[: int(FACES * logo_share)])
+    colors = torch.from_numpy(random.uniform(0, 1, (FACES, 3)).astype(np.float32))
+    texture = torch.from_numpy(random.integers(0, 256, (7, 11, 3)).astype(np.uint8)) if textured else None
+    ours = dress(random_view(seed), logo, colors, light, texture)
+    with torch_alone():
+        theirs = dress(random_view(seed), logo, colors, light, texture)
+    for name in ("pixels", "coverage", "logo_crow", "logo_face", "logo_weight"):
+        assert torch.equal(getattr(ours, name), getattr(theirs, name)), name
+    assert (ours.front_count, ours.box, ours.logo_count) == (theirs.front_count, theirs.box, theirs.logo_count)
+    assert ours.logo_pixels < ours.front_count < len(ours.pixels) or logo_share == 1
+    torch.testing.assert_close(ours.planes, theirs.planes, rtol=0, atol=1e-6)
+
+
+def test_an_empty_view_and_its_box() -> None:
+    empty = dress(random_view(0, 0), torch.tensor([3]), torch.rand(FACES, 3), (1.0, 1.0, 1.0))
+    assert (len(empty.pixels), empty.logo_pixels, empty.front_count, empty.box) == (0, 0, 0, (0, 0, 0, 0))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_boxes_are_the_same(seed: int) -> None:
+    view = random_view(seed, 1 + 3 * seed)
+    with torch_alone():
+        expected = random_view(seed, 1 + 3 * seed).box
+    assert view.box == expected
