@@ -21,9 +21,6 @@ from .poses import PoseChoice
 from .preferences import user_folder
 from .trainer import TrainRequest
 
-LIVE_STEPS = 10
-"""Steps from one writing of the colours to the next while they are watched."""
-
 
 def _logo_index(self: CloakObject) -> int:
     names = [attribute.name for attribute in self.id_data.data.attributes]
@@ -238,7 +235,6 @@ def train_request(settings: CloakSettings) -> TrainRequest:
         steps=settings.steps,
         device=settings.device,
         config=_file(settings.config, "Settings File") if settings.config else "",
-        checkpoint_every=LIVE_STEPS if settings.live else None,
     )
 
 

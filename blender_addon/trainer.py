@@ -163,8 +163,6 @@ class TrainRequest:
     device: str = ""
     config: str = ""
     """TOML file with further settings of the trainer."""
-    checkpoint_every: int | None = None
-    """Steps between checkpoints, and so between new colours to show."""
 
     def options(self) -> list[str]:
         """As command line options."""
@@ -175,7 +173,6 @@ class TrainRequest:
             "--steps": "" if self.steps is None else str(self.steps),
             "--device": self.device,
             "--config": self.config,
-            "--checkpoint-every": "" if self.checkpoint_every is None else str(self.checkpoint_every),
         }
         # --angles=-10:10:5 in one word: a value that starts with a minus looks like an option otherwise.
         return [f"--angles={self.angles}"] + [word for pair in given.items() if pair[1] for word in pair]

@@ -4,8 +4,10 @@ import importlib
 import importlib.abc
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 
@@ -28,6 +30,8 @@ EXTENSION = Path(os.environ["CLOAK_EXTENSION"])
 ROOT = Path(os.environ["CLOAK_ROOT"])
 MODULE = "bl_ext.user_default.cloak"
 STUB = Path(__file__).parent / "stub"
+LOGO_FACES = [10, 20, 30, 333]
+"""Of the fixture `ready`."""
 
 
 def blender_command(script: Path, *arguments: object) -> list[str]:
@@ -100,3 +104,37 @@ def run_job(seconds: float = 60):
         assert time.monotonic() < until, training_job.current.describe()
         time.sleep(0.02)
     return training_job.current
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 20) -> None:
+    """Let time pass, as Blender's timer would, until the condition holds."""
+    import time
+
+    from cloak import training_job
+
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        training_job.tick()
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def ready(stub: Path, tmp_path: Path) -> bpy.types.Object:
+    """A body with a logo, and settings for a short run into a folder with a difficult name."""
+    from cloak import faces
+    from made import make_egg
+
+    obj = make_egg()
+    faces.new_logo(obj, "Brust/Ärmel", np.isin(np.arange(len(obj.data.polygons)), LOGO_FACES))
+    settings = bpy.context.scene.cloak
+    settings.output = str(tmp_path / "Läufe und mehr")
+    settings.steps = 20
+    return obj
+
+
+def red_faces(obj: bpy.types.Object) -> list[int]:
+    """The faces in the stub's trained colour."""
+    from cloak import colors
+
+    return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()

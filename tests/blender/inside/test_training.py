@@ -10,39 +10,11 @@ import time
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
-from cloak import body, colors, faces, runs, steps, training_job
-from cloak.exchange import InputError
+from cloak import body, steps, training_job
 from cloak.preferences import preferences
-from cloak.training_job import Job, Progress, TrainingJob, take_event
-from conftest import MODULE, blender_command, run_job
-from made import make_egg, set_mode
-
-IDS = [10, 20, 30, 333]
-
-
-@pytest.fixture
-def ready(stub, tmp_path):
-    """A body with a logo, and settings for a short run into a folder with a difficult name."""
-    obj = make_egg()
-    faces.new_logo(obj, "Brust/Ärmel", np.isin(np.arange(len(obj.data.polygons)), IDS))
-    settings = bpy.context.scene.cloak
-    settings.output = str(tmp_path / "Läufe und mehr")
-    settings.steps = 20
-    return obj
-
-
-def wait_for(condition, seconds: float = 20) -> None:
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        training_job.tick()
-        time.sleep(0.01)
-
-
-def red_faces(obj) -> list[int]:
-    return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()
+from conftest import LOGO_FACES, MODULE, blender_command, red_faces, run_job, wait_for
+from made import set_mode
 
 
 def test_start_to_colours(ready):
@@ -51,7 +23,7 @@ def test_start_to_colours(ready):
     job = run_job()
     assert job.state == "done", job.message
     assert "20/20" in job.message
-    assert red_faces(ready) == IDS
+    assert red_faces(ready) == LOGO_FACES
     run = Path(ready.cloak.run)
     assert run.parent.name == "Läufe und mehr" and "/" not in run.name and "Brust_Ärmel" in run.name
     assert steps.result_reason(bpy.context) == ""
@@ -70,7 +42,7 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
         bpy.ops.cloak.heatmap()
     assert "is running" in steps.train_reason(bpy.context)
     wait_for(lambda: job.progress.step >= 3 and "Cloak" in ready.data.color_attributes)
-    assert red_faces(ready) == IDS  # while it is still running
+    assert red_faces(ready) == LOGO_FACES  # while it is still running
     assert job.running and 0 < job.fraction < 1 and "loss" in job.progress.figures() and "left" in job.describe()
     bpy.ops.cloak.train_cancel()
     assert run_job().state == "stopped" and "Resume" in job.message
@@ -97,7 +69,7 @@ def test_trainer_killed(ready, monkeypatch):
     job = run_job()
     assert job.state == "failed"
     assert "killed (signal 9)" in job.message and "Resume goes on from the last checkpoint" in job.message
-    assert red_faces(ready) == IDS  # what there was is shown
+    assert red_faces(ready) == LOGO_FACES  # what there was is shown
     monkeypatch.setenv("CLOAK_STUB", "")
     bpy.ops.cloak.train_resume()
     assert run_job().state == "done"
@@ -124,24 +96,6 @@ def test_broken_event_lines_are_passed_over(ready, monkeypatch):
     assert job.progress.broken_lines >= 40
 
 
-@pytest.mark.parametrize(
-    "line",
-    [b"", b"{", b"[]", b"3", b"null", b'{"step": 4}', b'{"type": 3}', b"\xff\xfe", b"[" * 100_000, b'{"type": "step"}'],
-)
-def test_no_line_can_upset_the_progress(line):
-    before = Progress(step=3, steps=9, loss=0.5)
-    after = take_event(before, line)
-    assert (after.step, after.steps, after.loss) == (3, 9, 0.5)
-
-
-def test_time_left_follows_the_pace():
-    progress = take_event(Progress(), b'{"type": "start", "step": 0, "time": 0, "steps": 100}')
-    for step in range(1, 11):
-        progress = take_event(progress, json.dumps({"type": "step", "step": step, "time": 2.0 * step}).encode())
-    assert progress.seconds_left == pytest.approx(180)
-    assert "3 min left" in progress.describe()
-
-
 def test_object_changed_since_export(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.train_start()
@@ -160,7 +114,7 @@ def test_object_deleted_or_in_edit_mode_at_the_end(ready):
     assert "leave Edit Mode (Tab) and press Load Colours" in job.message
     set_mode("OBJECT")
     bpy.ops.cloak.result_load()
-    assert red_faces(ready) == IDS
+    assert red_faces(ready) == LOGO_FACES
     bpy.ops.cloak.train_start()
     bpy.data.objects.remove(ready)
     assert "the object is gone" in run_job().message
@@ -170,75 +124,10 @@ def test_start_leaves_edit_mode_and_takes_what_was_edited(ready):
     set_mode("EDIT")
     bpy.ops.cloak.train_start()
     assert ready.mode == "OBJECT"
-    assert run_job().state == "done" and red_faces(ready) == IDS
+    assert run_job().state == "done" and red_faces(ready) == LOGO_FACES
 
 
-# --- the trainer's Python --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("python", "words"), [("/nowhere/python", "cannot be run"), ("/bin/true", "no cloak_core")])
-def test_missing_or_wrong_python(ready, python, words, tmp_path):
-    if python == "/bin/true":  # runs, but is no trainer
-        python = str(tmp_path / "python")
-        Path(python).write_text("#!/bin/sh\nexit 9\n")
-        Path(python).chmod(0o755)
-    preferences().python = python
-    with pytest.raises(RuntimeError, match=words):
-        bpy.ops.cloak.train_start()
-    assert not Path(bpy.context.scene.cloak.output).exists()  # nothing half-written
-
-
-def test_no_python_anywhere(ready, monkeypatch):
-    from cloak import trainer
-
-    preferences().python = ""
-    trainer._first_found.cache_clear()
-    monkeypatch.setattr(trainer, "candidates", lambda: [])
-    with pytest.raises(RuntimeError, match="choose it in the add-on's preferences"):
-        bpy.ops.cloak.train_start()
-
-
-def test_python_is_found_and_remembered(ready, stub, monkeypatch):
-    from cloak import trainer
-
-    preferences().python = ""
-    trainer._first_found.cache_clear()
-    monkeypatch.setenv("CLOAK_PYTHON", str(stub))
-    bpy.ops.cloak.find_python()
-    assert preferences().python == str(stub)
-    bpy.ops.cloak.test_python()
-    job = run_job()
-    assert preferences().answer.startswith("Cloak 0.stub, torch 0.stub, Python 3") and "CPU" in job.message
-    preferences().python = str(stub)
-    bpy.ops.cloak.copy_install_line()
-    assert "pip install" in trainer.INSTALL_LINE
-
-
-def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
-    from cloak import trainer
-
-    bad = tmp_path / "half"
-    bad.write_text(
-        '#!/bin/sh\ncase "$2" in *find_spec*) exit 0;; esac\necho "ImportError: no libtorch.so" >&2; exit 1\n'
-    )
-    bad.chmod(0o755)
-    preferences().python = str(bad)
-    bpy.ops.cloak.test_python()
-    run_job()
-    assert "no working cloak_core: ImportError: no libtorch.so" in preferences().answer
-    with pytest.raises(InputError, match="no libtorch"):
-        trainer.about(str(bad))
-
-
-def test_blenders_own_python_settings_do_not_reach_the_trainer(monkeypatch):
-    from cloak.trainer import clean_environment
-
-    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
-    monkeypatch.setenv("PYTHONHOME", "/blender")
-    assert not {"PYTHONPATH", "PYTHONHOME"} & set(clean_environment())
-
-
-# --- folders ---------------------------------------------------------------------------------------------------------
+# --- folders ----------------------------------------------------------------------------------------------------------
 
 
 def test_read_only_output(ready):
@@ -270,48 +159,7 @@ def test_resume_without_its_input_is_refused(ready):
         bpy.ops.cloak.train_resume()
 
 
-# --- bad settings ----------------------------------------------------------------------------------------------------
-
-
-def test_settings_that_cannot_work_are_named(ready, tmp_path):
-    settings = bpy.context.scene.cloak
-    for change, words in (
-        ({"angle_first": 20, "angle_last": 10}, "Angles 20 to 10"),
-        ({"backgrounds": str(tmp_path / "none")}, "Backgrounds folder .* does not exist"),
-        ({"detector": "DARKNET"}, "Detector > Config is empty: choose a file"),
-        ({"detector": "DARKNET", "darknet_cfg": "/x.cfg"}, "/x.cfg does not exist"),
-        ({"config": "/x.toml"}, "Settings File: /x.toml does not exist"),
-        ({"detector": "PYTHON", "python_file": __file__, "python_function": " "}, "Function is empty"),
-        ({"detector": "TORCHVISION", "torchvision_name": ""}, "Model is empty"),
-    ):
-        before = {key: getattr(settings, key) for key in change}
-        for key, value in change.items():
-            setattr(settings, key, value)
-        with pytest.raises(RuntimeError, match=words):
-            bpy.ops.cloak.train_start()
-            assert re.search(words, steps.train_reason(bpy.context))
-        for key, value in before.items():
-            setattr(settings, key, value)
-
-
-def test_detector_specs(tmp_path):
-    from cloak.properties import detector_spec
-
-    settings = bpy.context.scene.cloak
-    for name in ("a.cfg", "a.weights", "d.py"):
-        (tmp_path / name).touch()
-    assert detector_spec(settings) == "builtin"
-    settings.detector = "DARKNET"
-    settings.darknet_cfg, settings.darknet_weights = str(tmp_path / "a.cfg"), str(tmp_path / "a.weights")
-    assert detector_spec(settings) == f"darknet:{tmp_path / 'a.cfg'}:{tmp_path / 'a.weights'}"
-    settings.detector = "PYTHON"
-    settings.python_file, settings.python_function = str(tmp_path / "d.py"), "load"
-    assert detector_spec(settings) == f"python:{tmp_path / 'd.py'}:load"
-    settings.detector = "TORCHVISION"
-    assert detector_spec(settings) == "torchvision:fasterrcnn_mobilenet_v3_large_fpn"
-
-
-# --- Blender closes --------------------------------------------------------------------------------------------------
+# --- Blender closes ---------------------------------------------------------------------------------------------------
 
 
 def test_disabling_the_add_on_ends_the_training_in_order(ready, monkeypatch):
@@ -372,7 +220,7 @@ if "quit" in {how!r}:
         assert int(Path(obj.cloak.run, "step.txt").read_text()) < 20
         assert steps.resume_reason(bpy.context) == ""
         bpy.ops.cloak.train_resume()
-        assert run_job().state == "done" and red_faces(obj) == IDS
+        assert run_job().state == "done" and red_faces(obj) == LOGO_FACES
 
 
 def _alive(pid: int) -> bool:
@@ -381,36 +229,3 @@ def _alive(pid: int) -> bool:
     except ProcessLookupError:
         return False
     return Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] != "Z"
-
-
-# --- jobs ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
-    import sys
-
-    say = lambda text: [sys.executable, "-c", f"print({text!r})"]
-    ended = []
-    job = Job("Two", [say("{}"), say('{"a": 1}')], tmp_path, "two", ended.append).wait()
-    assert job.json_outputs() == [{}, {"a": 1}] and ended == [job] and job.fraction == 1
-    job = Job("Bad", [[sys.executable, "-c", "import sys; sys.exit('boom')"], say("no")], tmp_path, "bad").wait()
-    assert (job.state, job.outputs) == ("failed", [""]) and "boom" in job.message
-    with pytest.raises(InputError, match="cannot be started"):
-        Job("None", [["/nowhere/python"]], tmp_path, "none")
-    job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long")
-    job.cancel()
-    assert job.wait(10).state == "stopped"
-
-
-def test_run_folders_never_collide(tmp_path):
-    first = runs.new_run(tmp_path, "a:b", "c*?")
-    assert first.name == "a_b c_"
-    runs.input_folder(first).mkdir()
-    assert runs.new_run(tmp_path, "a:b", "c*?").name == "a_b c_ 2"
-    assert runs.new_run(tmp_path, "..", "..").name == "run" or ".." not in runs.new_run(tmp_path, "..", "..").parts
-
-
-def test_a_training_job_without_events_still_ends(tmp_path, stub):
-    run = tmp_path / "never"
-    job = TrainingJob([str(stub), "-c", "pass"], run, tmp_path)
-    assert job.wait(10).state == "done" and job.progress == Progress()

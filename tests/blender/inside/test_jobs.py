@@ -1,0 +1,56 @@
+"""Jobs outside Blender, and what a training's events tell of it."""
+
+import json
+
+import pytest
+from cloak import runs
+from cloak.exchange import InputError
+from cloak.training_job import Job, Progress, TrainingJob, take_event
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"", b"{", b"[]", b"3", b"null", b'{"step": 4}', b'{"type": 3}', b"\xff\xfe", b"[" * 100_000, b'{"type": "step"}'],
+)
+def test_no_line_can_upset_the_progress(line):
+    before = Progress(step=3, steps=9, loss=0.5)
+    after = take_event(before, line)
+    assert (after.step, after.steps, after.loss) == (3, 9, 0.5)
+
+
+def test_time_left_follows_the_pace():
+    progress = take_event(Progress(), b'{"type": "start", "step": 0, "time": 0, "steps": 100}')
+    for step in range(1, 11):
+        progress = take_event(progress, json.dumps({"type": "step", "step": step, "time": 2.0 * step}).encode())
+    assert progress.seconds_left == pytest.approx(180)
+    assert "3 min left" in progress.describe()
+
+
+def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
+    import sys
+
+    say = lambda text: [sys.executable, "-c", f"print({text!r})"]
+    ended = []
+    job = Job("Two", [say("{}"), say('{"a": 1}')], tmp_path, "two", ended.append).wait()
+    assert job.json_outputs() == [{}, {"a": 1}] and ended == [job] and job.fraction == 1
+    job = Job("Bad", [[sys.executable, "-c", "import sys; sys.exit('boom')"], say("no")], tmp_path, "bad").wait()
+    assert (job.state, job.outputs) == ("failed", [""]) and "boom" in job.message
+    with pytest.raises(InputError, match="cannot be started"):
+        Job("None", [["/nowhere/python"]], tmp_path, "none")
+    job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long")
+    job.cancel()
+    assert job.wait(10).state == "stopped"
+
+
+def test_run_folders_never_collide(tmp_path):
+    first = runs.new_run(tmp_path, "a:b", "c*?")
+    assert first.name == "a_b c_"
+    runs.input_folder(first).mkdir()
+    assert runs.new_run(tmp_path, "a:b", "c*?").name == "a_b c_ 2"
+    assert runs.new_run(tmp_path, "..", "..").name == "run" or ".." not in runs.new_run(tmp_path, "..", "..").parts
+
+
+def test_a_training_job_without_events_still_ends(tmp_path, stub):
+    run = tmp_path / "never"
+    job = TrainingJob([str(stub), "-c", "pass"], run, tmp_path)
+    assert job.wait(10).state == "done" and job.progress == Progress()

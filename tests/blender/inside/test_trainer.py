@@ -1,0 +1,116 @@
+"""What the trainer is started with: a Python that has it, and settings that can work."""
+
+import re
+from pathlib import Path
+
+import bpy
+import pytest
+from cloak import steps
+from cloak.exchange import InputError
+from cloak.preferences import preferences
+from conftest import run_job
+
+# --- its Python -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("python", "words"), [("/nowhere/python", "cannot be run"), ("/bin/true", "no cloak_core")])
+def test_missing_or_wrong_python(ready, python, words, tmp_path):
+    if python == "/bin/true":  # runs, but is no trainer
+        python = str(tmp_path / "python")
+        Path(python).write_text("#!/bin/sh\nexit 9\n")
+        Path(python).chmod(0o755)
+    preferences().python = python
+    with pytest.raises(RuntimeError, match=words):
+        bpy.ops.cloak.train_start()
+    assert not Path(bpy.context.scene.cloak.output).exists()  # nothing half-written
+
+
+def test_no_python_anywhere(ready, monkeypatch):
+    from cloak import trainer
+
+    preferences().python = ""
+    trainer._first_found.cache_clear()
+    monkeypatch.setattr(trainer, "candidates", lambda: [])
+    with pytest.raises(RuntimeError, match="choose it in the add-on's preferences"):
+        bpy.ops.cloak.train_start()
+
+
+def test_python_is_found_and_remembered(ready, stub, monkeypatch):
+    from cloak import trainer
+
+    preferences().python = ""
+    trainer._first_found.cache_clear()
+    monkeypatch.setenv("CLOAK_PYTHON", str(stub))
+    bpy.ops.cloak.find_python()
+    assert preferences().python == str(stub)
+    bpy.ops.cloak.test_python()
+    job = run_job()
+    assert preferences().answer.startswith("Cloak 0.stub, torch 0.stub, Python 3") and "CPU" in job.message
+    preferences().python = str(stub)
+    bpy.ops.cloak.copy_install_line()
+    assert "pip install" in trainer.INSTALL_LINE
+
+
+def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
+    from cloak import trainer
+
+    bad = tmp_path / "half"
+    bad.write_text(
+        '#!/bin/sh\ncase "$2" in *find_spec*) exit 0;; esac\necho "ImportError: no libtorch.so" >&2; exit 1\n'
+    )
+    bad.chmod(0o755)
+    preferences().python = str(bad)
+    bpy.ops.cloak.test_python()
+    run_job()
+    assert "no working cloak_core: ImportError: no libtorch.so" in preferences().answer
+    with pytest.raises(InputError, match="no libtorch"):
+        trainer.about(str(bad))
+
+
+def test_blenders_own_python_settings_do_not_reach_the_trainer(monkeypatch):
+    from cloak.trainer import clean_environment
+
+    monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
+    monkeypatch.setenv("PYTHONHOME", "/blender")
+    assert not {"PYTHONPATH", "PYTHONHOME"} & set(clean_environment())
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
+
+
+def test_settings_that_cannot_work_are_named(ready, tmp_path):
+    settings = bpy.context.scene.cloak
+    for change, words in (
+        ({"angle_first": 20, "angle_last": 10}, "Angles 20 to 10"),
+        ({"backgrounds": str(tmp_path / "none")}, "Backgrounds folder .* does not exist"),
+        ({"detector": "DARKNET"}, "Detector > Config is empty: choose a file"),
+        ({"detector": "DARKNET", "darknet_cfg": "/x.cfg"}, "/x.cfg does not exist"),
+        ({"config": "/x.toml"}, "Settings File: /x.toml does not exist"),
+        ({"detector": "PYTHON", "python_file": __file__, "python_function": " "}, "Function is empty"),
+        ({"detector": "TORCHVISION", "torchvision_name": ""}, "Model is empty"),
+    ):
+        before = {key: getattr(settings, key) for key in change}
+        for key, value in change.items():
+            setattr(settings, key, value)
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.cloak.train_start()
+            assert re.search(words, steps.train_reason(bpy.context))
+        for key, value in before.items():
+            setattr(settings, key, value)
+
+
+def test_detector_specs(tmp_path):
+    from cloak.properties import detector_spec
+
+    settings = bpy.context.scene.cloak
+    for name in ("a.cfg", "a.weights", "d.py"):
+        (tmp_path / name).touch()
+    assert detector_spec(settings) == "builtin"
+    settings.detector = "DARKNET"
+    settings.darknet_cfg, settings.darknet_weights = str(tmp_path / "a.cfg"), str(tmp_path / "a.weights")
+    assert detector_spec(settings) == f"darknet:{tmp_path / 'a.cfg'}:{tmp_path / 'a.weights'}"
+    settings.detector = "PYTHON"
+    settings.python_file, settings.python_function = str(tmp_path / "d.py"), "load"
+    assert detector_spec(settings) == f"python:{tmp_path / 'd.py'}:load"
+    settings.detector = "TORCHVISION"
+    assert detector_spec(settings) == "torchvision:fasterrcnn_mobilenet_v3_large_fpn"
