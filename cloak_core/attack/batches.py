@@ -13,7 +13,8 @@ from cloak_core.attack.parsing import parse_azimuths, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
-from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of, true_boxes
+from cloak_core.render.backdrop import lay_backdrop
+from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
@@ -70,7 +71,7 @@ class Batcher:
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)
-        self.backgrounds.fill(pixels_of(rows, (len(views), 3, size, size)), draws.background.tolist())
+        lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
         shifts = torch.from_numpy(draws.shift).to(self.device, non_blocking=True)
         on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
         return Batch(

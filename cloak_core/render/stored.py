@@ -7,7 +7,6 @@ camera, light and samples, and the code that renders. See scene/kept_files.py fo
 from __future__ import annotations
 
 import hashlib
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +40,7 @@ class StoredViews:
     def __init__(self, files: KeptFiles, bodies: Bodies, recipe: object, textured: bool, device: torch.device) -> None:
         self._files, self._bodies, self._textured, self._device = files, bodies, textured, device
         self._keys: dict[int, bytes] = {}
-        common = hashlib.sha256(_code())
+        common = hashlib.sha256(CODE)
         common.update(repr((recipe, textured, device.type, torch.__version__)).encode())
         common.update(torch.backends.cpu.get_cpu_capability().encode())
         for array in (bodies.triangles, bodies.triangle_face, *((bodies.uv, bodies.triangle_uv) if textured else ())):
@@ -107,10 +106,12 @@ def _content(array: np.ndarray) -> bytes:
     return f"{array.dtype} {array.shape} ".encode() + array.tobytes()
 
 
-@cache
 def _code() -> bytes:
-    """Of the code that decides what a view holds: with another renderer all views are built anew."""
     hashed = hashlib.sha256(cloak_core.__version__.encode())
     for path in [*sorted(Path(__file__).parent.glob("*.py")), *map(Path, (bodies_module.__file__, cameras.__file__))]:
         hashed.update(path.read_bytes())
     return hashed.digest()
+
+
+CODE = _code()
+"""Of the code that decides what a view holds, as this process has loaded it: another renderer builds all views anew."""

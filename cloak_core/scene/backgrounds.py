@@ -94,13 +94,8 @@ class Backgrounds:
     def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
         """The images at `indices` as float32 in [0, 1], channels-last in memory."""
         images = torch.empty(len(indices), height, width, 3).permute(0, 3, 1, 2)
-        return self.fill(images, indices)
-
-    def fill(self, images: Float[Tensor, "B 3 H W"], indices: Sequence[int] | Tensor) -> Float[Tensor, "B 3 H W"]:
-        """The same into memory that is there already, on any device; bytes travel, numbers are made where they go."""
-        size = tuple(images.shape[2:])
         for image, index in zip(images, indices, strict=True):
-            image.copy_(self.image(int(index), size).to(images.device, non_blocking=True))
+            image.copy_(self.image(int(index), (height, width)))
         return images.div_(255)
 
     def subset(self, indices: Sequence[int] | range) -> Backgrounds:

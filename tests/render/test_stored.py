@@ -93,7 +93,7 @@ def test_what_decides_a_view_decides_its_name(tmp_path, monkeypatch, changed: st
     if changed == "samples":
         options["samples"] = 64  # as many as an area view counts in doubtful pixels
     if changed == "code":
-        monkeypatch.setattr(stored, "_code", lambda: b"another renderer")
+        monkeypatch.setattr(stored, "CODE", b"another renderer")
     no_building(monkeypatch)
     with pytest.raises(TypeError):
         bank(tmp_path, bodies, **options).view(0, camera)
