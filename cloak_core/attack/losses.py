@@ -8,6 +8,7 @@ detector's own arithmetic has rounded p to exactly 1, its gradient is 0 and no l
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -15,6 +16,7 @@ from torch import Tensor
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
 from cloak_core.errors import InputError
+from cloak_core.render.compiled import arrays, loop, use_loops
 
 TOP = 10
 """Boxes that reduction "topk" averages."""
@@ -62,9 +64,42 @@ def total_variation(
 
     edges: positions of the two faces in `colors`; edge_lengths: in the first pose.
     """
+    if use_loops(colors.device):
+        return _VariationByLoop.apply(colors, edges, edge_lengths)
     # Indexing, not index_select: its gradient is accumulated in a fixed order on CUDA, too.
     ends = colors[edges]
     return ((ends[:, 0] - ends[:, 1]).abs().sum(dim=1) * edge_lengths).sum() / len(colors)
+
+
+class _VariationByLoop(torch.autograd.Function):
+    """Value and gradient in one loop over the edges."""
+
+    @staticmethod
+    def forward(ctx: object, colors: Tensor, edges: Tensor, edge_lengths: Tensor) -> Tensor:
+        gradient = torch.zeros_like(colors, memory_format=torch.contiguous_format)
+        total = _variation(*arrays(colors, edges, edge_lengths, gradient))
+        ctx.save_for_backward(gradient)
+        return colors.new_tensor(total)
+
+    @staticmethod
+    def backward(ctx: object, upstream: Tensor) -> tuple[Tensor, None, None]:
+        (gradient,) = ctx.saved_tensors
+        return gradient * upstream, None, None
+
+
+@loop
+def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradient: np.ndarray) -> float:
+    total = 0.0
+    for edge in range(len(edges)):
+        one, other = edges[edge, 0], edges[edge, 1]
+        share = lengths[edge] / np.float32(len(colors))
+        for channel in range(3):
+            difference = colors[one, channel] - colors[other, channel]
+            total += share * abs(difference)
+            push = share * np.sign(difference)
+            gradient[one, channel] += push
+            gradient[other, channel] -= push
+    return total
 
 
 def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:

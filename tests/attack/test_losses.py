@@ -1,3 +1,4 @@
+import contextlib
 import math
 
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from cloak_core.attack.losses import disappearance, non_printability, total_variation
 from cloak_core.detectors.protocol import Detections
 from cloak_core.errors import InputError
+from cloak_core.render.compiled import torch_alone
 
 
 def detections(scores, objectness=None, is_person=None):
@@ -81,6 +83,21 @@ def test_total_variation_gradient_is_right(count, seed):
     edges = edges[edges[:, 0] != edges[:, 1]]
     lengths = torch.rand(len(edges), generator=generator, dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda c: total_variation(c, edges, lengths), colors, eps=1e-7, atol=1e-5)
+
+
+def test_the_loop_and_torch_agree_about_total_variation():
+    generator = torch.Generator().manual_seed(3)
+    edges, lengths = torch.randint(500, (2000, 2), generator=generator), torch.rand(2000, generator=generator)
+    start = (torch.rand(500, 3, generator=generator) * 8).round() / 8  # with some neighbours alike
+    found = []
+    for way in (contextlib.nullcontext(), torch_alone()):
+        colors = start.clone().requires_grad_()
+        with way:
+            value = total_variation(colors, edges, lengths)
+            (3 * value).backward()
+        found.append((value.item(), colors.grad))
+    assert found[0][0] == pytest.approx(found[1][0], rel=1e-6)
+    assert torch.allclose(found[0][1], found[1][1], atol=1e-6) and found[0][1].abs().max() > 1e-3
 
 
 @given(st.integers(0, 2**31), st.integers(1, 40), st.integers(1, 60))
