@@ -21,7 +21,6 @@ from cloak_core.render import painting, painting_loops
 from cloak_core.render.compiled import use_loops
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.photometric import Photometric
-from cloak_core.render.threads import one_thread
 
 __all__ = ["Canvas", "Photometric", "blank", "compose", "pixels_of", "true_boxes"]
 
@@ -91,9 +90,8 @@ class Canvas:
             scale = torch.tensor([views[0].light_color], device=rows.device)
         if photometric is not None and photometric.on == "render":
             scale, change = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale), None
-        with one_thread():
-            base, target = way.draw_bodies(views, rows, shifts, photometric if change is None else None)
-            logo = way.LogoMatrix.of(views)
+        base, target = way.draw_bodies(views, rows, shifts, photometric if change is None else None)
+        logo = way.LogoMatrix.of(views)
         shape = (len(views), 3, views[0].height, views[0].width)
         return Canvas(rows, shape, base, target, logo, scale, change, views[0].logo_count)
 
@@ -131,7 +129,6 @@ class _Paint(torch.autograd.Function):
     """Draw the logo; the gradient of the colours is one product with the transposed matrix."""
 
     @staticmethod
-    @one_thread()
     def forward(ctx: object, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
         kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
         ctx.shape, ctx.logo = colors.shape, canvas.logo
@@ -141,6 +138,5 @@ class _Paint(torch.autograd.Function):
         return pixels_of(canvas.rows, canvas.shape)
 
     @staticmethod
-    @one_thread()
     def backward(ctx: object, gradient: Tensor) -> tuple[Tensor, None]:
         return ctx.logo.gradient(ctx.saved_tensors, gradient, ctx.shape), None

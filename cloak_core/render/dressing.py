@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.render import dressing_loops
-from cloak_core.render.compiled import use_loops
+from cloak_core.render.compiled import arrays, use_loops
 from cloak_core.render.sparse import csr, offsets
 from cloak_core.render.texture import look_up
 from cloak_core.scene.cameras import Vector
@@ -83,6 +84,11 @@ class DressedView:
     def logo_rows(self) -> Int64[Tensor, " M"]:
         """Rows of `pixels` that the logo touches: the first M."""
         return torch.arange(self.logo_pixels, device=self.pixels.device)
+
+    @cached_property
+    def arrays(self) -> list[np.ndarray]:
+        """Pixels, coverage, planes and the logo's matrix (row offsets, faces, weights) for loops; the same memory."""
+        return arrays(self.pixels, self.coverage, self.planes, self.logo_crow, self.logo_face, self.logo_weight)
 
     @cached_property
     def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:

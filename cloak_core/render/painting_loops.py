@@ -36,9 +36,8 @@ def draw_bodies(
     noise = _noise(views, change)
     all_rows, all_base, all_target = arrays(rows, base, target)
     for image, (view, own) in enumerate(zip(views, _logo_parts(views), strict=True)):
-        pixels, coverage, planes = arrays(view.pixels, view.coverage, view.planes)
         _draw(
-            *(pixels, coverage, planes, contrast[image], brightness[image], noise[image]),
+            *(*view.arrays[:3], contrast[image], brightness[image], noise[image]),
             *(image, view.width, view.height, *moves[image], all_rows, all_base[own], all_target[own]),
         )
     return base, target
@@ -69,12 +68,13 @@ def _logo_parts(views: Sequence[DressedView]) -> Iterator[slice]:
 class LogoMatrix:
     """The logo's share in its pixels of B images; see painting.py."""
 
-    views: Sequence[DressedView]
+    blocks: list[tuple[list[np.ndarray], slice]]
+    """For each image: row offsets, faces and weights, and where its pixels stand among all."""
 
     @staticmethod
     def of(views: Sequence[DressedView]) -> LogoMatrix:
         """That of these views."""
-        return LogoMatrix(views)
+        return LogoMatrix([(view.arrays[3:], own) for view, own in zip(views, _logo_parts(views), strict=True)])
 
     def paint(
         self,
@@ -86,7 +86,7 @@ class LogoMatrix:
         """Draw the logo's pixels into their rows. Returns what `gradient` wants to know of it."""
         passes = torch.empty(len(target), dtype=torch.uint8)
         all_colors, all_base, all_target, all_passes, all_rows = arrays(colors, base, target, passes, rows)
-        for image, (matrix, own) in enumerate(self._blocks()):
+        for image, (matrix, own) in enumerate(self.blocks):
             these = all_colors[image] if all_colors.ndim == 3 else all_colors
             _paint(*matrix, these, all_base[own], all_target[own], all_rows, all_passes[own])
         return passes, target
@@ -101,15 +101,11 @@ class LogoMatrix:
             upstream, pixel_step, channel_step = upstream.permute(0, 2, 3, 1), 3, 1
         result = torch.zeros(shape)
         passes, target, numbers, total = arrays(*kept, upstream.reshape(images, -1), result)
-        for image, (matrix, own) in enumerate(self._blocks()):
+        for image, (matrix, own) in enumerate(self.blocks):
             part = total[image] if total.ndim == 3 else total
             first = image * height * width
             _add_gradient(*matrix, passes[own], target[own], first, numbers[image], pixel_step, channel_step, part)
         return result
-
-    def _blocks(self) -> Iterator[tuple[list[np.ndarray], slice]]:
-        for view, own in zip(self.views, _logo_parts(self.views), strict=True):
-            yield arrays(view.logo_crow, view.logo_face, view.logo_weight), own
 
 
 @loop
@@ -117,12 +113,16 @@ def _draw(
     pixels, coverage, planes, contrast, brightness, noise, image, width, height, right, down, rows, base, target
 ):  # fmt: skip
     """One body into its image; of the first len(base) pixels, the logo's, only what is not the logo, into `base`."""
-    place = np.empty(len(pixels), np.int64)
-    _move(pixels, width, height, right, down, image * width * height, len(rows) - 1, place)
-    target[:] = place[: len(target)]
-    noisy, logo = len(noise) > 0, len(base)
+    noisy, logo, lost, plane = len(noise) > 0, len(base), len(rows) - 1, width * height
+    start = stop = moved = 0
     for n in range(len(pixels)):
-        row, share = place[n], coverage[n]
+        pixel, share = pixels[n], coverage[n]
+        if pixel < start or pixel >= stop:
+            # Rarely: most pixels lie in the same row of the image as the one before. Divisions are slow.
+            start = pixel // width * width
+            stop, moved = start + width, start + down * width
+        x = pixel - start + right
+        row = image * plane + moved + x if 0 <= x < width and 0 <= moved < plane else lost
         red = planes[0, n] * contrast + brightness * share
         green = planes[1, n] * contrast + brightness * share
         blue = planes[2, n] * contrast + brightness * share
@@ -132,23 +132,9 @@ def _draw(
             beside = ONE - share
             red, green, blue = red + rows[row, 0] * beside, green + rows[row, 1] * beside, blue + rows[row, 2] * beside
         if n < logo:
-            base[n, 0], base[n, 1], base[n, 2] = red, green, blue
+            base[n, 0], base[n, 1], base[n, 2], target[n] = red, green, blue, row
         else:
             rows[row, 0], rows[row, 1], rows[row, 2] = _clamped(red), _clamped(green), _clamped(blue)
-
-
-@loop
-def _move(pixels, width, height, right, down, first, lost, place):
-    """The rows of an image's pixels, moved; `first` is that of its first pixel, `lost` takes what leaves it."""
-    start = stop = moved = 0
-    for n in range(len(pixels)):
-        pixel = pixels[n]
-        if pixel < start or pixel >= stop:
-            # Rarely: most pixels lie in the same row of the image as the one before. Divisions are slow.
-            start = pixel // width * width
-            stop, moved = start + width, start + down * width
-        x = pixel - start + right
-        place[n] = first + moved + x if 0 <= x < width and 0 <= moved < width * height else lost
 
 
 @loop
