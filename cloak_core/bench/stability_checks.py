@@ -17,8 +17,8 @@ from cloak_core.bench.reference import matrix_of
 from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.bench.views import torch_threads
 from cloak_core.errors import InputError
-from cloak_core.render.dressing import View
 from cloak_core.render.compiled import torch_alone
+from cloak_core.render.dressing import View
 from cloak_core.render.projection import GRID, project
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.shading import Light

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
@@ -59,25 +58,12 @@ def area_fragments(
 def _by_loops(
     screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Bool[Tensor, " B"] | None, window: Window, view: int
 ) -> Fragments:
-    flat = flatten(screen, triangles, view)
-    x, y, nearness, corner, _ = flat.arrays()
-    culled = cull is not None and bool(cull[view])
-    width = window.x1 - window.x0
-    pieces = area_loops.find_pieces(x, y, corner, culled, window.x0, window.x1, window.y0, window.y1)
-    owner, area, begin = area_loops.by_place(*pieces, width * (window.y1 - window.y0))
-    corner_of = (window.x0, window.y0, width)
-    area_loops.compete(x, y, nearness, corner, owner, area, begin, *corner_of, float(screen.focal[view]))
-    pixel, triangle = np.empty((2, len(owner)), np.int64)
-    share, offset = np.empty(len(owner), np.float32), np.empty((2, len(owner)), np.float32)
-    center = np.empty((2, len(owner)))
-    count = area_loops.emit(
-        x, y, corner, owner, area, begin, *corner_of, screen.width, pixel, triangle, share, center, offset
-    )
-    pixel, triangle, share, center, offset = (
-        torch.from_numpy(t[..., :count]) for t in (pixel, triangle, share, center, offset)
-    )
-    triangle, of = flat.ids.index_select(0, triangle), torch.full_like(pixel, view)
-    return Fragments(of, pixel, triangle, share, Points(of, triangle, *center), None, offset)
+    flat, culled = flatten(screen, triangles, view), cull is not None and bool(cull[view])
+    edges = window.x0, window.x1, window.y0, window.y1
+    found = area_loops.fragments(*flat.arrays(), culled, *edges, screen.width, float(screen.focal[view]))
+    pixel, triangle, area, center, offset = map(torch.from_numpy, found)
+    of = torch.full_like(pixel, view)
+    return Fragments(of, pixel, triangle, area, Points(of, triangle, *center), None, offset)
 
 
 def _joined(views: list[Fragments]) -> Fragments:

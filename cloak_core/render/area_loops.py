@@ -25,11 +25,19 @@ _ID = (1 << ID_BITS) - 1
 
 
 @loop
-def find_pieces(x, y, corner, cull, x0, x1, y0, y1):
-    """Every overlap of triangles with pixels of the window: place, triangle (its index) and area, by triangle.
+def fragments(x, y, nearness, corner, ids, cull, x0, x1, y0, y1, image_width, focal):
+    """Fragments of one view in a window of the image, as `emit` gives them. x, y: snapped, int32 [K]; nearness [K];
+    corner: int64 [3, N]; ids: int64 [N]; cull: whether clockwise triangles are dropped; focal: pixels."""
+    width = x1 - x0
+    place, owner, area = find_pieces(x, y, corner, cull, x0, x1, y0, y1)
+    owner, area, begin = by_place(place, owner, area, width * (y1 - y0))
+    compete(x, y, nearness, corner, owner, area, begin, x0, y0, width, focal)
+    return emit(x, y, corner, ids, owner, area, begin, x0, y0, width, image_width)
 
-    x, y: snapped, int32 [K]; corner: int64 [3, N]; cull: whether clockwise triangles are dropped.
-    """
+
+@loop
+def find_pieces(x, y, corner, cull, x0, x1, y0, y1):
+    """Every overlap of triangles with pixels of the window: place, triangle (its index) and area, by triangle."""
     capacity = 2 * corner.shape[1] + 1024
     place, owner, area = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity)
     count, width = 0, x1 - x0
@@ -210,12 +218,16 @@ def _sample(a, b, c, pixel):
 
 
 @loop
-def emit(x, y, corner, owner, area, begin, x0, y0, width, image_width, pixel, triangle, share, center, offset):
-    """What is left of the pieces as fragments: their triangles' middles and where each is lit; returns how many.
+def emit(x, y, corner, ids, owner, area, begin, x0, y0, width, image_width):
+    """What is left of the pieces as fragments: pixel, triangle, area, their triangles' middles, and from there to where
+    each is lit.
 
     Along an axis, as a triangle's middle lies in the middle third of its extent, its piece's is taken to be the nearest
     place in the middle third of what the pixel holds of that extent.
     """
+    most = len(owner)
+    pixel, triangle, share = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
+    center, offset = np.empty((2, most)), np.empty((2, most), np.float32)
     count = 0
     for place in range(len(begin) - 1):
         column, row = x0 + place % width, y0 + place // width
@@ -224,11 +236,11 @@ def emit(x, y, corner, owner, area, begin, x0, y0, width, image_width, pixel, tr
                 continue
             t = owner[i]
             a, b, c = corner[0, t], corner[1, t], corner[2, t]
-            pixel[count], triangle[count], share[count] = row * image_width + column, t, area[i]
+            pixel[count], triangle[count], share[count] = row * image_width + column, ids[t], area[i]
             center[0, count], offset[0, count] = _lit_at(x[a] / GRID, x[b] / GRID, x[c] / GRID, column)
             center[1, count], offset[1, count] = _lit_at(y[a] / GRID, y[b] / GRID, y[c] / GRID, row)
             count += 1
-    return count
+    return pixel[:count], triangle[:count], share[:count], center[:, :count], offset[:, :count]
 
 
 @loop

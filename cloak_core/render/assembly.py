@@ -1,7 +1,8 @@
-"""From the lit fragments of a batch to its views' matrices."""
+"""From the fragments of a batch to its views' matrices: by torch operations from lit ones, or by loops all at once."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,11 +10,14 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from cloak_core.render.compiled import arrays, use_loops
+from cloak_core.render.compiled import arrays
 from cloak_core.render.dressing import View
-from cloak_core.render.fragments_loops import fold
+from cloak_core.render.fragments import Fragments
+from cloak_core.render.matrix_loops import material, matrix
 from cloak_core.render.projection import Screen
+from cloak_core.render.shading import Light
 from cloak_core.render.sparse import offsets
+from cloak_core.render.threads import spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +45,14 @@ class Lit:
 def assemble(lit: Lit, screen: Screen, split_faces: bool) -> list[View]:
     """Cut the fragments of a batch into its views' matrices."""
     batch, total = len(screen.x), screen.width * screen.height
-    rows_of = _fold_by_loops if use_loops(lit.view.device) else _fold
-    # Triangles of one polygon may lie far apart on a texture.
-    places, coverage, highlight, crow, face, weight, uv = rows_of(lit, total, split_faces and lit.uv is None)
+    place = lit.view * total + lit.pixel
+    places, row = torch.unique_consecutive(place, return_inverse=True)
+    fold = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
+    coverage, highlight = fold(lit.area), fold(lit.highlight)
+    face, weight, uv = lit.face, lit.weight, lit.uv
+    if split_faces and uv is None:  # triangles of one polygon may lie far apart on a texture
+        row, face, weight = _merge_faces(row, face, weight)
+    crow = offsets(row, len(places))
     first = torch.searchsorted(places, torch.arange(batch + 1, device=places.device) * total)
     row_ends, entry_ends = first.tolist(), crow.index_select(0, first).tolist()
     views = []
@@ -58,32 +67,42 @@ def assemble(lit: Lit, screen: Screen, split_faces: bool) -> list[View]:
     return views
 
 
-def _fold(lit: Lit, total: int, by_face: bool) -> tuple[Tensor | None, ...]:
-    """Places (view * total + pixel), their coverage and highlight; row offsets, face, weight and uv of entries."""
-    places, row = torch.unique_consecutive(lit.view * total + lit.pixel, return_inverse=True)
-    total_of = lambda t: torch.zeros(len(places), dtype=t.dtype, device=t.device).index_add_(0, row, t)
-    coverage, highlight = total_of(lit.area), total_of(lit.highlight)
-    face, weight = lit.face, lit.weight
-    if by_face:
-        row, face, weight = _merge_faces(row, face, weight)
-    return places, coverage, highlight, offsets(row, len(places)), face, weight, lit.uv
+def view_by_loops(
+    bands: Sequence[Fragments],
+    screen: Screen,
+    triangles: Int64[Tensor, "3 T"],
+    triangle_face: Int64[Tensor, " T"],
+    normals: Float32[Tensor, "3 B=1 V"],
+    lights: Float32[Tensor, "3 B=1"],
+    light: Light,
+    corner_uv: Float32[Tensor, "2 3 T"] | None,
+    split_faces: bool,
+    count: int,
+) -> View:
+    """Light and matrix of the one view on the screen, whose bands of fragments (from top to bottom) `count` threads
+    share; the other arguments as for `light_fragments` and `assemble`."""
+    textured = corner_uv is not None
+    space = np.stack([axis[0].numpy() for axis in screen.view])
+    camera = float(screen.focal), screen.width / 2, screen.height / 2
+    corner, face_of, normal, position = arrays(triangles, triangle_face, normals[:, 0], lights[:, 0])
+    uv_of = arrays(corner_uv)[0] if textured else np.empty((2, 3, 0), np.float32)
+    about = normal, position, material(light), uv_of, face_of, split_faces and not textured
+
+    def rows_of(found: Fragments) -> tuple:
+        places = arrays(found.pixel, found.triangle, found.area, found.points.x, found.points.y)
+        offset = np.empty((2, 0), np.float32) if found.offset is None else arrays(found.offset)[0]
+        return matrix(*places, offset, corner, space, camera, *about)
+
+    parts = spread(rows_of, bands, count)
+    pixels, coverage, specular = (_join([rows[i] for rows, _ in parts]) for i in range(3))
+    face, weight, uv = (_join([entries[i] for _, entries in parts]) for i in range(3))
+    before = np.cumsum([0, *(rows[3][-1] for rows, _ in parts)])
+    crow = _join([rows[3][i > 0 :] + before[i] for i, (rows, _) in enumerate(parts)])
+    return View(screen.height, screen.width, pixels, coverage, specular, crow, face, weight, uv if textured else None)
 
 
-def _fold_by_loops(lit: Lit, total: int, by_face: bool) -> tuple[Tensor | None, ...]:
-    place = lit.view * total + lit.pixel
-    count = len(place)
-    places, crow, face = np.empty(count, np.int64), np.empty(count + 1, np.int64), np.empty(count, np.int64)
-    coverage, highlight, weight = np.empty((3, count), np.float32)
-    uv = np.empty((2, 0 if lit.uv is None else count), np.float32)
-    rows, entries = fold(
-        *arrays(place, lit.area, lit.highlight, lit.face, lit.weight),
-        uv if lit.uv is None else arrays(lit.uv)[0],
-        by_face, places, coverage, highlight, crow, face, weight, uv,
-    )  # fmt: skip
-    put = lambda array, length: torch.from_numpy(array[..., :length])
-    of_rows = (put(array, rows) for array in (places, coverage, highlight))
-    of_entries = (put(array, entries) for array in (face, weight))
-    return *of_rows, put(crow, rows + 1), *of_entries, None if lit.uv is None else put(uv, entries)
+def _join(parts: list[np.ndarray]) -> Tensor:
+    return torch.from_numpy(parts[0] if len(parts) == 1 else np.concatenate(parts, -1))
 
 
 def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:

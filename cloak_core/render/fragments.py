@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int64
 from torch import Tensor
@@ -83,13 +82,9 @@ def merge_samples(visibility: Visibility) -> Fragments:
 
 
 def _merge_by_loops(visibility: Visibility) -> Fragments:
-    keys, n, w = visibility.keys.numpy(), visibility.grid, visibility.window
-    most = fragments_loops.most_fragments(keys, n)
-    view, pixel, triangle = np.empty((3, most), np.int64)
-    x, y = np.empty((2, most))
-    area = np.empty(most, np.float32)
-    count = fragments_loops.merge(keys, n, w.y0 * n, w.x0 * n, visibility.width, view, pixel, triangle, area, x, y)
-    view, pixel, triangle, area, x, y = (torch.from_numpy(t[:count]) for t in (view, pixel, triangle, area, x, y))
+    n, w = visibility.grid, visibility.window
+    found = fragments_loops.merge(*arrays(visibility.keys), n, w.y0 * n, w.x0 * n, visibility.width)
+    view, pixel, triangle, area, x, y = map(torch.from_numpy, found)
     return Fragments(view, pixel, triangle, area, Points(view, triangle, x, y))
 
 
@@ -107,8 +102,6 @@ def light_fragments(
 
     normals and light positions are in each view's own space.
     """
-    if use_loops(fragments.area.device):
-        return _light_by_loops(fragments, screen, triangles, normals, light_positions, light, corner_uv)
     points = fragments.points
     corner = triangles.index_select(1, points.triangle)
     if len(screen.x) > 1:
@@ -124,32 +117,6 @@ def light_fragments(
         weights = facets.weights if fragments.point is None else facets.weights_at(fragments.point, fragments.offset)
         uv = texture_coordinates(corner_uv.index_select(2, fragments.triangle), *weights)
     return weight * fragments.area, highlight * fragments.area, uv
-
-
-def _light_by_loops(
-    fragments: Fragments,
-    screen: Screen,
-    triangles: Int64[Tensor, "3 T"],
-    normals: Float32[Tensor, "3 B V"],
-    light_positions: Float32[Tensor, "3 B"],
-    light: Light,
-    corner_uv: Float32[Tensor, "2 3 T"] | None,
-) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None]:
-    points, offset, point = fragments.points, fragments.offset, fragments.point
-    x, y = (t if point is None else t.index_select(0, point) for t in (points.x, points.y))
-    out = np.empty((2 if corner_uv is None else 4, len(fragments.area)), np.float32)
-    fragments_loops.light(
-        *arrays(fragments.view, fragments.triangle, fragments.area, x, y),
-        np.empty((2, 0), np.float32) if offset is None else offset.numpy(),
-        *arrays(triangles, torch.stack(screen.view), screen.focal.view(-1)),
-        (screen.width / 2, screen.height / 2),
-        *arrays(normals, light_positions),
-        fragments_loops.material(light),
-        np.empty((2, 3, 0), np.float32) if corner_uv is None else corner_uv.numpy(),
-        out,
-    )
-    out = torch.from_numpy(out)
-    return out[0], out[1], None if corner_uv is None else out[2:]
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float64, Int32
 from torch import Tensor
 
 from cloak_core.errors import InputError
+from cloak_core.render.compiled import use_loops
+from cloak_core.render.projection_loops import project as project_by_loop
 from cloak_core.scene.cameras import Camera, Vector
 
 GRID = 1 << 16
@@ -66,6 +69,12 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
         (*camera.position(pivot), *camera.axes[0], *camera.axes[1], *camera.axes[2], camera.focal, camera.near_plane)
         for camera, pivot in zip(cameras, pivots, strict=True)
     ]
+    if not vertices.shape[2]:
+        nothing, scale = vertices.new_zeros(len(rows), 0), vertices.new_ones(len(rows), 1)
+        whole = nothing.to(torch.int32)
+        return Screen(width, height, (nothing,) * 3, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
+    if use_loops(vertices.device):
+        return _by_loops(vertices, rows, width, height)
     values = torch.tensor(rows, dtype=torch.float64).T.unsqueeze(-1).to(vertices.device).unbind(0)
     position, right, up, back = (values[i : i + 3] for i in range(0, 12, 3))
     focal, near = values[12:]
@@ -74,16 +83,50 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     view = (x * right[0] + z * right[2], _dot(x, y, z, up), -_dot(x, y, z, back))
     screen_x, screen_y = _screen(view, focal, near, width, height)
     nearness = near / view[2].clamp(min=near)
-    if not view[2].numel():
-        x, y = (t.to(torch.int32) for t in (screen_x, screen_y))
-        return Screen(width, height, view, x, y, nearness, None, (0, 0, 0, 0), focal, near)
     extremes = torch.stack([*torch.aminmax(screen_x), *torch.aminmax(screen_y), (view[2] - near).amin()]).tolist()
     if not all(math.isfinite(value) for value in extremes):
         raise _not_finite(vertices)
+    x, y = _integers(screen_x), _integers(screen_y)
+    return _screen_of(width, height, view, x, y, nearness, extremes, focal, near)
+
+
+def _by_loops(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int) -> Screen:
+    batch, _, count = vertices.shape
+    view, nearness = np.empty((3, batch, count)), np.empty((batch, count))
+    x, y = np.empty((2, batch, count), np.int32)
+    found = []
+    for b, row in enumerate(rows):
+        position, right, up, back = (row[i : i + 3] for i in range(0, 12, 3))
+        middle = width * (GRID / 2), height * (GRID / 2)
+        out = view[:, b], x[b], y[b], nearness[b]
+        found.append(
+            project_by_loop(vertices[b].numpy(), position, right, up, back, *row[12:], middle, GRID, float(GUARD), *out)
+        )
+    if not all(finite for *_, finite in found):
+        raise _not_finite(vertices)
+    left, right, top, bottom, front, _ = zip(*found, strict=True)
+    extremes = min(left), max(right), min(top), max(bottom), min(front)
+    focal, near = torch.tensor([row[12:] for row in rows], dtype=torch.float64).T.unsqueeze(-1)
+    x, y, nearness = (torch.from_numpy(t) for t in (x, y, nearness))
+    return _screen_of(width, height, torch.from_numpy(view).unbind(0), x, y, nearness, extremes, focal, near)
+
+
+def _screen_of(
+    width: int,
+    height: int,
+    view: Points,
+    x: Int32[Tensor, "B V"],
+    y: Int32[Tensor, "B V"],
+    nearness: Tensor,
+    extremes: Sequence[float],
+    focal: Tensor,
+    near: Tensor,
+) -> Screen:
+    """extremes: of snapped x and y, and the least distance before the near plane."""
     safe = None
     if extremes[4] < 0 or max(abs(value) for value in extremes[:4]) > GUARD / 2:
+        screen_x, screen_y = _screen(view, focal, near, width, height)
         safe = (view[2] >= near) & (torch.maximum(screen_x.abs(), screen_y.abs()) <= GUARD / 2)
-    x, y = _integers(screen_x), _integers(screen_y)
     bounds = tuple(int(min(max(value, -GUARD), GUARD)) for value in extremes[:4])
     return Screen(width, height, view, x, y, nearness, safe, bounds, focal, near)
 

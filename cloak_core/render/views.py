@@ -18,8 +18,9 @@ from torch import Tensor
 from cloak_core.errors import InputError
 from cloak_core.render.area import area_fragments
 from cloak_core.render.area_loops import SIDE
-from cloak_core.render.assembly import Lit, assemble
+from cloak_core.render.assembly import Lit, assemble, view_by_loops
 from cloak_core.render.candidates import Window
+from cloak_core.render.compiled import use_loops
 from cloak_core.render.dressing import DressedView, View, dress
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
 from cloak_core.render.kept import Kept
@@ -137,12 +138,26 @@ class ViewBank:
             with one_thread():
                 return self._build(wanted, count)
         self._get_ready(wanted)
-        parts = [wanted[part] for part in even(len(wanted), count)]
+        # A loop gains nothing from many views at once, and one view's memory stays in the cache.
+        parts = even(len(wanted), len(wanted) if use_loops(self.device) else count)
+        parts = [wanted[part] for part in parts]
         return [view for views in spread(self._build, parts, count) for view in views]
 
     def _build(self, wanted: Sequence[tuple[int, Camera]], count: int = 1) -> list[View]:
         screen = self.screen(wanted)
         normals, lights = self._view_space_light(wanted)
+        if use_loops(self.device):
+            about = (
+                self._triangles,
+                self._triangle_face,
+                normals,
+                lights,
+                self.light,
+                self._corner_uv,
+                self._split_faces,
+            )
+            bands = spread(lambda band: self._band(wanted, screen, band), self._bands(screen, count), count)
+            return [view_by_loops(bands, screen, *about, count)]
 
         def lit(band: Window) -> Lit:
             found = self._band(wanted, screen, band)

@@ -1,0 +1,33 @@
+"""Vertices to the snapped screen, as a loop for the CPU: the operations of projection.py, in their order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloak_core.render.compiled import loop
+
+
+@loop
+def project(vertices, position, right, up, back, focal, near, middle, grid, guard, view, x, y, nearness):
+    """One view: view space into `view` [3, V], snapped x and y [V], int32, and nearness [V].
+
+    vertices: [3, V]; position, right, up, back: of the camera; middle: of the image, grid units. Returns least and
+    greatest x, least and greatest y, the least distance before the near plane, and whether every number is finite.
+    """
+    left, most_right, top, bottom, front = np.inf, -np.inf, np.inf, -np.inf, np.inf
+    finite = True
+    for i in range(vertices.shape[1]):
+        px, py, pz = vertices[0, i] - position[0], vertices[1, i] - position[1], vertices[2, i] - position[2]
+        vx = px * right[0] + pz * right[2]
+        vy = px * up[0] + py * up[1] + pz * up[2]
+        vz = -(px * back[0] + py * back[1] + pz * back[2])
+        ahead = max(vz, near)
+        scale = focal * grid / ahead
+        sx, sy = np.rint(vx * scale + middle[0]), np.rint(middle[1] - vy * scale)
+        finite &= np.isfinite(sx) & np.isfinite(sy) & np.isfinite(vz)
+        left, most_right, top, bottom = min(left, sx), max(most_right, sx), min(top, sy), max(bottom, sy)
+        front = min(front, vz - near)
+        view[0, i], view[1, i], view[2, i] = vx, vy, vz
+        x[i], y[i] = min(max(sx, -guard), guard), min(max(sy, -guard), guard)
+        nearness[i] = near / ahead
+    return left, most_right, top, bottom, front, finite
