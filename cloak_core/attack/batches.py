@@ -1,5 +1,6 @@
 """From draws to what compositing takes: views of dressed bodies, backgrounds, shifts, photometric changes."""
 
+import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from cloak_core.errors import InputError
 from cloak_core.render.backdrop import lay_backdrop
 from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
 from cloak_core.render.dressing import DressedView
+from cloak_core.render.threads import spread, workers
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
@@ -64,10 +66,9 @@ class Batcher:
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortion())
-        views = [
-            self.bank.dress(int(pose), camera, self.logo_faces, int(outfit))
-            for pose, outfit, camera in zip(draws.pose, draws.outfit, cameras(draws, settings), strict=True)
-        ]
+        wanted = zip(draws.pose.tolist(), cameras(draws, settings), draws.outfit.tolist(), strict=True)
+        dress = lambda one: self.bank.dress(one[0], one[1], self.logo_faces, one[2])
+        views = spread(dress, list(wanted), workers(self.device))
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)
@@ -98,11 +99,14 @@ class Batcher:
 class Prefetcher:
     """A batcher that builds the next batch in a thread while the detector is busy with this one.
 
-    What a batch holds depends on its step alone, so that looking ahead changes nothing but time.
+    What a batch holds depends on its step alone, so that looking ahead changes nothing but time. Where the detector
+    keeps every core busy it would cost time: each of its operations would wait for the thread that shares a core, and
+    while one core builds a view the others would idle. There, batches are built between steps, by all cores.
     """
 
     def __init__(self, batcher: Batcher, rank: int = 0, ranks: int = 1) -> None:
         self._batcher, self._rank, self._ranks = batcher, rank, ranks
+        self._ahead = batcher.device.type != "cpu" or torch.get_num_threads() < len(os.sched_getaffinity(0))
         # On one CPU thread: a second team of threads would fight the detector's for the cores.
         self._pool = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
         self._next: tuple[int, Future] | None = None
@@ -111,7 +115,7 @@ class Prefetcher:
         """The batch of `step`; that of `step + 1` is begun."""
         expected = self._next is not None and self._next[0] == step
         ready = self._next[1].result() if expected else self._batcher.batch(step, self._rank, self._ranks)
-        if step + 1 < self._batcher.sampler.steps:
+        if self._ahead and step + 1 < self._batcher.sampler.steps:
             self._next = (step + 1, self._pool.submit(self._batcher.batch, step + 1, self._rank, self._ranks))
         return ready
 

@@ -95,7 +95,6 @@ def cover_box(keys, x, y, nearness, corners, name, r0, r1, c0, c1, row0, column0
         e0, low, high = area - e1 - e2, 0, width
         if width > _SHORT:
             low, high = _run(e0, e1, e2, across0, across1, across2, width)
-        line = keys[row - row0]
         for k in range(low, high):
             here1, here2 = e1 + k * across1, e2 + k * across2
             near = float(here1) * slope1 + float(here2) * slope2 + n0
@@ -103,8 +102,8 @@ def cover_box(keys, x, y, nearness, corners, name, r0, r1, c0, c1, row0, column0
             key = ((LIMIT - depth) << ID_BITS) | name
             # Without a branch, as above; in a run all are inside.
             inside = _inside(e0 + k * across0, here1, here2, across0)
-            at = c0 + k - column0
-            line[at] = min(line[at], key if inside else EMPTY)
+            at = row - row0, c0 + k - column0
+            keys[at] = min(keys[at], key if inside else EMPTY)
             held += inside
     return held
 

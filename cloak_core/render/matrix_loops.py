@@ -42,19 +42,24 @@ def light_all(triangle, area, x, y, offset, corner, space, camera, normals, ligh
     and light [3]: in view space; material: see `material`; uv_of: texture coordinates [2, 3, T] or [2, 3, 0].
     """
     focal, middle_x, middle_y = camera
+    ax, ay, az = space[0], space[1], space[2]
+    nx_of, ny_of, nz_of = normals[0], normals[1], normals[2]
+    lx, ly, lz = light[0], light[1], light[2]
     step, moved, textured = 1 / focal, offset.shape[1] > 0, uv_of.shape[2] > 0
     for i in range(len(triangle)):
         t = triangle[i]
         p, q, r = corner[0, t], corner[1, t], corner[2, t]
-        crosses = _crosses(space[:, p], space[:, q], space[:, r])
+        # Numbers, not slices of arrays: those are counted each time one is made.
+        a, b, c = (ax[p], ay[p], az[p]), (ax[q], ay[q], az[q]), (ax[r], ay[r], az[r])
+        crosses = _cross(b, c), _cross(c, a), _cross(a, b)
         dx, dy = (x[i] - middle_x) * step, (middle_y - y[i]) * step
         w0, w1, w2 = _weights(crosses, dx, dy)
         total = w0 + w1 + w2
         if total == 0:  # seen exactly edge-on: its first corner stands in
-            w0, w1, w2, near, depth = 1.0, 0.0, 0.0, 1.0, space[2, p]
+            w0, w1, w2, near, depth = 1.0, 0.0, 0.0, 1.0, az[p]
         else:
             scale, near = 1 / total, 1.0
-            depth = (w0 * space[2, p] + w1 * space[2, q] + w2 * space[2, r]) * scale
+            depth = (w0 * az[p] + w1 * az[q] + w2 * az[r]) * scale
             if moved:
                 dx += offset[0, i] * step
                 dy -= offset[1, i] * step
@@ -65,17 +70,11 @@ def light_all(triangle, area, x, y, offset, corner, space, camera, normals, ligh
             w0, w1, w2 = w0 * scale, w1 * scale, w2 * scale
         if textured:
             out[2, i], out[3, i] = _texture_coordinates(uv_of, t, w1 / near, w2 / near)
-        nx = w0 * normals[0, p] + w1 * normals[0, q] + w2 * normals[0, r]
-        ny = w0 * normals[1, p] + w1 * normals[1, q] + w2 * normals[1, r]
-        nz = w0 * normals[2, p] + w1 * normals[2, q] + w2 * normals[2, r]
-        weight, shine = _shade((dx * depth, dy * depth, depth), (nx, ny, nz), light, material)
+        nx = w0 * nx_of[p] + w1 * nx_of[q] + w2 * nx_of[r]
+        ny = w0 * ny_of[p] + w1 * ny_of[q] + w2 * ny_of[r]
+        nz = w0 * nz_of[p] + w1 * nz_of[q] + w2 * nz_of[r]
+        weight, shine = _shade((dx * depth, dy * depth, depth), (nx, ny, nz), (lx, ly, lz), material)
         out[0, i], out[1, i] = weight * area[i], shine * area[i]
-
-
-@loop
-def _crosses(a, b, c):
-    """b x c, c x a, a x b."""
-    return _cross(b, c), _cross(c, a), _cross(a, b)
 
 
 @loop
