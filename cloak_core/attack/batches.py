@@ -97,25 +97,24 @@ class Batcher:
 
 
 class Prefetcher:
-    """A batcher that builds the next batch in a thread while the detector is busy with this one.
+    """A batcher that, where it gains time, builds the next batch in a thread while the detector is busy with this one.
 
-    What a batch holds depends on its step alone, so that looking ahead changes nothing but time. Where the detector
-    keeps every core busy it would cost time: each of its operations would wait for the thread that shares a core, and
-    while one core builds a view the others would idle. There, batches are built between steps, by all cores.
+    What a batch holds depends on its step alone, so that looking ahead changes nothing but time.
     """
 
     def __init__(self, batcher: Batcher, rank: int = 0, ranks: int = 1) -> None:
         self._batcher, self._rank, self._ranks = batcher, rank, ranks
-        self._ahead = batcher.device.type != "cpu" or torch.get_num_threads() < len(os.sched_getaffinity(0))
-        # On one CPU thread: a second team of threads would fight the detector's for the cores.
-        self._pool = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
+        self._pool: ThreadPoolExecutor | None = None
+        if looks_ahead(batcher.device):
+            # On one CPU thread: a second team of threads would fight the detector's for the cores.
+            self._pool = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
         self._next: tuple[int, Future] | None = None
 
     def batch(self, step: int) -> Batch:
         """The batch of `step`; that of `step + 1` is begun."""
         expected = self._next is not None and self._next[0] == step
         ready = self._next[1].result() if expected else self._batcher.batch(step, self._rank, self._ranks)
-        if self._ahead and step + 1 < self._batcher.sampler.steps:
+        if self._pool is not None and step + 1 < self._batcher.sampler.steps:
             self._next = (step + 1, self._pool.submit(self._batcher.batch, step + 1, self._rank, self._ranks))
         return ready
 
@@ -126,7 +125,23 @@ class Prefetcher:
 
     def close(self) -> None:
         """Wait for the thread; what it was building is dropped."""
-        self._pool.shutdown(cancel_futures=True)
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+
+def looks_ahead(device: torch.device) -> bool:
+    """Whether the detector leaves a core to whoever builds the next batch: on a GPU, and with fewer threads than cores.
+
+    Otherwise a batch takes less time between two steps, from all threads together, than it takes away from the
+    detector's threads, which wait for each other after every layer.
+    """
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return device.type != "cpu" or torch.get_num_threads() * processes < _cores()
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)

@@ -47,14 +47,13 @@ def run_bench_step(
     """C6's record: {SPEC: {"batch", "floor_ms", "step_ms", "ratio", "overhead_ms_per_image", "parts_ms", ...}}.
 
     Floor and step take turns, so that whatever else the machine does hits both; medians of `repeats`. The floor sees
-    images of the step's own, in the step's memory layout. A step is the whole of it: the batch that a thread built
-    ahead, loss, gradient, update, event; it ends when the thread has built the next batch, too, which would otherwise
-    be charged to the floor. Parts are timed alone, on a machine that does nothing else meanwhile: "next_batch" is the
-    thread's work, "paint" the logo's way into the images and its gradient's way back, "update" the optimiser with total
-    variation and the event; "rest" is what they leave of step - floor: negative where the thread's work fits beside
-    the detector's, positive where both fight for cores and caches. `settings` (default: preset best, batch 8) decide
-    batch, size, device and views; with a range of distances every image pays for a view of its own. Logo: chest and
-    thighs unless given.
+    images of the step's own, in the step's memory layout. A step is the whole of it: batch, loss, gradient, update,
+    event; where a thread builds the next batch meanwhile (see `looks_ahead`), it ends when that is there, too, which
+    would otherwise be charged to the floor. Parts are timed alone: "next_batch" is building a batch, "paint" the logo's
+    way into the images and its gradient's way back, "update" the optimiser with total variation and the event; "rest"
+    is what they leave of step - floor: negative where a batch is built beside the detector, positive where both fight
+    for cores and caches. `settings` (default: preset best, batch 8) decide batch, size, device and views; with a range
+    of distances every image pays for a view of its own. Logo: chest and thighs unless given.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
@@ -74,7 +73,7 @@ def step_table(result: dict) -> str:
     rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
     lines = [
         "| detector | batch | views | floor, ms | step, ms | ratio | beside the detector, ms per image "
-        "| next batch (thread), ms | paint, ms | update, ms | page faults a step |",
+        "| next batch, ms | paint, ms | update, ms | page faults a step |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
