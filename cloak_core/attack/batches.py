@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cloak_core.attack.distorting import Distortion, draw_occluders, occluded
 from cloak_core.attack.parsing import parse_azimuths, parse_range
-from cloak_core.attack.sampling import Draws, Sampler, cameras
+from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.errors import InputError
 from cloak_core.render.backdrop import lay_backdrop
@@ -58,6 +58,8 @@ class Batcher:
     ) -> None:
         self.settings, self.sampler, self.bank = settings, sampler, bank
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
+        # Threads that only look views up would wait for each other.
+        self._fresh = is_fresh(settings)
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """The images of `step`, or one process's share of them."""
@@ -68,7 +70,7 @@ class Batcher:
             return Batch(empty, None, None, Distortion())
         wanted = zip(draws.pose.tolist(), cameras(draws, settings), draws.outfit.tolist(), strict=True)
         dress = lambda one: self.bank.dress(one[0], one[1], self.logo_faces, one[2])
-        views = spread(dress, list(wanted), workers(self.device))
+        views = spread(dress, list(wanted), workers(self.device) if self._fresh else 1)
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)

@@ -9,26 +9,20 @@ from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop, use_loops
-from cloak_core.render.threads import spread, workers
 
 
 def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"]]) -> None:
-    """Fill a canvas (see compositing's `blank`) with one background for each of its images, all of one size.
-
-    On the CPU, torch's threads share the images.
-    """
-    size = len(rows) // max(1, len(images))
-
-    def lay(place: int) -> None:
-        pixels = images[place].permute(1, 2, 0).reshape(-1, 3)
-        own = rows[place * size : (place + 1) * size]
+    """Fill a canvas (see compositing's `blank`) with one background for each of its images, all of one size."""
+    start = 0
+    for image in images:
+        pixels = image.permute(1, 2, 0).reshape(-1, 3)
+        own = rows[start : start + len(pixels)]
         if use_loops(rows.device):
             _to_numbers(*(array.reshape(-1) for array in arrays(own, pixels)))
         else:
             # Bytes travel; numbers are made where they go.
             own.copy_(pixels.to(rows.device, non_blocking=True)).div_(255)
-
-    spread(lay, range(len(images)), workers(rows.device))
+        start += len(pixels)
 
 
 @loop
