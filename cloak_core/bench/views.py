@@ -1,4 +1,4 @@
-"""`cloak bench views`: what visibility, a whole new view and a cached render of a logo cost, per view."""
+"""`cloak bench views`: what visibility, whole new views, one or a batch, and a cached render of a logo cost."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,13 @@ import torch
 from cloak_core.errors import InputError
 from cloak_core.render.compositing import compose
 from cloak_core.render.stored import StoredViews
-from cloak_core.render.views import ViewBank
+from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.exchange import Bodies, read_scene
 from cloak_core.scene.kept_files import KeptFiles
+
+BATCH = 8
+"""Views at once."""
 
 
 def run_bench_views(
@@ -34,7 +38,8 @@ def run_bench_views(
 
     Visibility is project, cover and depth; a new view is everything a cached render needs, from vertices in memory;
     stored is reading the view that an earlier run built; cached is a render of a chest-and-thighs logo onto a ready
-    background together with its gradient.
+    background together with its gradient. Under by_samples, visibility and new view for every number of samples and for
+    coverage by area, and how many times as long `BATCH` views at once take (medians of a quarter of the runs).
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
@@ -48,8 +53,22 @@ def run_bench_views(
             "new_view_ms": timed(lambda: bank.build(key), repeats, device),
             "stored_ms": _reading(bank, camera, repeats),
             "cached_ms": timed(cached_render(bank, camera), repeats, device),
+            "by_samples": {
+                str(number or "area"): _one_and_many(ViewBank(bodies, samples=number, device=device), camera, repeats)
+                for number in (*GRIDS, None)
+            },
         }
     return result | {"samples": samples, "threads": threads, "machine": machine(device)}
+
+
+def _one_and_many(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
+    keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
+    median = lambda work: timed(work, max(3, repeats // 4), bank.device.type, warm_up=2)["median"]
+    result = {}
+    for name, work in (("visibility", bank.visible), ("new_view", bank.build)):
+        one, many = median(lambda w=work: w(keys[:1])), median(lambda w=work: w(keys))
+        result |= {f"{name}_ms": one, f"{name}_batch_ratio": many / one}
+    return result
 
 
 def _reading(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:

@@ -40,6 +40,12 @@ class Views(Command):
         names = ("visibility", "new view", "stored", "cached")
         for key, name in ((f"{name.replace(' ', '_')}_ms", name) for name in names):
             out.print(f"{name:<12} median {result[key]['median']:8.3f}   min {result[key]['min']:8.3f}")
+        for number, row in result["by_samples"].items():
+            parts = (
+                f"{title} {row[f'{name}_ms']:8.3f} (batch of 8: {row[f'{name}_batch_ratio']:.1f} times)"
+                for name, title in (("visibility", "visibility"), ("new_view", "new view"))
+            )
+            out.print(f"{number:>4} samples: " + "   ".join(parts))
 
 
 @dataclass(kw_only=True)
