@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from cloak_core.detectors.scoring import THRESHOLD
 from cloak_core.evaluate.experiments.lab import Lab
@@ -173,19 +174,24 @@ def transfer(lab: Lab) -> Outcome:
         )
     else:
         words.append("Only one detector was given, so there is no transfer to speak of: name several with --detector.")
-    return Outcome("Transfer between detectors", rows, words, {"matrix": _matrix_figure(matrix, lab.specs)})
+    figures = {"matrix": _matrix_figure(matrix, lab.specs, rows)} if off else {}
+    return Outcome("Transfer between detectors", rows, words, figures)
 
 
-def _matrix_figure(matrix: np.ndarray, specs: Sequence[str]) -> object:
-    names = [short_name(spec) for spec in specs]
-    size = 1.6 + 0.75 * len(names)
-    figure, (axis,) = new_figure(size + 1.2, size)
-    image = axis.imshow(matrix, cmap="cividis", vmin=0, vmax=1)
+def _matrix_figure(matrix: np.ndarray, specs: Sequence[str], rows: list[dict]) -> Figure:
+    """Success by detector trained on and tested on; below it what the same images say of two controls."""
+    names = [short_name(spec).replace(" ", "\n") for spec in specs]
+    controls = ("random", "clothing")
+    tested = {row["tested_on"]: row for row in rows}  # controls wear nothing trained: alike under every source
+    shown = np.vstack([matrix, [[tested[spec][control] for spec in specs] for control in controls]])
+    figure, (axis,) = new_figure(2.6 + 0.9 * len(names), 1.3 + 0.6 * len(shown))
+    image = axis.imshow(shown, cmap="cividis", vmin=0, vmax=1, aspect="auto")
     axis.grid(visible=False)
-    for (i, j), value in np.ndenumerate(matrix):
+    for (i, j), value in np.ndenumerate(shown):
         axis.text(j, i, f"{100 * value:.0f}", ha="center", va="center", color="black" if value > 0.55 else "white")
-    axis.set_xticks(range(len(names)), names, rotation=30, ha="right")
-    axis.set_yticks(range(len(names)), names)
+    axis.axhline(len(names) - 0.5, color="white", lw=3)
+    axis.set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
+    axis.set_yticks(range(len(shown)), names + [SERIES[control].label for control in controls])
     axis.set_xlabel("tested on")
     axis.set_ylabel("trained on")
     figure.colorbar(image, ax=axis, shrink=0.8, label="attack success", format=lambda v, _: f"{100 * v:.0f} %")

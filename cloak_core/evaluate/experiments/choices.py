@@ -149,7 +149,7 @@ def _tv_words(rows: list[dict], spec: str) -> list[str]:
 
 
 def _preview_figure(trained: dict[float, Trained]) -> object | None:
-    """The first image of some of each weight's previews (one every 5 epochs), as training went on."""
+    """The logo in the first image of some of each weight's previews (one every 5 epochs), as training went on."""
     files = {weight: sorted((run.folder / "previews").glob("step-*.png")) for weight, run in trained.items()}
     columns = min((len(names) for names in files.values()), default=0)
     columns = min(columns, PICTURES)
@@ -160,10 +160,11 @@ def _preview_figure(trained: dict[float, Trained]) -> object | None:
     axes = figure.subplots(len(files), columns, squeeze=False)
     for row, (weight, names) in zip(axes, files.items(), strict=True):
         size = trained[weight].settings.size
+        near = slice(round(0.19 * size), round(0.76 * size))  # of the image's height and width: where the logo moves
         spaced = np.linspace(0, len(names) - 1, columns).round().astype(int)
         for axis, name in zip(row, (names[i] for i in spaced), strict=True):
             with Image.open(name) as image:
-                axis.imshow(np.asarray(image.convert("RGB"))[:size, :size])
+                axis.imshow(np.asarray(image.convert("RGB"))[near, near])
             axis.set_xticks([])
             axis.set_yticks([])
             axis.grid(visible=False)

@@ -197,7 +197,9 @@ def distance(lab: Lab) -> Outcome:
         turned = lab.evaluate(trained, angles, [spec], distances=FIVE_DISTANCES)
         for j, d in enumerate(FIVE_DISTANCES):
             rates = [turned.rate(spec, angle=a, distance=d) for a in angles]
-            band(panels[k], angles, rates, CYCLE[j], MARKERS[j], DASHES[j], f"{d} m", alpha=0.07)
+            # Without bands: those of five curves in one place hide each other. The intervals are in the table.
+            line = [rate.value for rate in rates]
+            panels[k].plot(angles, line, color=CYCLE[j], marker=MARKERS[j], ls=DASHES[j], label=f"{d} m", clip_on=False)
             rows += [
                 {"cloak": name, "detector": spec, "distance": d, "angle": a}
                 | rate_row(turned, spec, angle=a, distance=d)
