@@ -192,14 +192,25 @@ def resolution(lab: Lab) -> Outcome:
     x = [row["logo_faces"] for row in rows]
     error = np.clip([[r["success"] - r["low"] for r in rows], [r["high"] - r["success"] for r in rows]], 0, None)
     axes[0].errorbar(x, [row["success"] for row in rows], error, color=CYCLE[0], marker="o", capsize=2, label="success")
-    axes[0].plot(x, [row["reach"] for row in rows], color=CYCLE[1], marker="s", ls="--", label="faces with a gradient")
+    axes[0].plot(
+        x,
+        [row["reach"] for row in rows],
+        color=CYCLE[1],
+        marker="s",
+        ls="--",
+        mfc="white",
+        zorder=3,
+        label="faces with a gradient",
+    )
     percent_axis(axes[0], "")
-    axes[1].plot(x, [row["cpu_seconds"] for row in rows], color=CYCLE[2], marker="D")
-    axes[1].set_ylim(bottom=0)
+    axes[1].plot(x, [row["cpu_seconds"] for row in rows], color=CYCLE[2], marker="D", clip_on=False)
+    axes[1].set_ylim(0, 1.1 * max(row["cpu_seconds"] or 1.0 for row in rows))
     axes[1].set_ylabel("processor time of the training (s)")
     for axis in axes:
         axis.set_xlabel("faces of the logo")
         axis.set_xscale("log")
+        axis.set_xticks(x, [f"{faces:,}" for faces in x])
+        axis.set_xticks([], minor=True)
     legend_above(figure)
     words = [
         "The same logo on bodies subdivided 0, 1, ... times (each face in four). Reach is the share of its faces that "

@@ -102,14 +102,10 @@ def threshold_figure(rows: list[dict]) -> Figure | None:
     mine = [row for row in rows if row["control"] == LOGO]
     if not 1 <= len(mine) <= len(CYCLE):
         return None
-    keys = [
-        k for k in mine[0] if k not in ("control", "area_share", "seconds", "cpu_seconds") and not k.startswith("at_")
-    ]
-    keys = [k for k in keys if len({str(row.get(k)) for row in mine}) > 1]
+    labels = _labels(mine)
     figure, (axis,) = new_figure()
     curve = lambda row: [row[f"at_{t:g}"] for t in THRESHOLDS]
-    for k, row in enumerate(mine):
-        label = ", ".join(_named(key, row[key]) for key in keys) or SERIES[LOGO].label
+    for k, (label, row) in enumerate(zip(labels, mine, strict=True)):
         axis.plot(THRESHOLDS, curve(row), color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=label, clip_on=False)
     own = next(row for row in rows if row["control"] == CLOTHING)
     axis.plot(THRESHOLDS, curve(own), color=INK, lw=1.2, ls=(0, (1, 2)), label=SERIES[CLOTHING].label, clip_on=False)
@@ -120,7 +116,21 @@ def threshold_figure(rows: list[dict]) -> Figure | None:
     return figure
 
 
+def _labels(rows: list[dict]) -> list[str]:
+    """What tells the rows apart, in words; the logo's area only where nothing else does."""
+    known = ("control", "seconds", "cpu_seconds", "area_share", "logo_faces", "reach")
+    keys = [k for k in rows[0] if k not in known and not k.startswith("at_")]
+    for more in ([], ["area_share"]):
+        told = [k for k in (*keys, *more) if len({str(row.get(k)) for row in rows}) > 1]
+        labels = [", ".join(_named(key, row[key]) for key in told) or SERIES[LOGO].label for row in rows]
+        if len(set(labels)) == len(labels):
+            break
+    return labels
+
+
 def _named(key: str, value: object) -> str:
+    if key == "area_share":
+        return f"{100 * value:.1f} %"
     if isinstance(value, str):
         return short_name(value) if key in ("detector", "trained_on", "tested_on") else value
     return f"{key.replace('_', ' ')} {value:g}"
