@@ -144,7 +144,11 @@ def _tv_words(rows: list[dict], spec: str) -> list[str]:
         else:
             clear = "clearly" if best["low"] > none["success"] else "within the intervals"
             verdict = f"weight {best['tv_weight']:g} does better, {clear}: {said(best)}"
-        words.append(f"On {test}: weight 0 reaches {said(none)}; {verdict}. In the paper 0 loses at unseen angles.")
+        scores = ", ".join(f"{row['mean_score']:.3f} ({row['tv_weight']:g})" for row in mine)
+        words.append(
+            f"On {test}: weight 0 reaches {said(none)}; {verdict}. Mean scores of the surest person, by weight: "
+            f"{scores}. In the paper 0 loses at unseen angles."
+        )
     return words
 
 
@@ -263,11 +267,15 @@ def ablation(lab: Lab) -> Outcome:
     axis.set_xlim(0, 1)
     axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
     axis.set_xlabel("attack success")
-    worst = min(rows, key=lambda row: row["success"])
+    ends = lambda column: [f(rows, key=lambda row: row[column]) for f in (min, max)]
+    (worst, best), (low, high) = ends("success"), ends("mean_score")
     words = [
         f"Chest + thighs against {short_name(spec)}: preset best reaches {said(rows[0])}. Each line changes one "
         "choice, with the same number of steps.",
-        f"The lowest is '{worst['change']}': {said(worst)}. Differences within the intervals say nothing.",
+        f"The lowest is '{worst['change']}', {said(worst)}, the highest '{best['change']}', {said(best)}. The mean "
+        f"score of the surest person, where less is better, lies between {low['mean_score']:.3f} ('{low['change']}') "
+        f"and {high['mean_score']:.3f} ('{high['change']}'); preset best has {rows[0]['mean_score']:.3f}. Differences "
+        "within the intervals say nothing.",
     ]
     return Outcome("The choices behind preset best", rows, words, {"changes": figure})
 

@@ -22,6 +22,7 @@ FOLDED = 24
 HEADS = {
     "success_iou": "no box on body",
     "conditional": "where clean is found",
+    "mean_score": "mean score",
     "clothing": "own clothing",
     "average_precision": "AP",
     "clean_average_precision": "clean AP",
@@ -47,7 +48,7 @@ COUNTED = {
     "cpu_seconds",
 }
 """Numbers that are no shares of one."""
-DIGITS = {"image_rms": "{:.3f}", "image_inside": "{:.3f}", "image_bias": "{:+.3f}"}
+DIGITS = {"mean_score": "{:.3f}", "image_rms": "{:.3f}", "image_inside": "{:.3f}", "image_bias": "{:+.3f}"}
 SPECS = {"detector", "trained_on", "tested_on"}
 
 

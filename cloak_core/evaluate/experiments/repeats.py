@@ -88,6 +88,8 @@ class Repeats:
             "n": logo.n,
             "success_iou": self.rate(spec, on_body=True).value,
             "conditional": self.conditional(spec).value,
+            # Does not stop at 0 or 100 % where success does.
+            "mean_score": float(np.mean([m.score[d, 0] for m in self.measurements])),
         }
         row |= {control: self.share(spec, control) for control in self.controls[1:]}
         row["clean_detection"] = 1 - row[CLOTHING]
