@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cloak_core.errors import InputError
-from cloak_core.evaluate.experiments import attacks, choices, render_gap, views
+from cloak_core.evaluate.experiments import attacks, choices, render_gap, variation, views
 from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.outcome import Outcome, write_outcome
 from cloak_core.evaluate.figures import style
@@ -17,7 +17,7 @@ EXPERIMENTS: dict[str, Callable[[Lab], Outcome]] = {
     "single-angle": views.single_angle,
     "wide-angle": views.wide_angle,
     "transfer": attacks.transfer,
-    "tv": choices.tv,
+    "tv": variation.tv,
     "distance": views.distance,
     "shape": attacks.shape,
     "resolution": choices.resolution,
