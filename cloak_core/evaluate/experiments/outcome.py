@@ -108,7 +108,9 @@ def threshold_figure(rows: list[dict]) -> Figure | None:
     for k, (label, row) in enumerate(zip(labels, mine, strict=True)):
         axis.plot(THRESHOLDS, curve(row), color=CYCLE[k], marker=MARKERS[k], ls=DASHES[k], label=label, clip_on=False)
     own = next(row for row in rows if row["control"] == CLOTHING)
-    axis.plot(THRESHOLDS, curve(own), color=INK, lw=1.2, ls=(0, (1, 2)), label=SERIES[CLOTHING].label, clip_on=False)
+    judges = [str(row.get("tested_on", row.get("detector", ""))) for row in (own, *mine)]
+    label = SERIES[CLOTHING].label + (f", seen by {short_name(judges[0])}" if len(set(judges)) > 1 else "")
+    axis.plot(THRESHOLDS, curve(own), color=INK, lw=1.2, ls=(0, (1, 2)), label=label, clip_on=False)
     axis.axvline(THRESHOLD, color=INK, lw=0.8, ls=":", zorder=0)
     percent_axis(axis)
     axis.set_xlabel("detection threshold")
@@ -131,8 +133,10 @@ def _labels(rows: list[dict]) -> list[str]:
 def _named(key: str, value: object) -> str:
     if key == "area_share":
         return f"{100 * value:.1f} %"
+    if key == "tested_on":
+        return f"seen by {short_name(value)}"
     if isinstance(value, str):
-        return short_name(value) if key in ("detector", "trained_on", "tested_on") else value
+        return short_name(value) if key in ("detector", "trained_on") else value
     return f"{key.replace('_', ' ')} {value:g}"
 
 
