@@ -12,7 +12,7 @@ from cloak_core.render.covering import DEPTH_BITS, ID_BITS
 from cloak_core.render.covering_loops import EMPTY, cover_box, doubled_area, in_order, span
 from cloak_core.render.projection import GRID
 
-SIDE = 8
+SIDE = 16
 """Samples along the side of a doubtful pixel."""
 WHOLE = 1e-6
 """Areas that add up to 1 within this leave neither gap nor overlap; rounding stays below 1e-9."""

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from cloak_core.errors import InputError
 from cloak_core.render.area import area_fragments
-from cloak_core.render.area_loops import SIDE
 from cloak_core.render.assembly import Lit, assemble, view_by_loops
 from cloak_core.render.candidates import Window
 from cloak_core.render.compiled import use_loops
@@ -36,8 +35,8 @@ from cloak_core.scene.kept_files import KeptFiles
 
 GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 """Samples per pixel, and how many of them stand along a pixel's side."""
-AREA_SAMPLES = SIDE * SIDE
-"""Samples per pixel, in doubtful pixels alone, where coverage is measured by area."""
+AREA_SAMPLES = 64
+"""Samples per pixel of `ViewBank.visibility` where coverage is measured by area."""
 BATCH_NUMBERS = {"cpu": 1 << 21, "cuda": 1 << 25}
 """Numbers of 8 bytes held at once while views are built; more on the CPU leave its caches and take longer."""
 PIECE_COST = 16
