@@ -65,9 +65,11 @@ def single_angle(lab: Lab) -> Outcome:
     """Trained at azimuth 0 alone, tested at every whole degree around it."""
     faces, angles = chest_thighs(lab.materials.bodies), narrow_angles(lab)
     figure, (axis,) = new_figure()
-    rows, words = [], ["Chest + thighs was trained at azimuth 0 alone and tested at unseen angles around it."]
+    rows, whole = [], []
+    words = ["Chest + thighs was trained at azimuth 0 alone and tested at unseen angles around it."]
     for k, spec in enumerate(lab.specs):
         result = lab.evaluate(repeated(lab, faces, [spec], angles=SINGLE), angles, [spec])
+        whole.append({"angle": "all"} | result.row(spec))
         rows += rate_rows({}, result, spec, "angle", angles)
         rates = [result.rate(spec, angle=a) for a in angles]
         band(axis, angles, rates, CYCLE[k % 7], MARKERS[k % 7], DASHES[k % 7], short_name(spec))
@@ -90,7 +92,7 @@ def single_angle(lab: Lab) -> Outcome:
         for row in PAPER_TABLE
         if row["logo"] == "chest + thighs"
     ]
-    return Outcome("Trained at one angle, tested at unseen ones", rows, words, {"angles": figure}, paper)
+    return Outcome("Trained at one angle, tested at unseen ones", whole + rows, words, {"angles": figure}, paper)
 
 
 def wide_angle(lab: Lab) -> Outcome:
