@@ -96,6 +96,14 @@ def percent_axis(axis: object, label: str = "attack success") -> None:
     axis.set_ylabel(label)
 
 
+def panel_title(axis: object, name: str, panels: int = 1) -> None:
+    """The name of one of several panels beside each other: the more of them, the less room it takes."""
+    if panels > 1:
+        axis.set_title(name.replace(" ", "\n", 1), fontsize=8 if panels == 2 else 7)
+    else:
+        axis.set_title(name)
+
+
 def degree_ticks(axis: object) -> None:
     """Whole degrees on the x axis, at steps people count in."""
     low, high = axis.get_xlim()

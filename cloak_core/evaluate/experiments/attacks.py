@@ -23,6 +23,7 @@ from cloak_core.evaluate.figures import (
     WIDTH,
     legend_above,
     new_figure,
+    panel_title,
     percent_axis,
 )
 from cloak_core.evaluate.report.words import short_name
@@ -111,7 +112,7 @@ def _table1_figure(panels: dict) -> object:
         for training, (label, color, marker, offset) in looks.items():
             mine = [(names.index(n), r) for n, t, r in points if t == training]
             _points(axis, mine, color, marker, offset, f"trained at {label}")
-        axis.set_title(short_name(spec))
+        panel_title(axis, short_name(spec), len(panels))
         _success_x(axis)
     axes[0].set_yticks(range(len(names)), names)
     axes[0].set_ylim(len(names) - 0.5, -0.5)
@@ -144,7 +145,7 @@ def _threshold_figure(curves: dict[str, Repeats]) -> object:
             share = np.searchsorted(score, grid, side="right") / len(score)
             axis.plot(grid, share, color=look.color, ls=look.dash, label=look.label)
         axis.axvline(THRESHOLD, color=INK, lw=0.8, ls=":", zorder=0)
-        axis.set_title(short_name(spec))
+        panel_title(axis, short_name(spec), len(curves))
         axis.set_xlabel("detection threshold")
     percent_axis(axes[0])
     legend_above(figure)

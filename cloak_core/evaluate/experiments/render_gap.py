@@ -16,7 +16,7 @@ from cloak_core.evaluate.experiments.logos import chest_thighs
 from cloak_core.evaluate.experiments.outcome import Outcome
 from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.evaluate.experiments.wording import file_name, rate_text, said
-from cloak_core.evaluate.figures import SERIES, WIDTH, legend_above, new_figure, percent_axis
+from cloak_core.evaluate.figures import SERIES, WIDTH, legend_above, new_figure, panel_title, percent_axis
 from cloak_core.evaluate.pictures import to_pil
 from cloak_core.evaluate.report.words import short_name
 from cloak_core.evaluate.settings import EvaluateSettings
@@ -117,7 +117,7 @@ def _figure(panels: dict[str, dict[str, Repeats]]) -> object:
         axis.set_xticks(range(len(results)), ["ours", *(f"Cycles,\n{light}" for light in LIGHTS)])
         axis.set_xlim(-0.5, len(results) - 0.5)
         axis.grid(axis="x", visible=False)
-        axis.set_title(short_name(spec))
+        panel_title(axis, short_name(spec), len(panels))
     percent_axis(axes[0])
     legend_above(figure)
     return figure
