@@ -149,6 +149,8 @@ def compete(x, y, nearness, corner, owner, area, begin, x0, y0, width, focal):
             continue
         if stop - start > len(held):
             held, won = np.empty(2 * (stop - start), np.int64), np.empty(2 * (stop - start), np.int64)
+        if total >= 1 - WHOLE and _front_layer(nearness, corner, owner[start:stop], area[start:stop]):
+            continue
         column, row = x0 + place % width, y0 + place // width
         full = _cover_pixel(x, y, nearness, corner, owner[start:stop], column, row, keys, held, won)
         sums = 0.0
@@ -164,6 +166,25 @@ def compete(x, y, nearness, corner, owner, area, begin, x0, y0, width, focal):
         sums = max(sums, NOTHING if full and total >= 1 else 1.0)
         for i in range(start, stop):
             area[i] /= sums
+
+
+@loop
+def _front_layer(nearness, corner, owner, area):
+    """Whether the nearest pieces add up to the pixel and lie wholly before all others; if so, those lose their area."""
+    near, far = np.empty(len(owner)), np.empty(len(owner))
+    for i in range(len(owner)):
+        a, b, c = nearness[corner[0, owner[i]]], nearness[corner[1, owner[i]]], nearness[corner[2, owner[i]]]
+        near[i], far[i] = max(a, b, c), min(a, b, c)
+    order = np.argsort(-near, kind="mergesort")
+    total, back, count = 0.0, np.inf, 0
+    while count < len(order) and total < 1 - WHOLE:
+        total += area[order[count]]
+        back = min(back, far[order[count]])
+        count += 1
+    if abs(total - 1) > WHOLE or (count < len(order) and near[order[count]] >= back):
+        return False
+    area[order[count:]] = 0
+    return True
 
 
 @loop

@@ -1,4 +1,6 @@
-"""Doubtful pixels: which share of each triangle's piece is in front of the others, judged at samples of the pixel.
+"""Doubtful pixels: which share of each triangle's piece is in front of the others.
+
+Where the nearest pieces add up to the pixel, they hide the others. Elsewhere it is judged at samples of the pixel.
 
 The samples, `SIDE` x `SIDE` to a pixel, are covered by the rasterizer's own exact steps, but only in doubtful pixels
 and only where a piece lies: most pieces are so small that they hold few samples or none.
@@ -74,6 +76,11 @@ def seen_share(pieces: Pieces, tri: Triangles, screen: Screen, window: Window) -
     doubtful = ((total - 1).abs() > WHOLE).nonzero().view(-1)
     if not len(doubtful):
         return share
+    front, settled = _front_layers(pieces.take(doubtful), tri)
+    share[doubtful] = front.to(share.dtype)
+    doubtful = doubtful[~settled]
+    if not len(doubtful):
+        return share
     total, some = total.index_select(0, doubtful), pieces.take(doubtful)
     place, group, size = torch.unique_consecutive(some.place, return_inverse=True, return_counts=True)
     box = SampleGrid(window, SIDE).box(tri.x, tri.y)
@@ -82,6 +89,33 @@ def seen_share(pieces: Pieces, tri: Triangles, screen: Screen, window: Window) -
         arena = _Arena(own, group[part] - first, place[groups], tri, box, screen)
         share[doubtful[part]] = _fit(arena.seen(), own.area, arena.group, arena.filled() & (total[part] >= 1))
     return share
+
+
+def _front_layers(pieces: Pieces, tri: Triangles) -> tuple[Bool[Tensor, " P"], Bool[Tensor, " P"]]:
+    """Where the nearest pieces of a pixel add up to it and lie wholly before all its others: they alone are seen.
+
+    pieces: sorted by place. Returns which pieces are such, and which lie in pixels that are settled so.
+    """
+    near, far = (t.index_select(0, pieces.owner) for t in (tri.nearness.amax(0), tri.nearness.amin(0)))
+    group = torch.unique_consecutive(pieces.place, return_inverse=True)[1]
+    order = torch.sort(near, descending=True, stable=True).indices
+    order = order[torch.sort(group[order], stable=True).indices]
+    own, ends = group[order], pieces.area[order].cumsum(0)
+    first = torch.ones_like(own, dtype=torch.bool)
+    first[1:] = own[1:] != own[:-1]
+    ends = ends - (ends - pieces.area[order])[first][own]
+    front = ends - pieces.area[order] < 1 - WHOLE
+    groups = int(own[-1]) + 1
+    of_group = lambda values, how, empty: torch.full(
+        (groups,), empty, dtype=torch.float64, device=values.device
+    ).scatter_reduce_(0, own, values, how)
+    total = of_group(torch.where(front, ends, -torch.inf), "amax", -torch.inf)
+    back = of_group(torch.where(front, far[order], torch.inf), "amin", torch.inf)
+    following = of_group(torch.where(front, -torch.inf, near[order]), "amax", -torch.inf)
+    settled = ((total - 1).abs() <= WHOLE) & (following < back)
+    result = torch.empty_like(front)
+    result[order] = front
+    return result & settled[group], settled[group]
 
 
 def _parts(size: Int64[Tensor, " G"]) -> Iterator[tuple[slice, slice]]:
