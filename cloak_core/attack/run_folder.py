@@ -70,11 +70,12 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
     if path.exists() and not resume:
         raise InputError(f"{path}: exists already (--resume goes on with it)")
     if not path.exists():
-        with new_folder(path) as temporary:
-            write_json(temporary / "config.json", config)
-            write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
-            (temporary / "checkpoint").mkdir()
-            (temporary / "previews").mkdir()
+        try:
+            _start(path, config, logo)
+        except InputError:
+            # Another process may have been quicker by a moment; whose folder it is then, is asked below.
+            if not (resume and path.exists()):
+                raise
     run = RunFolder(path)
     if not run.config.exists():
         raise InputError(f"{path}: not a run folder (no config.json in it)")
@@ -95,6 +96,14 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
         with written(run.cancel):
             run.cancel.unlink(missing_ok=True)
         yield run
+
+
+def _start(path: Path, config: dict, logo: Logo) -> None:
+    with new_folder(path) as temporary:
+        write_json(temporary / "config.json", config)
+        write_face_list(temporary / "logo.npy", logo.face_ids, logo.topology)
+        (temporary / "checkpoint").mkdir()
+        (temporary / "previews").mkdir()
 
 
 def _sweep_files(run: RunFolder) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack import hard_views
+from cloak_core.attack import hard_views, run_folder
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.attack.settings import make_settings
@@ -385,3 +385,18 @@ def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
     assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
     with pytest.raises(InputError, match=r"settings\.held_out = 0\.0, not 0\.2"):
         run(tmp_path / "run", resume=True, held_out=0.2)
+
+
+def test_a_run_that_appears_meanwhile_is_gone_on_with(tmp_path, monkeypatch):
+    """Another process makes the folder between our look and our start: resuming goes on, a new run is refused."""
+    start = run_folder._start
+
+    def twice(*arguments: object) -> None:
+        start(*arguments)
+        start(*arguments)
+
+    monkeypatch.setattr(run_folder, "_start", twice)
+    with pytest.raises(InputError, match="first"):
+        run(tmp_path / "first", steps=2)
+    run(tmp_path / "second", steps=2, resume=True)
+    assert (tmp_path / "second" / "colors.npy").exists()
