@@ -11,23 +11,34 @@ import contextlib
 import inspect
 from collections.abc import Callable, Iterator
 
-import numba
 import numpy as np
 import torch
+
+try:
+    import numba
+except ImportError:  # a Python that there is no numba for (yet): torch's operations do everything
+    numba = None
 
 
 def loop(function: Callable) -> Callable:
     """Decorator of functions of arrays and numbers; they release the interpreter, so that threads run side by side."""
-    # unwrapped: under pytest, functions come wrapped in a check of types, which cannot be compiled.
-    return numba.njit(inspect.unwrap(function), cache=True, nogil=True, error_model="numpy")
+    if numba is None:
+        return function
+    # Under pytest, functions come wrapped in a check of types, which cannot be compiled.
+    function = inspect.unwrap(function)
+    try:
+        return numba.njit(function, cache=True, **_OPTIONS)
+    except RuntimeError:  # neither the installation nor a cache folder of the user can be written to
+        return numba.njit(function, **_OPTIONS)
 
 
+_OPTIONS = {"nogil": True, "error_model": "numpy"}
 _switched_off = False
 
 
 def use_loops(device: torch.device) -> bool:
     """Whether work on this device is done by loops."""
-    return device.type == "cpu" and not _switched_off
+    return numba is not None and device.type == "cpu" and not _switched_off
 
 
 @contextlib.contextmanager

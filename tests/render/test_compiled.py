@@ -1,0 +1,41 @@
+"""Loops are compiled whether or not there is a place to keep what the compiler made, and not needed at all."""
+
+import subprocess
+import sys
+
+from numba.core import caching
+
+from cloak_core.render.compiled import loop, torch_alone
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.samples import sample_bodies
+
+CAMERA = Camera(width=48, height=64)
+
+
+def doubled(value):
+    return 2 * value
+
+
+def test_a_place_for_compiled_loops_is_not_needed(monkeypatch) -> None:
+    kept = loop(doubled)
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    not_kept = loop(doubled)
+    assert kept(4) == not_kept(4) == 8
+    assert type(kept._cache) is not type(not_kept._cache)
+
+
+def test_without_numba_torch_does_it_all() -> None:
+    code = """
+import sys
+sys.modules["numba"] = None
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.samples import sample_bodies
+print(float(ViewBank(sample_bodies()).view(0, Camera(width=48, height=64)).weight.sum()))
+"""
+    without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    with torch_alone():
+        torch_own = float(ViewBank(sample_bodies()).view(0, CAMERA).weight.sum())
+    assert without == torch_own
+    assert abs(float(ViewBank(sample_bodies()).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
