@@ -94,7 +94,7 @@ def train(words: list[str]) -> None:
         tell(events, {"type": "start", "step": first, "time": 0.0, "steps": options.steps})
         for step in range(first + 1, options.steps + 1):
             write_red(run, len(ids))
-            memory.write_text(str(step))
+            remember(memory, step)
             tell(events, {"type": "step", "step": step, "time": 0.1 * step, "loss": 1 / step, "success": step / 100})
             misbehave(events, step)
             if (run / "cancel").exists():
@@ -113,6 +113,13 @@ def write_red(run: Path, count: int) -> None:
     temporary = run / ".colors.npy"
     np.save(temporary, np.tile(np.float32([1, 0, 0]), (count, 1)))
     os.replace(temporary, run / "colors.npy")
+
+
+def remember(memory: Path, step: int) -> None:
+    """All or nothing, as the real trainer writes: it may be killed at any moment."""
+    temporary = memory.with_name(".step.txt")
+    temporary.write_text(str(step))
+    os.replace(temporary, memory)
 
 
 def tell(events, event: dict) -> None:
