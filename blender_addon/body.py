@@ -11,7 +11,8 @@ import bmesh
 import bpy
 import numpy as np
 
-from .exchange import Bodies, InputError, topology_hash
+from .exchange.bodies import Bodies, topology_hash
+from .files.errors import InputError
 
 ORIGINAL_FACE = "cloak_original_face"
 """Integer face attribute that subdivision leaves: the face each one came from."""

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from .body import sync
-from .exchange import InputError
+from .files.errors import InputError
 
 CLOAK = "Cloak"
 """Name of the colour attribute that holds the trained colours, and of the material that shows it."""

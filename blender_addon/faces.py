@@ -18,7 +18,8 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from .body import polygon_loops, sync, topology
-from .exchange import InputError, read_face_list
+from .exchange.face_lists import read_face_list
+from .files.errors import InputError
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
 """Boolean face attributes that Blender itself keeps."""

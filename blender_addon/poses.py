@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from .exchange import InputError
+from .files.errors import InputError
 
 MAX_POSES = 1000
 

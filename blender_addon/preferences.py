@@ -9,7 +9,7 @@ import bpy
 from bpy.props import StringProperty
 
 from . import training_job
-from .exchange import InputError
+from .files.errors import InputError
 from .operators.base import CloakOperator
 from .trainer import INSTALL_LINE, about_command, find_python, parse_about
 from .training_job import Job, launch, require_idle

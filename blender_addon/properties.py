@@ -15,8 +15,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from .exchange import InputError
 from .faces import is_logo, logo_names
+from .files.errors import InputError
 from .poses import PoseChoice
 from .preferences import user_folder
 from .trainer import TrainRequest

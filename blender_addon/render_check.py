@@ -19,7 +19,9 @@ import numpy as np
 from mathutils import Vector
 
 from . import colors
-from .exchange import InputError, read_json, write_json
+from .files.errors import InputError
+from .files.reading import read_json
+from .files.writing import write_json
 from .scene_export import clothing_of
 
 THRESHOLD = 0.6

@@ -16,7 +16,11 @@ import numpy as np
 
 from . import colors
 from .body import require_body, topology
-from .exchange import InputError, read_colors, read_face_list, read_json, write_json
+from .exchange.colors import read_colors
+from .exchange.face_lists import read_face_list
+from .files.errors import InputError
+from .files.reading import read_json
+from .files.writing import write_json
 from .scene_export import RECORD, read_export
 
 COMMAND = "command.json"

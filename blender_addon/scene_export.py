@@ -15,8 +15,13 @@ import numpy as np
 
 from . import colors
 from .body import polygon_loops, require_body, require_upright, scene_axes, topology
-from .exchange import Bodies, InputError, new_folder, read_json, write_face_list, write_json, write_scene
+from .exchange.bodies import Bodies
+from .exchange.face_lists import write_face_list
+from .exchange.scenes import write_scene
 from .faces import require_logo
+from .files.errors import InputError
+from .files.reading import read_json
+from .files.writing import new_folder, write_json
 from .poses import PoseChoice, armature_of, list_poses, visit
 
 RECORD = "export.json"

@@ -13,8 +13,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 from mathutils.bvhtree import BVHTree
 
-from .exchange import InputError
 from .faces import face_vectors, read_hidden
+from .files.errors import InputError
 
 RESOLUTION = 512
 

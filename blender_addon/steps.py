@@ -9,8 +9,8 @@ import bpy
 
 from . import training_job
 from .body import active_body, require_upright
-from .exchange import InputError
 from .faces import logo_names
+from .files.errors import InputError
 from .poses import list_poses
 from .properties import absolute, pose_choice, settings_of, train_request
 from .scene_export import clothing_of, topology_modifiers_reason

@@ -33,8 +33,9 @@ if not __package__:
 
 from . import properties, render_check, runs
 from .body import add_from_scene, require_body, subdivide
-from .exchange import InputError, read_scene
+from .exchange.scenes import read_scene
 from .faces import import_face_list, logo_names
+from .files.errors import InputError
 from .poses import PoseChoice
 from .scene_export import export, read_export
 from .trainer import TrainRequest, find_python, sample_command, train_command

@@ -15,7 +15,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from .exchange import InputError
+from .files.errors import InputError
 
 INSTALL_LINE = "python3.11 -m venv .venv && .venv/bin/python -m pip install ."
 """Run in the folder of Cloak's sources."""

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import bpy
 
-from .exchange import InputError
+from .files.errors import InputError
 from .trainer import clean_environment, no_window
 
 TICK_SECONDS = 0.25

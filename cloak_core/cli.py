@@ -15,7 +15,7 @@ import re
 import sys
 
 from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 COMMANDS: dict[str, str] = {
     "train": "train:Train",

@@ -1,7 +1,7 @@
 """Build the Blender extension with Blender's own builder: `python tools/build_extension.py [--out dist]`.
 
-The builder wants `__init__.py` beside the manifest, so the add-on, the manifest and the one shared module are staged in
-a temporary folder first. The builder comes with the `bpy` package, or with a `blender` on the path.
+The builder wants `__init__.py` beside the manifest, so the add-on, the manifest and the two shared packages are
+staged in a temporary folder first. The builder comes with the `bpy` package, or with a `blender` on the path.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SHARED = ROOT / "cloak_core" / "scene" / "exchange.py"
+SHARED = ("files", "exchange")
+"""Rooms of cloak_core that the add-on uses; links in the checkout, which some systems check out as text files."""
+LEFT_OUT = ("caching.py", "unpickling.py", "__pycache__")
+"""Of those rooms, what the add-on does not use."""
 BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
 
@@ -61,11 +64,9 @@ def package_name() -> str:
 def stage(folder: Path) -> None:
     """The extension as Blender wants it: the add-on's Python files, the manifest, the shared formats; no more."""
     source = ROOT / "blender_addon"
-    for path in source.rglob("*.py"):
-        target = folder / path.relative_to(source)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        # The shared module is a link in the checkout, which some systems check out as a text file.
-        shutil.copyfile(SHARED if path.name == SHARED.name else path, target)
+    shutil.copytree(source, folder, ignore=shutil.ignore_patterns(*SHARED, "__pycache__"))
+    for room in SHARED:
+        shutil.copytree(ROOT / "cloak_core" / room, folder / room, ignore=shutil.ignore_patterns(*LEFT_OUT))
     shutil.copyfile(ROOT / "blender_manifest.toml", folder / "blender_manifest.toml")
 
 

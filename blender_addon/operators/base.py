@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..exchange import InputError
+from ..files.errors import InputError
 
 PLAIN = {"REGISTER"}
 WITH_UNDO = {"REGISTER", "UNDO"}

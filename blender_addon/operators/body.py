@@ -9,7 +9,8 @@ from pathlib import Path
 import bpy
 
 from ..body import active_body, add_from_scene, subdivide
-from ..exchange import InputError, read_scene
+from ..exchange.scenes import read_scene
+from ..files.errors import InputError
 from ..preferences import trainer_python, user_folder
 from ..properties import settings_of
 from ..trainer import sample_command

@@ -13,7 +13,10 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from .. import colors, faces, stamp
 from ..body import active_body, require_upright, topology
-from ..exchange import InputError, read_npy, write_face_list, write_scene
+from ..exchange.face_lists import write_face_list
+from ..exchange.scenes import write_scene
+from ..files.errors import InputError
+from ..files.reading import read_npy
 from ..preferences import trainer_python, user_folder
 from ..properties import pose_choice, settings_of, train_request
 from ..scene_export import export_bodies

@@ -9,7 +9,7 @@ import bpy
 
 from .. import colors, render_check, runs
 from ..body import active_body
-from ..exchange import InputError
+from ..files.errors import InputError
 from ..preferences import trainer_python
 from ..properties import absolute, settings_of, train_request
 from ..trainer import check_command, report_command

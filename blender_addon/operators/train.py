@@ -10,7 +10,8 @@ import bpy
 
 from .. import runs, training_job
 from ..body import active_body
-from ..exchange import InputError, read_face_list
+from ..exchange.face_lists import read_face_list
+from ..files.errors import InputError
 from ..preferences import trainer_python
 from ..properties import absolute, output_folder, pose_choice, settings_of, train_request
 from ..scene_export import Export, export, read_export

@@ -13,13 +13,13 @@ from cloak_core.attack.distorting import Distortion, draw_occluders, occluded
 from cloak_core.attack.parsing import parse_azimuths, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render.backdrop import lay_backdrop
 from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.threads import spread, workers
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 
 

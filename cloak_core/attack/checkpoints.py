@@ -18,8 +18,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import FORMAT_VERSION, new_folder, read_json, written
+from cloak_core.exchange.versions import FORMAT_VERSION
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, written
 
 KEPT = 2
 MAX_BYTES = 1 << 30

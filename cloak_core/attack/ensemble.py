@@ -7,7 +7,7 @@ from torch import Tensor
 
 from cloak_core.attack.parsing import parse_weights
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7
 """Of random numbers, apart from those that draw the images."""

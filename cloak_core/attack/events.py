@@ -9,8 +9,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import written
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import written
 
 MAX_LINE = 1 << 20
 """Bytes; no event is longer."""

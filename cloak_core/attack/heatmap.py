@@ -8,13 +8,13 @@ from jaxtyping import Float, Int
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.bodies import face_areas
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.geometry import face_areas
 
 IMAGES = 4
 """Images a detector is asked about at a time."""

@@ -19,9 +19,9 @@ from cloak_core.attack.batches import Batcher
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import World
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 IMAGES = 64
 """A measurement takes at least so many images."""

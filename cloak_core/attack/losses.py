@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import arrays, loop, use_loops
 
 TOP = 10

@@ -16,8 +16,8 @@ from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
 from cloak_core.detectors.protocol import Detections, Detector, join_detections
 from cloak_core.detectors.scoring import is_detected
-from cloak_core.errors import InputError
-from cloak_core.scene.logo import Logo
+from cloak_core.files.errors import InputError
+from cloak_core.scene.logos.logo import Logo
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 import typing
 from dataclasses import dataclass
-from pathlib import Path
 from types import NoneType
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 MAX_TOML_BYTES = 1 << 20
 SECTOR = 10.0
@@ -133,17 +131,3 @@ def check_bounds(name: str, value: float | int | None, low: float | int, high: f
     if not (above and below):  # NaN fails both
         limits = f"{ends[0]}{low:g}, {high:g}{ends[1]}"
         raise InputError(f"{option(name)}: {value} is not in {limits}")
-
-
-def read_toml(path: Path) -> dict:
-    """What a TOML file of settings says. InputError names the file."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_TOML_BYTES + 1)
-        if len(data) > MAX_TOML_BYTES:
-            raise InputError(f"{path}: larger than any file of settings ({MAX_TOML_BYTES >> 20} MiB)")
-        return tomllib.loads(data.decode())
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: not valid TOML ({error})") from None

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.scene.exchange import written
+from cloak_core.files.writing import written
 
 MOST = 8
 """Images on one sheet."""

@@ -10,9 +10,11 @@ from cloak_core import __version__
 from cloak_core.attack.held_out import Material
 from cloak_core.attack.settings import TrainSettings, settings_record
 from cloak_core.detectors.protocol import Detector
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import FORMAT_VERSION, Bodies, sha256_arrays
-from cloak_core.scene.logo import Logo
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.versions import FORMAT_VERSION
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import Logo
 
 
 def run_config(

@@ -4,8 +4,6 @@ config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previe
 """
 
 import contextlib
-import os
-import time
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -15,17 +13,12 @@ from jaxtyping import Float32
 
 from cloak_core.attack.checkpoints import sweep
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import (
-    new_folder,
-    read_colors,
-    read_face_list,
-    read_json,
-    write_face_list,
-    write_json,
-    written,
-)
-from cloak_core.scene.logo import Logo
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_face_list, write_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.scene.logos.logo import Logo
 
 FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette", "init")
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
@@ -135,36 +128,3 @@ def _difference(name: str, old: object, new: object) -> tuple[str, object, objec
                 return found
         return "", None, None
     return ("", None, None) if old == new else (name, old, new)
-
-
-@contextlib.contextmanager
-def lock(path: Path, wait: bool = False) -> Iterator[None]:
-    """Hold the lock file `path`, which the system releases when the process ends, however it ends.
-
-    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
-    """
-    with written(path):
-        file = path.open("ab")
-    with file:
-        while not _lock(file.fileno(), path):
-            if not wait:
-                raise BlockingIOError(f"{path}: held by another process")
-            time.sleep(0.05)
-        yield
-
-
-def _lock(handle: int, path: Path) -> bool:
-    """Whether the lock is ours now; InputError where the file system has none."""
-    if os.name == "nt":
-        import msvcrt
-
-        with contextlib.suppress(OSError):
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-            return True
-        return False
-    import fcntl
-
-    with written(path), contextlib.suppress(BlockingIOError):
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False

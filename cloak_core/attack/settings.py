@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from cloak_core.attack.limits import BOUNDS, CHOICES
 from cloak_core.attack.parsing import check_bounds, convert, option, parse_azimuths, parse_range, parse_weights
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

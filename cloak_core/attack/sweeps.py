@@ -21,16 +21,18 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from cloak_core.attack.events import OnEvent, read_events
-from cloak_core.attack.parsing import read_toml
-from cloak_core.attack.run_folder import lock
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import Backgrounds, open_backgrounds
-from cloak_core.scene.exchange import Bodies, face_ids, read_face_list, read_json, write_json, written
-from cloak_core.scene.logo import Logo, make_logo
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import face_ids, read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
+from cloak_core.files.reading import read_json, read_toml
+from cloak_core.files.writing import write_json, written
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import open_scene
 
 MOST_RUNS = 10_000

@@ -27,8 +27,8 @@ from cloak_core.attack.run_folder import RunFolder
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.attack.world import LostProcess, World
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import write_colors
+from cloak_core.exchange.colors import write_colors
+from cloak_core.files.errors import InputError
 
 LIVE_SECONDS = 2.0
 """Between writes of colors.npy while a run goes on: Blender shows them on the model."""

@@ -26,13 +26,13 @@ from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.trainer import RunResult, Trainer, TrainingError
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector, state_hash
-from cloak_core.errors import InputError
-from cloak_core.render.stored import view_files
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.render.view_files import view_files
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import Logo
-from cloak_core.scene.palette import read_palette
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.logos.palette import read_palette
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""

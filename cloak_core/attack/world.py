@@ -15,7 +15,7 @@ import torch.distributed as dist
 from torch import Tensor
 from torch.distributed.rendezvous import rendezvous
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 TIMEOUT = timedelta(minutes=10)
 """Silence after which a process counts as dead; one that ends is noticed at once."""

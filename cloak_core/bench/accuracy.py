@@ -25,12 +25,13 @@ from torch import Tensor
 from cloak_core.bench.peers.bank import PeerBank, available, usable
 from cloak_core.bench.reference import Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, machine, timed, torch_threads
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
-from cloak_core.scene.bodies import subdivide
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies, read_scene
+from cloak_core.scene.meshes.subdivision import subdivide
 
 VISIBLE = 0.02
 """Pixels of visible area from which a face counts as starved without a gradient."""

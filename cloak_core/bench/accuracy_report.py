@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cloak_core.bench.accuracy import COLUMNS, SCENES
 from cloak_core.bench.records import circumstances, earlier
-from cloak_core.scene.exchange import write_json
+from cloak_core.files.writing import write_json
 
 _COLORS = {
     "ours": "tab:red", "embreex": "tab:blue", "mitsuba": "tab:green", "moderngl": "tab:purple", "open3d": "tab:orange"

@@ -23,9 +23,10 @@ import numpy as np
 
 from cloak_core.bench.records import circumstances, earlier
 from cloak_core.bench.views import machine
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies, write_json
 
 if TYPE_CHECKING:
     from cloak_core.render.views import ViewBank

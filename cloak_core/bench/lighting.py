@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.shading import Light
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 Reals = Float64[np.ndarray, " N"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cloak_core.attack.events import read_events
 from cloak_core.bench.views import machine
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 def run_bench_ranks(

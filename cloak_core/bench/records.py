@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 def earlier(path: Path, key: str) -> dict:

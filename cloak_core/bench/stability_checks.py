@@ -16,7 +16,8 @@ from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import matrix_of
 from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.bench.views import torch_threads
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.dressing import View
 from cloak_core.render.projection import GRID, project
@@ -24,7 +25,6 @@ from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 IMAGE = 1e-6
 """Largest difference between images that are to be the same."""

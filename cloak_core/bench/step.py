@@ -25,10 +25,10 @@ from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.attack.training import make_bank
 from cloak_core.bench.views import chest_and_thighs, machine, torch_threads
 from cloak_core.detectors.protocol import Detector
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import make_logo
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import make_logo
 
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""

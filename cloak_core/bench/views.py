@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.caching import DiskCache
+from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import compose
-from cloak_core.render.stored import StoredViews
+from cloak_core.render.view_files import StoredViews
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies, read_scene
-from cloak_core.scene.kept_files import KeptFiles
 
 BATCH = 8
 """Views at once."""
@@ -73,7 +74,7 @@ def _one_and_many(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, flo
 
 def _reading(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        view, files = bank.view(0, camera), KeptFiles(Path(folder), ".view", 1 << 30, "views")
+        view, files = bank.view(0, camera), DiskCache(Path(folder), ".view", 1 << 30, "views")
         stored = StoredViews(files, bank.bodies, bank.samples, view.uv is not None, bank.device)
         stored.put(0, camera, view)
         return timed(lambda: stored.get(0, camera), repeats, bank.device.type)

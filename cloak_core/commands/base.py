@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.scene.opening import open_scene
 
 __all__ = ["RANK", "Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]

@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -77,7 +77,7 @@ class Step(Command):
         from cloak_core.attack.settings import make_settings
         from cloak_core.bench.step import run_bench_step, step_table
         from cloak_core.detectors.loading import load_detector
-        from cloak_core.scene.backgrounds import open_backgrounds
+        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 
         result = run_bench_step(
             open_scene(self.scene),

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core.attack.settings import make_settings
-from cloak_core.blender_python import find_blender
 from cloak_core.commands.base import Command, err, open_scene, out, warn
 from cloak_core.commands.blender import SCRIPT, train_in_blender
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
+from cloak_core.scene.blender.executable import find_blender
 
 REGION = "chest+thighs"
 ANGLES = "-10:10:5"
@@ -32,7 +32,7 @@ class Demo(Command):
     """Of every random draw."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logo import select_region
+        from cloak_core.scene.logos.logo import select_region
 
         logo = self.out.parent / f"{self.out.name}-logo.npy"
         bodies = open_scene("sample:train")

@@ -9,7 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from cloak_core.commands.base import Command, err, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -45,7 +45,7 @@ class Check(Command):
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.attack.parsing import parse_angles
         from cloak_core.evaluate.clean import check_scene
-        from cloak_core.scene.backgrounds import open_backgrounds
+        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 
         detector = self.options.load([self.spec], self.device)[0]
         return check_scene(

@@ -12,9 +12,11 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from cloak_core.commands.base import Command, err, open_scene, out
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.errors import InputError
 from cloak_core.evaluate.settings import EvaluateSettings
-from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, read_json
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import face_ids, read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 from cloak_core.scene.selection import split_selection
 
 COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
@@ -45,8 +47,8 @@ class Evaluate(Command):
         from cloak_core.evaluate.provenance import training_record
         from cloak_core.evaluate.store import FOLDER
         from cloak_core.evaluate.success import evaluate
-        from cloak_core.scene.backgrounds import open_backgrounds
-        from cloak_core.scene.logo import make_logo
+        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.scene.logos.logo import make_logo
 
         config = read_run(self.run_folder)
         angles = parse_angles(self.angles)

@@ -12,12 +12,13 @@ from tyro.conf import OmitArgPrefixes
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import Bodies, write_face_list
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.files.errors import InputError
 
 
 def write_logo(path: Path, bodies: Bodies, ids: np.ndarray) -> dict:
-    from cloak_core.scene.logo import area_share
+    from cloak_core.scene.logos.logo import area_share
 
     write_face_list(path, ids, bodies.topology)
     return {"faces": len(ids), "area_share": round(float(area_share(bodies, ids)), 5), "out": str(path)}
@@ -45,7 +46,7 @@ class Select(Command):
     """With --box: only faces whose normal points that way."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logo import select_box, select_region
+        from cloak_core.scene.logos.logo import select_box, select_region
 
         if (self.region is None) == (self.box is None):
             raise InputError("logo select: give either --region or --box")
@@ -88,7 +89,7 @@ class Project(Command):
     """Centre x y of the stamp in metres, in the first pose (default: the chest's)."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logo import project_mask, project_text
+        from cloak_core.scene.logos.logo import project_mask, project_text
 
         if (self.text is None) == (self.mask is None):
             raise InputError("logo project: give either --text or --mask")
@@ -129,8 +130,8 @@ class Heatmap(Command):
     def run(self) -> dict:
         from cloak_core.attack.heatmap import heatmap, pick
         from cloak_core.attack.parsing import parse_angles
-        from cloak_core.scene.backgrounds import open_backgrounds
-        from cloak_core.scene.exchange import write_npy
+        from cloak_core.files.writing import write_npy
+        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 
         logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
         if self.pick is not None and not 0 < self.pick <= 1:
@@ -168,8 +169,9 @@ class Transfer(Command):
     """Run folder whose colours come along."""
 
     def run(self) -> dict:
+        from cloak_core.exchange.colors import read_colors, write_colors
+        from cloak_core.exchange.face_lists import face_ids, read_face_list
         from cloak_core.output.transfer import transfer_logo
-        from cloak_core.scene.exchange import face_ids, read_colors, read_face_list, write_colors
 
         painted = self.out.with_name(self.out.stem + "-colors.npy")
         for path in [self.out] + [painted] * (self.colors is not None):

@@ -10,8 +10,9 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import Command, open_scene, out
 from cloak_core.commands.evaluate import read_run
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import face_ids, read_colors, read_face_list
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import face_ids, read_face_list
+from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
@@ -35,7 +36,7 @@ class Print(Command):
 
     def run(self) -> dict:
         from cloak_core.output.printing import print_logo
-        from cloak_core.scene.palette import read_palette
+        from cloak_core.scene.logos.palette import read_palette
 
         palette = None if self.palette is None else read_palette(self.palette)
         config = read_run(self.run_folder)

@@ -10,7 +10,8 @@ from typing import Literal
 from tyro.conf import Positional, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out, require_new, warn
-from cloak_core.scene.exchange import Bodies, write_scene
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import write_scene
 
 
 def describe(bodies: Bodies) -> dict:
@@ -81,7 +82,8 @@ class Import(Writes):
     """Take the UV map from this file (.obj of the same mesh, or .npz with vt and ft)."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.bodies import import_bodies, subdivide
+        from cloak_core.scene.meshes.importing import import_bodies
+        from cloak_core.scene.meshes.subdivision import subdivide
 
         bodies = import_bodies(self.files, self.out.name, scale=self.scale, frames=self.frames)
         return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
@@ -107,8 +109,8 @@ class ImportSmpl(Writes):
     """SMPL's UV map: .obj with texture coordinates, or .npz with vt and ft (default: the model file's own, if any)."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.bodies import subdivide
-        from cloak_core.scene.smpl import import_smpl
+        from cloak_core.scene.meshes.subdivision import subdivide
+        from cloak_core.scene.people.smpl import import_smpl
 
         bodies = import_smpl(self.model, self.poses, self.out.name, every=self.every, limit=self.limit)
         return subdivide(dress(bodies, self.uv, self.texture), self.subdivide)[0]
@@ -129,8 +131,8 @@ class ImportAnny(Writes):
     """Levels of midpoint subdivision."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.anny_bodies import anny_bodies
-        from cloak_core.scene.bodies import subdivide
+        from cloak_core.scene.meshes.subdivision import subdivide
+        from cloak_core.scene.people.anny import anny_bodies
 
         bodies = anny_bodies(self.count, self.seed, self.poses, self.out.name)
         return subdivide(bodies, self.subdivide)[0]
@@ -144,14 +146,14 @@ class Sample(Writes):
     """All bodies, those for training, or those kept back for evaluation."""
 
     def bodies(self) -> Bodies:
-        from cloak_core.scene.samples import sample_bodies
+        from cloak_core.scene.people.samples import sample_bodies
 
         return sample_bodies(self.split)
 
 
 def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:
     """The bodies with the UV map of a file, if one is given, and in the textures, if there are any."""
-    from cloak_core.scene.textures import dress_in_textures, read_textures, with_uv_of
+    from cloak_core.scene.meshes.textures import dress_in_textures, read_textures, with_uv_of
 
     if uv is not None:
         bodies = with_uv_of(bodies, uv)
@@ -171,7 +173,7 @@ class Info(Command):
         from dataclasses import asdict
 
         from cloak_core.scene.cameras import Camera
-        from cloak_core.scene.resolution import resolution
+        from cloak_core.scene.logos.resolution import resolution
 
         bodies = open_scene(self.scene)
         return describe(bodies) | {"resolution": asdict(resolution(bodies, Camera(distance=self.distance)))}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import TracebackType
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 SHOWN = {"step": "training", "held_out": "held out"}
 """Events whose numbers become scalars, and the group they stand in."""

@@ -9,14 +9,14 @@ from pathlib import Path
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction
 
-from cloak_core.attack.parsing import read_toml
 from cloak_core.attack.settings import PRESETS, TrainSettings, make_settings
 from cloak_core.commands.base import RANK, Command, Stopped, open_scene, out
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.tensorboard import TensorBoardEvents
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import face_ids, read_face_list
+from cloak_core.exchange.face_lists import face_ids, read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_toml
 
 DEFAULT_PRESET = "best"
 
@@ -66,8 +66,8 @@ class Train(Command):
 
     def run(self) -> dict:
         from cloak_core.attack.training import train
-        from cloak_core.scene.backgrounds import open_backgrounds
-        from cloak_core.scene.logo import make_logo
+        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.scene.logos.logo import make_logo
 
         settings = self.settings
         listeners = [TrainingProgress(silent=bool(RANK))]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 MAX_PIXELS = 64_000_000
 FRAME = (255, 60, 60)

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 WRAPPERS = ("model", "state_dict", "model_state_dict")
 """Keys under which training scripts keep the weights among other things."""

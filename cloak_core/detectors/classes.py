@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 # fmt: off
 COCO = (

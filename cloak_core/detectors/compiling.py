@@ -3,7 +3,7 @@
 import torch
 
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 def compile_detector(detector: Detector) -> Detector:

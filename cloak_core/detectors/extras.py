@@ -2,7 +2,7 @@
 
 import importlib.util
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 EXTRAS = {"transformers": "transformers", "onnxruntime": "onnx"}
 """Package -> the extra of this project that installs it."""

@@ -12,7 +12,7 @@ import torch
 from cloak_core.detectors.compiling import compile_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.specs import PERSON, parse_spec, with_person_class
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 PRECISIONS = ("float32", "bfloat16", "auto")
 

@@ -15,7 +15,7 @@ from cloak_core.detectors.extras import require
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import Placement, fit
 from cloak_core.detectors.transformers_family import IMAGENET
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 GREY = 114 / 255
 """What the YOLO exports were trained to see around letterboxed pictures."""

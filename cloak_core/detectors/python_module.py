@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import Placement, fit
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 class PythonDetector(Detector):

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from cloak_core.detectors import IOU, THRESHOLD
 from cloak_core.detectors.protocol import Detections
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 def max_person_score(detections: Detections) -> Float[Tensor, "B"]:

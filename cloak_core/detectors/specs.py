@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 PERSON = "person"
 """The class that is looked for unless told otherwise."""

@@ -16,7 +16,7 @@ from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 

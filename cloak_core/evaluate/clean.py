@@ -10,12 +10,12 @@ import torch
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import is_detected
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 SHIFT = (50, 20)
 """The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 
 LOGO = "logo"
 CLOTHING = "clothing"

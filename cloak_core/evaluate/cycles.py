@@ -21,13 +21,15 @@ from jaxtyping import Float, Float32
 from PIL import Image
 from torch import Tensor
 
-from cloak_core.blender_python import ADD_ON, find_blender
-from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.stage import Indices, Stage
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.writing import write_json
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import NormalOperator
-from cloak_core.scene.exchange import Bodies, sha256_arrays, write_json
+from cloak_core.scene.blender.executable import ADD_ON, find_blender
 
 SCRIPT = "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import read_npz
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_npz
 
 FORMAT = "cloak measurement 1"
 

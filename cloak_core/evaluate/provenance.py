@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies, read_json, sha256_arrays
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import read_json
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 
 def training_record(run: Path) -> dict:

@@ -10,7 +10,7 @@ from cloak_core.evaluate.measurement import Measurement
 from cloak_core.evaluate.pictures import write_pictures
 from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.store import check_folder
-from cloak_core.scene.exchange import new_folder, write_json
+from cloak_core.files.writing import new_folder, write_json
 
 
 def store_evaluation(

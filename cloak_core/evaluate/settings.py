@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cloak_core.detectors import THRESHOLD
-from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import NATURAL, STANDARD
 from cloak_core.evaluate.intervals import RESAMPLES
+from cloak_core.files.errors import InputError
 from cloak_core.scene.cameras import Camera
 
 

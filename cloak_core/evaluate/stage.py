@@ -12,14 +12,14 @@ from torch import Tensor
 
 from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.measurement import Trials
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compositing import compose, true_boxes
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import Logo
+from cloak_core.scene.logos.logo import Logo
 
 Indices = Sequence[int] | np.ndarray
 """Which trials, by number."""

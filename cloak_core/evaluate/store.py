@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.measurement import Measurement, read_measurement
-from cloak_core.scene.exchange import read_json
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 
 FOLDER = "evaluation"
 """Name of the folder inside a run."""

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.detectors.protocol import Detector, state_hash
-from cloak_core.errors import InputError
 from cloak_core.evaluate.measurement import draw_trials
 from cloak_core.evaluate.measuring import OnProgress, measure
 from cloak_core.evaluate.provenance import seen_in_training, trained_against
@@ -20,11 +19,12 @@ from cloak_core.evaluate.recording import store_evaluation
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.store import check_folder
-from cloak_core.render.stored import view_files
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.render.view_files import view_files
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import Logo
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import Logo
 
 _log = logging.getLogger("cloak")
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.output.layout import Layout, inside
-from cloak_core.scene.exchange import Bodies
 
 MAX_PIXELS = 400 << 20
 CELL = 4

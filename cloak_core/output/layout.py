@@ -8,8 +8,8 @@ import numpy as np
 import xatlas
 from jaxtyping import Bool, Float, Integer
 
-from cloak_core.scene.bodies import area_vectors
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.geometry import area_vectors
 
 PACKING_DPI = 36
 """Charts are packed by their pixels; finer ones only cost time."""

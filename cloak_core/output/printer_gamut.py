@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cloak_core.scene.palette import nearest_in_palette
+from cloak_core.scene.logos.palette import nearest_in_palette
 
 # Overprints of (cyan, magenta, yellow), each 0 or 1: paper, Y, M, MY, C, CY, CM, CMY, in sRGB bytes.
 OVERPRINTS = np.array([

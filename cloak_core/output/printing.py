@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Float32, Integer
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import new_folder, write_json
 from cloak_core.output.baking import bake, dressed
 from cloak_core.output.layout import lay_out
 from cloak_core.output.printer_gamut import nearest_printable
 from cloak_core.output.sheets import PAGES, write_sheets
 from cloak_core.output.textured import png, write_glb, write_obj
-from cloak_core.scene.exchange import Bodies, new_folder, write_json
-from cloak_core.scene.palette import nearest_in_palette
+from cloak_core.scene.logos.palette import nearest_in_palette
 
 DPI = (10, 1200)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.output.baking import PADDING, Texture
 from cloak_core.output.layout import Layout, outlines
-from cloak_core.scene.exchange import Bodies
 
 PAGES = {"A4": (0.210, 0.297), "A3": (0.297, 0.420)}
 """Width and height in metres, upright."""

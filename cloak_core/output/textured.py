@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.output.baking import Texture
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.polygons import polygon_loops
+from cloak_core.scene.meshes.polygons import polygon_loops
 
 
 def write_glb(path: Path, bodies: Bodies, texture: Texture, pose: int = 0) -> None:

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Integer
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.output.nearest import nearest_triangles
-from cloak_core.scene.bodies import area_vectors, face_areas, sum_by_face
-from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.geometry import area_vectors, face_areas, sum_by_face
 
 # Barycentric places inside a triangle that stand for its area, a quarter each.
 PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])

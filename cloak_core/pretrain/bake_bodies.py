@@ -18,8 +18,8 @@ import numpy as np
 
 from cloak_core.pretrain.body_regions import body_parts, named_regions
 from cloak_core.pretrain.body_tables import BODIES, OUTFITS, PARTS
-from cloak_core.scene.anny_bodies import AnnySource, stand
-from cloak_core.scene.skeleton import pose_vertices
+from cloak_core.scene.people.anny import AnnySource, stand
+from cloak_core.scene.people.skeleton import pose_vertices
 
 
 def posed_bodies(source: AnnySource) -> np.ndarray:
@@ -40,7 +40,7 @@ def quantise(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def bake(path: Path) -> None:
-    """Write the sample bodies; see cloak_core/scene/samples.py for the reader."""
+    """Write the sample bodies; see cloak_core/scene/people/samples.py for the reader."""
     source = AnnySource()
     vertices = posed_bodies(source)
     steps, origin, step = quantise(vertices)

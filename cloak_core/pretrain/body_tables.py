@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cloak_core.scene.motions import running, standing, walking
-from cloak_core.scene.skeleton import Arm, Leg, Pose
+from cloak_core.scene.people.motions import running, standing, walking
+from cloak_core.scene.people.skeleton import Arm, Leg, Pose
 
 PARTS = ("torso", "hips", "arms", "forearms", "hands", "thighs", "shins", "feet", "head", "hair", "eyes", "mouth")
 

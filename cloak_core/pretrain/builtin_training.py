@@ -21,15 +21,15 @@ from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, write_darknet
 from cloak_core.detectors.scoring import box_iou
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.pretrain.calibration import Calibration, apply_calibration, calibrate
 from cloak_core.pretrain.examples import Batch, ExampleMaker
 from cloak_core.pretrain.outfits import Wardrobe
 from cloak_core.pretrain.people import bank_views
 from cloak_core.pretrain.region_loss import region_loss
 from cloak_core.pretrain.scenery import PHOTO_SIDE, Scenery
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.people.samples import sample_bodies
 
 OnEvent = Callable[[dict], None]
 HELD_BACK = 6

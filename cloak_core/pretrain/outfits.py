@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
 
 Rng = np.random.Generator
 Colors = Float[np.ndarray, "F 3"]

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.dressing import View
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 FRAME = 640
 """Views are rendered into a frame this wide, so that near people are whole; 416 of it is the field of view of 60."""

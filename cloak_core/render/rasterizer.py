@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Bool, Int32, Int64
 from torch import Tensor
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render.candidates import EXACT_EXTENT, Candidates, SampleGrid, Soup, Window, find_candidates
 from cloak_core.render.clipping import clip
 from cloak_core.render.compiled import use_loops

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float32, Float64, Int64
 from torch import Tensor
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render.sparse import csr, offsets
 from cloak_core.scene.cameras import Number, Vector
 

@@ -15,23 +15,22 @@ import torch
 from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.caching import DiskCache, MemoryCache
+from cloak_core.files.errors import InputError
 from cloak_core.render.area import area_fragments
 from cloak_core.render.assembly import Lit, assemble, view_by_loops
 from cloak_core.render.candidates import Window
 from cloak_core.render.compiled import use_loops
 from cloak_core.render.dressing import DressedView, View, dress
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
-from cloak_core.render.kept import Kept
 from cloak_core.render.projection import Screen, project
 from cloak_core.render.rasterizer import Visibility, bounding_window, rasterize, row_bands
 from cloak_core.render.shading import Light, NormalOperator
-from cloak_core.render.stored import StoredViews
 from cloak_core.render.threads import even, one_thread, spread, workers
-from cloak_core.scene.bodies import is_closed, is_outward
+from cloak_core.render.view_files import StoredViews
 from cloak_core.scene.cameras import Camera, Vector
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.kept_files import KeptFiles
+from cloak_core.scene.geometry import is_closed, is_outward
 
 GRIDS = {1: 1, 4: 2, 16: 4, 64: 8}
 """Samples per pixel, and how many of them stand along a pixel's side."""
@@ -61,7 +60,7 @@ class ViewBank:
         samples: int | None = None,
         device: str | torch.device = "cpu",
         memory_bytes: int = 2 << 30,
-        files: KeptFiles | None = None,
+        files: DiskCache | None = None,
     ) -> None:
         if samples is not None and samples not in GRIDS:
             raise InputError(f"samples: {samples} per pixel; there are {', '.join(map(str, GRIDS))}")
@@ -80,7 +79,7 @@ class ViewBank:
         self._split_faces = not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
         closed = is_closed(bodies.triangles)
         self._outward = np.asarray(is_outward(bodies)) if closed else np.zeros(bodies.pose_count, bool)
-        self._kept = Kept(memory_bytes)
+        self._kept = MemoryCache(memory_bytes)
         recipe = (self.light, self.samples, self.by_area)
         self._stored = None if files is None else StoredViews(files, bodies, recipe, textured, self.device)
         self._batch_numbers = BATCH_NUMBERS.get(self.device.type, BATCH_NUMBERS["cpu"])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 MAX_EXTENT = 4096
 """Largest image width and height, pixels."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import Bodies, read_scene
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.scene.selection import select, split_selection
 
 
 def open_scene(spec: str | Path) -> Bodies:
     """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", or drawn from
-    Anny on the spot: "anny:COUNT[:SEED[:POSES]]" (`scene.anny_bodies`).
+    Anny on the spot: "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
 
     `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`scene.selection`). Raises `InputError`.
     """
@@ -28,7 +29,7 @@ def _open_whole(spec: str) -> Bodies:
         return _drawn(spec)
     if head != "sample":
         return read_scene(spec)
-    from cloak_core.scene.samples import sample_bodies
+    from cloak_core.scene.people.samples import sample_bodies
 
     if split not in ("", "all", "train", "unseen"):
         raise InputError(f"scene '{spec}': the sample bodies come as sample, sample:train and sample:unseen")
@@ -36,7 +37,7 @@ def _open_whole(spec: str) -> Bodies:
 
 
 def _drawn(spec: str) -> Bodies:
-    from cloak_core.scene.anny_bodies import anny_bodies
+    from cloak_core.scene.people.anny import anny_bodies
 
     count, seed, poses = [*spec.split(":", 3)[1:], "", "", ""][:3]
     if not count.isdigit() or not (seed or "0").isdigit():

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 _SLICE = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 

@@ -15,7 +15,7 @@ import torch
 from cloak_core.attack import checkpoints, sweeps, trainer
 from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.attack.training import train
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 STEPS = 30

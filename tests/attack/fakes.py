@@ -6,9 +6,9 @@ from torch import nn
 
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import Logo, make_logo
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import Logo, make_logo
 
 SIDE = 4
 """Quads along each side of each face of the box."""

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint, sweep
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.attack import children
 
 

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from cloak_core.attack import hard_views
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
-from cloak_core.scene.exchange import read_colors
+from cloak_core.exchange.colors import read_colors
 from tests.attack.test_training import run
 from tests.reliability_record import record
 

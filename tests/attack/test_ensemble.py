@@ -8,7 +8,7 @@ from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.losses import evidence
 from cloak_core.attack.objective import Objective
 from cloak_core.detectors.protocol import Detections, join_detections
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.attack.test_training import run
 

@@ -1,7 +1,7 @@
 import pytest
 
 from cloak_core.attack.events import EventLog, read_events, rewind_events
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 @pytest.fixture

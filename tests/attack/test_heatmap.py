@@ -4,8 +4,8 @@ import torch
 
 from cloak_core.attack.heatmap import heatmap, pick
 from cloak_core.detectors.protocol import Detections
-from cloak_core.errors import InputError
-from cloak_core.scene.bodies import face_areas
+from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_areas
 from tests.attack.fakes import SIDE, BrokenDetector, TinyDetector, box_bodies, noise_backgrounds
 
 FACES = 6 * SIDE * SIDE

@@ -5,8 +5,8 @@ import pytest
 
 from cloak_core.attack.events import read_events
 from cloak_core.attack.held_out import Material, set_aside
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import read_colors
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
 from tests.attack.fakes import box_bodies, noise_backgrounds, tiny_settings
 from tests.attack.test_training import run
 

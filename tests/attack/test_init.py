@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cloak_core.attack.training import train
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import write_colors
+from cloak_core.exchange.colors import write_colors
+from cloak_core.files.errors import InputError
 from tests.attack.fakes import TinyDetector, back_logo, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cloak_core.attack.losses import disappearance, non_printability, total_variation
 from cloak_core.detectors.protocol import Detections
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
 
 

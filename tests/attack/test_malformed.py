@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
 from cloak_core.attack.events import read_events, rewind_events
 from cloak_core.attack.settings import make_settings, settings_from_record
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.attack.test_training import run
 
 

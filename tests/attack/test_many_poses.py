@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 POSES = 500
 BUDGET_MB = 24
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from cloak_core.attack import training
 from cloak_core.attack.settings import make_settings
-from cloak_core.scene.logo import make_logo, select_region
+from cloak_core.scene.logos.logo import make_logo, select_region
 from tests.attack.fakes import TinyDetector, noise_backgrounds
 from tests.attack.test_many_poses import many_poses
 training.ViewBank = partial(training.ViewBank, memory_bytes={BUDGET_MB} << 20)

@@ -18,9 +18,10 @@ from PIL import Image
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.attack.training import train
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.exchange import read_colors, read_face_list
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from tests.attack import children
 from tests.attack.fakes import BrokenDetector, TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.reliability_record import record

@@ -11,7 +11,7 @@ from cloak_core.attack.settings import (
     settings_from_record,
     settings_record,
 )
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 @pytest.mark.parametrize(

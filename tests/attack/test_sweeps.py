@@ -9,8 +9,8 @@ import pytest
 from cloak_core.attack import sweeps
 from cloak_core.attack.events import read_events
 from cloak_core.attack.sweeps import Sweep, read_grid, table
-from cloak_core.errors import InputError
-from cloak_core.scene.exchange import read_colors
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
 from tests.attack import children
 from tests.attack.fakes import BrokenDetector
 from tests.attack.test_training import run as train_alone

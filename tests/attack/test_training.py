@@ -16,9 +16,10 @@ from cloak_core.attack.events import read_events
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.training import TrainingError, train
 from cloak_core.detectors.protocol import state_hash
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import read_colors, read_face_list
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from tests.attack.fakes import (
     BrokenDetector,
     RedDetector,

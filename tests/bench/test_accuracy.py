@@ -11,7 +11,7 @@ from cloak_core.bench.accuracy_report import pareto, write_report
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers.bank import PEERS
 from cloak_core.bench.reference import EXACT
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.scene.cameras import Camera
 
 

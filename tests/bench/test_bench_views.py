@@ -2,7 +2,7 @@
 
 from cloak_core.bench.views import run_bench_views
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 
 def test_every_number_of_samples_is_timed() -> None:

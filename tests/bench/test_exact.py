@@ -8,10 +8,10 @@ from cloak_core.bench import exact, reference
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.polygons import Polygons, cut
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.projection import GRID
 from cloak_core.render.shading import Light
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 
 def seen(corners: list, nearness: list, cull: bool = False, size: int = 8) -> dict[int, float]:

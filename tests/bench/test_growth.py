@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from cloak_core.bench import growth
-from cloak_core.errors import InputError
-from cloak_core.scene.bodies import is_closed, is_outward
+from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import is_closed, is_outward
 
 
 def test_exponents_are_slopes_of_the_last_three_points() -> None:

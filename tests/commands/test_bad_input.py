@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from cloak_core import cli
-from cloak_core.scene.exchange import Bodies, read_scene, write_face_list, write_scene
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.exchange.scenes import read_scene, write_scene
 
 TETRAHEDRON = """v 0 0 0
 v 1 0 0

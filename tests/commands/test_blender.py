@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.blender_python import ROOT, find_blender
 from cloak_core.commands.blender import follow, train_in_blender
-from cloak_core.errors import InputError
 from cloak_core.evaluate.report import make_report
-from cloak_core.scene.exchange import Bodies, write_scene
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import write_scene
+from cloak_core.files.errors import InputError
+from cloak_core.scene.blender.executable import ROOT, find_blender
 
 RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
 

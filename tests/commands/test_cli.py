@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cloak_core import cli
-from cloak_core.scene.exchange import Bodies, write_scene
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import write_scene
 
 
 def cloak(*arguments: object, **options: object) -> subprocess.CompletedProcess:

@@ -6,9 +6,9 @@ import sys
 import pytest
 
 from cloak_core import cli
-from cloak_core.scene.exchange import write_face_list
-from cloak_core.scene.logo import select_region
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.scene.logos.logo import select_region
+from cloak_core.scene.people.samples import sample_bodies
 
 QUICK = {"steps": 3, "batch": 2, "size": 64, "translation": 5, "samples": 1, "angles": "0", "threads": 1}
 

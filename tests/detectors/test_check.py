@@ -8,7 +8,7 @@ from PIL import Image
 
 from cloak_core.detectors.check import check_image, draw_boxes, read_image
 from cloak_core.detectors.loading import load_detector
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, write_tiny
 
 

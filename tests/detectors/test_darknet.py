@@ -12,7 +12,7 @@ from cloak_core.detectors.darknet.layers import Reorg
 from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, stored_tensors, write_darknet
 from cloak_core.detectors.loading import load_detector
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.golden.seeded import seeded_inputs
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 

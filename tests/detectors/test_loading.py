@@ -8,7 +8,7 @@ import torch
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
 MODULE = """

@@ -9,7 +9,7 @@ from cloak_core.detectors.catalogue import list_detectors
 from cloak_core.detectors.loading import FAMILIES, load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
 
 onnx = pytest.importorskip("onnx", reason="pip install onnx")

@@ -12,7 +12,7 @@ from cloak_core.detectors import compiling
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
 TWO_CLASSES = TINY_CFG.replace("classes=1", "classes=2").replace("filters=12", "filters=14")

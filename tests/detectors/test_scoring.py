@@ -14,7 +14,7 @@ from cloak_core.detectors.scoring import (
     max_person_score,
     person_boxes,
 )
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 def found(scores: list[list[float]], boxes: list | None = None, **more) -> Detections:

@@ -15,7 +15,7 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.detectors.torchvision_family import dense
 from cloak_core.detectors.torchvision_family.loading import model_names
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
 from tests.detectors.test_gradients import lowers_score
 

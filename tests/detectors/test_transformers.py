@@ -10,7 +10,7 @@ from cloak_core.detectors import extras
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
 from tests.detectors.test_gradients import lowers_score
 

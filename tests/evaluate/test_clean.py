@@ -5,8 +5,8 @@ import torch
 
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluate.clean import check_scene
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 
 class RedDetector(Detector):

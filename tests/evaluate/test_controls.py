@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import STRIPE, control_colors, face_centers, random_colors
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 
 
 def wall() -> Bodies:

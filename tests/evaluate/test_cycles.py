@@ -12,9 +12,9 @@ from cloak_core.evaluate.cycles import CyclesStage, NoBlender, image_difference,
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.success import make_stage
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.logo import make_logo, select_region
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.logos.logo import make_logo, select_region
+from cloak_core.scene.people.samples import sample_bodies
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from made_evaluation import CONTROLS, make_measurement
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.errors import InputError
 from cloak_core.evaluate.experiments import lab as lab_module
 from cloak_core.evaluate.experiments.attacks import repeated
 from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
@@ -23,9 +22,10 @@ from cloak_core.evaluate.experiments.outcome import threshold_rows
 from cloak_core.evaluate.experiments.page import make_page
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.logo import area_share
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.logos.logo import area_share
+from cloak_core.scene.people.samples import sample_bodies
 
 
 class Glow(Detector):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from made_evaluation import make_measurement
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.measurement import Boxes, Measurement, Trials, draw_trials, read_measurement
 from cloak_core.evaluate.rates import average_precision, rate_record, summarize
+from cloak_core.files.errors import InputError
 
 
 def hand_made() -> Measurement:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from made_evaluation import make_measurement, write_run
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.report import make_report
 from cloak_core.evaluate.report.words import duration, interval, percent, short_name
+from cloak_core.files.errors import InputError
 
 HOSTILE = '<script>alert("1")</script>&'
 VOID = {"meta", "img", "br", "link", "input", "hr"}

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from cloak_core.commands.evaluate import show_success
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
-from cloak_core.errors import InputError
 from cloak_core.evaluate.measuring import max_score_on
 from cloak_core.evaluate.provenance import pose_hashes
 from cloak_core.evaluate.report import make_report
@@ -20,10 +19,11 @@ from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.sheets import contact_sheet
 from cloak_core.evaluate.store import read_evaluation
 from cloak_core.evaluate.success import evaluate, make_stage
-from cloak_core.scene.backgrounds import Backgrounds
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import Logo, make_logo, select_region
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.logos.logo import Logo, make_logo, select_region
+from cloak_core.scene.people.samples import sample_bodies
 
 SMALL = EvaluateSettings(images_per_view=2, size=64, shift=6, samples=1, resamples=100, batch=4, bare=5)
 ANGLES = (-10.0, 10.0)

@@ -8,7 +8,8 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.output.baking import Texture, bake, dressed, look_up
 from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
 from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
@@ -16,11 +17,11 @@ from cloak_core.output.printing import print_logo
 from cloak_core.output.sheets import PAGES, pages, tiles
 from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.bodies import face_areas, import_bodies
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import select_region
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.geometry import face_areas
+from cloak_core.scene.logos.logo import select_region
+from cloak_core.scene.meshes.importing import import_bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 DPI = 100
 

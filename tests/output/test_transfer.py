@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.files.errors import InputError
 from cloak_core.output.nearest import nearest_triangles, point_distances
 from cloak_core.output.transfer import transfer_logo
-from cloak_core.scene.bodies import face_areas, inner_edges
-from cloak_core.scene.exchange import Bodies, read_scene
-from cloak_core.scene.logo import select_region
-from cloak_core.scene.samples import sample_bodies
-from cloak_core.scene.subdivision import subdivide
+from cloak_core.scene.geometry import face_areas, inner_edges
+from cloak_core.scene.logos.logo import select_region
+from cloak_core.scene.meshes.subdivision import subdivide
+from cloak_core.scene.people.samples import sample_bodies
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,13 @@ from cloak_core.detectors.darknet.detector import load_darknet
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.scoring import is_detected_on, max_person_score
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.pretrain.builtin_training import train_builtin
 from cloak_core.render.compositing import compose, true_boxes
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}
 

@@ -8,8 +8,8 @@ from cloak_core.pretrain.examples import Example, ExampleMaker, augment
 from cloak_core.pretrain.outfits import Wardrobe
 from cloak_core.pretrain.people import FRAME, bank_views
 from cloak_core.pretrain.scenery import Scenery
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.people.samples import sample_bodies
 
 SIZE = 96
 

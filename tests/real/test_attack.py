@@ -7,9 +7,9 @@ from cloak_core.attack.settings import make_settings
 from cloak_core.attack.training import train
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.exchange import read_scene
-from cloak_core.scene.logo import make_logo, select_region
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.logos.logo import make_logo, select_region
 
 
 @pytest.mark.slow

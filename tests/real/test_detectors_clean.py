@@ -6,8 +6,8 @@ import pytest
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluate.clean import check_scene
-from cloak_core.scene.backgrounds import open_backgrounds
-from cloak_core.scene.exchange import read_scene
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from tests.real.test_detectors_real import spec_of
 
 

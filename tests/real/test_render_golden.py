@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.exchange.scenes import read_scene
 from cloak_core.render.compositing import compose
 from cloak_core.render.rasterizer import inverse_depth
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import read_scene
 
 CAMERA = Camera(azimuth=-10.0)
 LIGHTS = {"front": (0.5, 1.5, 2.5), "default": (0.0, 1.0, 0.0)}

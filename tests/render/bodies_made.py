@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cloak_core.scene.exchange import Bodies
+from cloak_core.exchange.bodies import Bodies
 
 
 def sphere(rings: int = 8, sectors: int = 12, radius: float = 1.0, poses: int = 1) -> Bodies:

@@ -8,11 +8,11 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.bench.reference import matrix_of, reference
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.area import overlaps
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 CAMERA = Camera(distance=4.0, width=48, height=40)

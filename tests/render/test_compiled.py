@@ -8,7 +8,7 @@ from numba.core import caching
 from cloak_core.render.compiled import loop, torch_alone
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 CAMERA = Camera(width=48, height=64)
 
@@ -31,7 +31,7 @@ import sys
 sys.modules["numba"] = None
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 print(float(ViewBank(sample_bodies()).view(0, Camera(width=48, height=64)).weight.sum()))
 """
     without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)

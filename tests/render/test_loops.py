@@ -8,13 +8,13 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.bench.oracle import screen_of
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.projection import GRID, GUARD
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 CAMERA = Camera(distance=2.6, azimuth=20.0, width=45, height=37)
 SHINY = Light(ambient=0.4, diffuse=0.5, specular=0.6, shininess=7.0, position=(2.0, 1.0, 3.0))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cloak_core.bench.oracle import hits, screen_of, twin
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.render import covering
 from cloak_core.render.projection import GRID, GUARD, project
 from cloak_core.render.rasterizer import Window, inverse_depth, rasterize

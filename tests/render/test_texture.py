@@ -7,14 +7,14 @@ import pytest
 import torch
 from bodies_made import sphere
 
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compositing import compose
 from cloak_core.render.shading import Light
 from cloak_core.render.texture import look_up, texture_coordinates
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.subdivision import subdivide
-from cloak_core.scene.textures import dress_in_textures
+from cloak_core.scene.meshes.subdivision import subdivide
+from cloak_core.scene.meshes.textures import dress_in_textures
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 SIDE = 64

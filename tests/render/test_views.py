@@ -7,12 +7,12 @@ import pytest
 import torch
 from bodies_made import sphere
 
-from cloak_core.errors import InputError
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.render import views as views_module
 from cloak_core.render.shading import Light, NormalOperator, shade
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 CAMERA = Camera(distance=4.0, azimuth=20.0, width=60, height=50)
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)

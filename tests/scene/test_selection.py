@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import open_backgrounds
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from cloak_core.scene.opening import open_scene
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.selection import select, split_selection
 
 NAMES = ("standing 1", "standing 2", "walking 1", "waving 1", "running 1")

@@ -15,6 +15,7 @@ from cloak_core.bench.peers.open3d import Open3D
 from cloak_core.bench.peers.opengl import OpenGL
 from cloak_core.bench.peers.protocol import Peer, Target
 from cloak_core.bench.reference import closed_outward
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.candidates import Window
 from cloak_core.render.covering import DEPTH_BITS, ID_BITS
 from cloak_core.render.dressing import View
@@ -23,7 +24,6 @@ from cloak_core.render.rasterizer import EMPTY, Visibility, bounding_window
 from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
 
 PEERS: tuple[type[Peer], ...] = (Embree, Mitsuba, OpenGL, Open3D)
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 MAX_BYTES = 1 << 20
 

@@ -12,7 +12,7 @@ from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 
 class DarknetDetector(Detector):

@@ -11,7 +11,7 @@ from torch import Tensor
 from cloak_core.detectors.darknet.cfg import parse_cfg
 from cloak_core.detectors.darknet.layers import BatchNorm, Convolution, WeightedShortcut
 from cloak_core.detectors.darknet.network import Network
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 WRITTEN_VERSION = (0, 2, 5)
 """AlexeyAB's Darknet writes this version. Its batch norm divides by sqrt(var + 1e-5); the original's (revision 0) by

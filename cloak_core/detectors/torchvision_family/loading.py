@@ -13,7 +13,7 @@ from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 
 RANDOM = "random"
 """As a checkpoint: seeded random weights, for timing and tests."""

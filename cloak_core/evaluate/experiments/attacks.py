@@ -27,7 +27,7 @@ from cloak_core.evaluate.figures import (
     percent_axis,
 )
 from cloak_core.evaluate.report.words import short_name
-from cloak_core.scene.logo import area_share
+from cloak_core.scene.logos.logo import area_share
 
 SINGLE, MULTI = "0", "-10:10:5"
 """Training angles of the paper."""

@@ -22,10 +22,10 @@ from cloak_core.evaluate.figures import (
     percent_axis,
 )
 from cloak_core.evaluate.report.words import short_name
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.bodies import subdivide
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.exchange import Bodies
+from cloak_core.scene.meshes.subdivision import subdivide
 
 CHANGES: dict[str, dict[str, object]] = {
     "preset best": {},

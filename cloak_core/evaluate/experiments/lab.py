@@ -24,7 +24,6 @@ from cloak_core.attack.run_folder import FREE_SETTINGS
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, state_hash
-from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import NATURAL, STANDARD
 from cloak_core.evaluate.experiments.materials import Materials, backgrounds_record, bodies_record
 from cloak_core.evaluate.experiments.repeats import Repeats
@@ -33,8 +32,13 @@ from cloak_core.evaluate.measuring import measure
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
 from cloak_core.evaluate.success import make_stage
-from cloak_core.scene.exchange import Bodies, new_folder, read_colors, read_json, sha256_arrays, write_json
-from cloak_core.scene.logo import Logo, make_logo
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, write_json
+from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
 CONTROLS = (*STANDARD, *NATURAL)

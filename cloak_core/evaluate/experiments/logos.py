@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Int64
 from PIL import Image, ImageDraw
 
-from cloak_core.errors import InputError
-from cloak_core.scene.bodies import face_areas, face_centres
-from cloak_core.scene.exchange import Bodies
-from cloak_core.scene.logo import area_share, project_mask, project_text, select_region
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_areas, face_centres
+from cloak_core.scene.logos.logo import area_share, project_mask, project_text, select_region
 
 FaceIds = Int64[np.ndarray, "_"]
 PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thighs": 4691 / 55152}

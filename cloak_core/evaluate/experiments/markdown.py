@@ -7,11 +7,11 @@ from pathlib import Path
 
 from PIL import Image
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.controls import LOGO
 from cloak_core.evaluate.experiments.page import table
 from cloak_core.evaluate.experiments.registry import finished
-from cloak_core.scene.exchange import read_json
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 
 SHOWN = 30
 """Rows of a table; the others stay in numbers.csv."""

@@ -9,11 +9,12 @@ import torch
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector, state_hash
-from cloak_core.errors import InputError
-from cloak_core.scene.backgrounds import Backgrounds, open_backgrounds
-from cloak_core.scene.exchange import Bodies, sha256_arrays
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
 from cloak_core.scene.opening import open_scene
-from cloak_core.scene.samples import sample_bodies
+from cloak_core.scene.people.samples import sample_bodies
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ from cloak_core.evaluate.figures import (
 )
 from cloak_core.evaluate.rates import THRESHOLDS
 from cloak_core.evaluate.report.words import short_name
-from cloak_core.scene.exchange import write_json
+from cloak_core.files.writing import write_json
 
 
 @dataclass(frozen=True, eq=False)

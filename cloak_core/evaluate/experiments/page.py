@@ -8,11 +8,11 @@ from pathlib import Path
 from markupsafe import Markup
 from PIL import Image
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, finished
 from cloak_core.evaluate.report.page import HERE as REPORT
 from cloak_core.evaluate.report.page import data_uri, environment
 from cloak_core.evaluate.report.words import interval, percent, short_name
+from cloak_core.files.errors import InputError
 
 HERE = Path(__file__).parent
 SHOWN = 40

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.experiments import attacks, choices, render_gap, variation, views
 from cloak_core.evaluate.experiments.lab import Lab
 from cloak_core.evaluate.experiments.outcome import Outcome, write_outcome
 from cloak_core.evaluate.figures import style
-from cloak_core.scene.exchange import read_json
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 
 EXPERIMENTS: dict[str, Callable[[Lab], Outcome]] = {
     "table1": attacks.table1,

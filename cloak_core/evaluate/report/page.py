@@ -11,12 +11,12 @@ import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from cloak_core.errors import InputError
 from cloak_core.evaluate.figures import inline_svg, style
 from cloak_core.evaluate.report import plots, words
 from cloak_core.evaluate.report.history import History, read_history
 from cloak_core.evaluate.store import FOLDER, StoredEvaluation, read_evaluation
-from cloak_core.scene.exchange import read_json
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 
 HERE = Path(__file__).parent
 BLENDER = "blender.png"

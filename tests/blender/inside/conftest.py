@@ -48,10 +48,14 @@ def pytest_configure() -> None:
     sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != ROOT]
     bpy.ops.extensions.package_install_files(filepath=str(EXTENSION), repo="user_default", enable_on_install=True)
     sys.modules["cloak"] = importlib.import_module(MODULE)
-    for room in ("body", "faces", "colors", "runs", "stamp", "poses", "steps", "trainer", "training_job", "exchange"):
+    for room in ("body", "faces", "colors", "runs", "stamp", "poses", "steps", "trainer", "training_job"):
         sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
     for room in ("scene_export", "render_check", "preferences", "properties", "overlay"):
         sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
+    for room in ("errors", "reading", "writing"):
+        sys.modules[f"cloak.files.{room}"] = importlib.import_module(f"{MODULE}.files.{room}")
+    for room in ("bodies", "scenes", "face_lists", "colors"):
+        sys.modules[f"cloak.exchange.{room}"] = importlib.import_module(f"{MODULE}.exchange.{room}")
 
 
 @pytest.fixture(autouse=True)

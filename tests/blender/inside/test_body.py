@@ -4,7 +4,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak import body, faces, steps
-from cloak.exchange import Bodies, InputError
+from cloak.exchange.bodies import Bodies
+from cloak.files.errors import InputError
 from conftest import run_job
 from made import add_ngons, link, make_egg, set_mode
 

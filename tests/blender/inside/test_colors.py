@@ -4,7 +4,9 @@ import bpy
 import numpy as np
 import pytest
 from cloak import body, colors, faces, runs, steps
-from cloak.exchange import InputError, write_colors, write_face_list
+from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import write_face_list
+from cloak.files.errors import InputError
 from made import add_ngons, make_egg, set_mode
 
 

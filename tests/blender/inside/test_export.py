@@ -4,7 +4,9 @@ import bpy
 import numpy as np
 import pytest
 from cloak import body, faces, scene_export, steps
-from cloak.exchange import InputError, read_face_list, read_scene
+from cloak.exchange.face_lists import read_face_list
+from cloak.exchange.scenes import read_scene
+from cloak.files.errors import InputError
 from cloak.poses import PoseChoice, list_poses
 from made import add_ngons, make_egg, make_grid, set_mode
 

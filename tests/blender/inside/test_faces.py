@@ -7,7 +7,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak import body, faces, steps
-from cloak.exchange import InputError, read_face_list, write_face_list
+from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.files.errors import InputError
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 

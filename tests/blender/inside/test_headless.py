@@ -107,7 +107,7 @@ def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
     done = train(tmp_path, "--blend", "two.blend", "--logo", "chest + back", "--out", "B", "--steps", 2, python=stub)
     assert done.returncode == 0 and np.load(tmp_path / "B" / "logo.npy").tolist() == [4, 5, 6, 9], done.stderr
-    from cloak.exchange import write_face_list
+    from cloak.exchange.face_lists import write_face_list
 
     write_face_list(tmp_path / "list.npy", np.array([7, 8]), body.topology(obj))
     done = train(tmp_path, "--blend", "two.blend", "--logo", "list.npy", "--out", "C", "--steps", 2, python=stub)
@@ -144,7 +144,8 @@ def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_pa
 def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     """The add-on's command lines are those the trainer understands."""
     from cloak import trainer
-    from cloak.exchange import read_npy, read_scene
+    from cloak.exchange.scenes import read_scene
+    from cloak.files.reading import read_npy
     from cloak.training_job import Job
 
     facts = trainer.about(str(real_trainer))
@@ -154,7 +155,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     obj = body.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     small = read_scene(tmp_path / "sample").select_poses([0])
-    from cloak.exchange import write_scene
+    from cloak.exchange.scenes import write_scene
 
     write_scene(tmp_path / "one", small)
     request = trainer.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")

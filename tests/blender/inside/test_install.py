@@ -10,14 +10,21 @@ import pytest
 from cloak import training_job
 from conftest import EXTENSION, MODULE, ROOT
 
-ROOMS = {path.relative_to(ROOT / "blender_addon").as_posix() for path in (ROOT / "blender_addon").rglob("*.py")}
+ADD_ON = ROOT / "blender_addon"
+ROOMS = {f.relative_to(ADD_ON).as_posix(): f for f in ADD_ON.rglob("*.py") if not {"files", "exchange"} & set(f.parts)}
+SHARED = {
+    f"{room}/{path.name}": path
+    for room in ("files", "exchange")
+    for path in (ROOT / "cloak_core" / room).glob("*.py")
+    if path.name not in ("caching.py", "unpickling.py")
+}
 
 
-def test_zip_holds_the_add_on_and_the_shared_module_and_no_more():
+def test_zip_holds_the_add_on_and_the_shared_rooms_and_no_more():
     with zipfile.ZipFile(EXTENSION) as archive:
         names = {name for name in archive.namelist() if not name.endswith("/")}
-        assert names == ROOMS | {"exchange.py", "blender_manifest.toml"}
-        assert archive.read("exchange.py") == (ROOT / "cloak_core" / "scene" / "exchange.py").read_bytes()
+        assert names == ROOMS.keys() | SHARED.keys() | {"blender_manifest.toml"}
+        assert all(archive.read(name) == path.read_bytes() for name, path in (ROOMS | SHARED).items())
 
 
 def test_nothing_in_the_zip_imports_the_trainer_or_the_network():
@@ -35,7 +42,7 @@ def test_nothing_in_the_zip_imports_the_trainer_or_the_network():
 def test_every_file_names_its_licence():
     with zipfile.ZipFile(EXTENSION) as archive:
         for name in archive.namelist():
-            if name.endswith(".py") and name != "exchange.py":
+            if name.endswith(".py") and name not in SHARED:
                 assert archive.read(name).startswith(b"# SPDX-License-Identifier: GPL-3.0-or-later"), name
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from cloak import runs
-from cloak.exchange import InputError
+from cloak.files.errors import InputError
 from cloak.training_job import Job, Progress, TrainingJob, take_event
 
 

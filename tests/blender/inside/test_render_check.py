@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak import render_check
-from cloak.exchange import InputError
+from cloak.files.errors import InputError
 from conftest import run_job
 from made import make_egg
 from test_colors import made_run

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak import faces, stamp
-from cloak.exchange import InputError
+from cloak.files.errors import InputError
 from made import centers, make_egg, make_grid
 from mathutils import Matrix, Vector
 

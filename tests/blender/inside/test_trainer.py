@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import pytest
 from cloak import steps
-from cloak.exchange import InputError
+from cloak.files.errors import InputError
 from cloak.preferences import preferences
 from conftest import run_job
 

@@ -71,8 +71,8 @@ def measure() -> dict:
     import importlib
 
     cloak = importlib.import_module("bl_ext.user_default.cloak")
-    rooms = ("body", "colors", "faces", "runs", "scene_export", "poses", "exchange")
-    body, colors, faces, runs, scene_export, poses, exchange = (
+    rooms = ("body", "colors", "faces", "runs", "scene_export", "poses", "exchange.face_lists", "exchange.colors")
+    body, colors, faces, runs, scene_export, poses, face_lists, color_files = (
         importlib.import_module(f"{cloak.__name__}.{room}") for room in rooms
     )
     sys.modules["cloak"], sys.modules["cloak.faces"] = cloak, faces
@@ -98,9 +98,9 @@ def measure() -> dict:
     figures["export_12_poses"] = summary([timed(lambda i=i: export(i)) for i in range(5)])
     run = folder / "run"
     run.mkdir()
-    exchange.write_face_list(run / "logo.npy", ids, body.topology(obj))
+    face_lists.write_face_list(run / "logo.npy", ids, body.topology(obj))
     rng = np.random.default_rng(0)
-    write = lambda: exchange.write_colors(run / "colors.npy", rng.random((len(ids), 3)))
+    write = lambda: color_files.write_colors(run / "colors.npy", rng.random((len(ids), 3)))
     figures["import_colors"] = summary([timed(import_once(runs, obj, run, write)) for _ in range(REPEATS)])
     colors.undress(obj)
     obj.data.attributes.remove(obj.data.attributes["Cloak"])

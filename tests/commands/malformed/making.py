@@ -149,7 +149,8 @@ WEIGHTS = np.array([0, 2, 0, 0, 0], np.int32).tobytes() + np.zeros(120, np.float
 def sound(folder: Path) -> None:
     """Everything the cases start from: a scene, a logo, a one-layer detector, photographs and a finished run."""
     from cloak_core import cli
-    from cloak_core.scene.exchange import read_scene, write_face_list, write_scene
+    from cloak_core.exchange.face_lists import write_face_list
+    from cloak_core.exchange.scenes import read_scene, write_scene
 
     (folder / "whole.npz").write_bytes(scene_arrays())
     bodies = read_scene(folder / "whole.npz")

@@ -1,1 +1,0 @@
-../cloak_core/scene/exchange.py

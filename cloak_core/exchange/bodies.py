@@ -1,0 +1,194 @@
+"""One topology in many poses."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..files.errors import InputError
+from ..files.identity import sha256_arrays
+
+MAX_FACES = 1 << 24
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """One topology in many poses: the scene as arrays (P poses, V vertices, T triangles, F polygons, K outfits).
+
+    A face is a polygon, by its index in Blender. Polygons were triangulated once, in the first pose.
+    Construction checks shapes, ranges and finiteness and raises `InputError`.
+    """
+
+    vertices: np.ndarray
+    """[P, V, 3] float32, metres."""
+    triangles: np.ndarray
+    """[T, 3] int32 vertex indices, counter-clockwise seen from outside."""
+    triangle_face: np.ndarray | None = None
+    """[T] int32: the polygon of each triangle; identity where absent."""
+    face_colors: np.ndarray | None = None
+    """[K, F, 3] float32 sRGB in [0, 1], K outfits; mid-grey where absent."""
+    regions: dict[str, np.ndarray] = field(default_factory=dict)
+    """Named sets of faces, each a bool [F]."""
+    names: tuple[str, ...] = ()
+    """The poses' names, P of them."""
+    loop_total: np.ndarray | None = None
+    """[F] int32: corners of each polygon; absent where every polygon is its triangle."""
+    loop_vertices: np.ndarray | None = None
+    """[sum of loop_total] int32: the polygons' vertex loops, one after the other."""
+    uv: np.ndarray | None = None
+    """[U, 2] float32 texture coordinates, v up."""
+    triangle_uv: np.ndarray | None = None
+    """[T, 3] int32 into `uv`."""
+    textures: dict[str, np.ndarray] = field(default_factory=dict)
+    """Named images, uint8 [H, W, 3], row 0 at the top."""
+    outfit_textures: tuple[str, ...] = ()
+    """For each outfit the name of the texture it wears, "" for one of plain faces; empty where all are plain. The
+    `face_colors` of a textured outfit are the texture's means over the faces, for whoever needs one colour a face."""
+    name: str = "scene"
+    recorded_topology: str | None = None
+    """The hash its file records, for scenes whose polygons' loops are not stored."""
+
+    def __post_init__(self) -> None:
+        put = lambda key, value: object.__setattr__(self, key, value)
+        put("vertices", _array(self.vertices, np.float32, "vertices", (None, None, 3)))
+        put("triangles", _array(self.triangles, np.int32, "triangles", (None, 3)))
+        faces = self.triangle_face if self.triangle_face is not None else np.arange(len(self.triangles))
+        put("triangle_face", _array(faces, np.int32, "triangle_face", (len(self.triangles),)))
+        if len(self.triangle_face) and self.triangle_face.max() >= MAX_FACES:
+            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
+        if (self.loop_total is None) != (self.loop_vertices is None):
+            raise InputError("loop_total and loop_vertices come together")
+        if self.loop_total is not None:
+            put("loop_total", _array(self.loop_total, np.int32, "loop_total", (None,)))
+            put("loop_vertices", _array(self.loop_vertices, np.int32, "loop_vertices", (None,)))
+        colors = self.face_colors
+        if colors is None:
+            colors = np.full((1, self.face_count, 3), 0.5, np.float32)
+        put("face_colors", _array(colors, np.float32, "face_colors", (None, self.face_count, 3)))
+        regions = {
+            key: _array(value, np.bool_, f"region_{key}", (self.face_count,)) for key, value in self.regions.items()
+        }
+        put("regions", regions)
+        names = tuple(str(n) for n in self.names) or tuple(f"pose {i}" for i in range(self.pose_count))
+        put("names", names)
+        if self.uv is not None:
+            put("uv", _array(self.uv, np.float32, "uv", (None, 2)))
+            put("triangle_uv", _array(self.triangle_uv, np.int32, "triangle_uv", (len(self.triangles), 3)))
+        put("textures", {k: _array(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()})
+        put("outfit_textures", tuple(str(n) for n in self.outfit_textures) if any(self.outfit_textures) else ())
+        self._check()
+
+    def _check(self) -> None:
+        if not self.pose_count:
+            raise InputError("vertices: no pose")
+        if not len(self.face_colors):
+            raise InputError("face_colors: no outfit")
+        if len(self.names) != self.pose_count:
+            raise InputError(f"names: {len(self.names)} for {self.pose_count} poses")
+        _finite(self.vertices, "vertices", ("pose", "vertex"))
+        _finite(self.face_colors, "face_colors", ("outfit", "face"))
+        if self.face_colors.size and not (0 <= self.face_colors.min() and self.face_colors.max() <= 1):
+            raise InputError("face_colors: values outside [0, 1]")
+        _indices(self.triangles, self.vertex_count, "triangles", "vertices")
+        _indices(self.triangle_face, self.face_count, "triangle_face", "faces")
+        if self.loop_total is not None:
+            if self.loop_total.size and self.loop_total.min() < 3:
+                raise InputError(f"loop_total: polygon {int(self.loop_total.argmin())} has fewer than 3 corners")
+            if int(self.loop_total.sum(dtype=np.int64)) != len(self.loop_vertices):
+                raise InputError("loop_vertices: its length is not the sum of loop_total")
+            _indices(self.loop_vertices, self.vertex_count, "loop_vertices", "vertices")
+        if self.uv is not None:
+            _finite(self.uv, "uv", ("coordinate",))
+            _indices(self.triangle_uv, len(self.uv), "triangle_uv", "uv")
+        self._check_textures()
+
+    def _check_textures(self) -> None:
+        if self.outfit_textures and len(self.outfit_textures) != self.outfit_count:
+            raise InputError(f"outfit_textures: {len(self.outfit_textures)} for {self.outfit_count} outfits")
+        for name, image in self.textures.items():
+            if not image.size:
+                raise InputError(f"texture_{name}: no pixels")
+        for name in filter(None, self.outfit_textures):
+            if name not in self.textures:
+                raise InputError(f"outfit_textures: there is no texture '{name}'")
+            if self.uv is None:
+                raise InputError(f"texture '{name}': the mesh has no texture coordinates (UVs)")
+
+    @property
+    def pose_count(self) -> int:
+        return len(self.vertices)
+
+    @property
+    def vertex_count(self) -> int:
+        return self.vertices.shape[1]
+
+    @property
+    def triangle_count(self) -> int:
+        return len(self.triangles)
+
+    @cached_property
+    def face_count(self) -> int:
+        if self.loop_total is not None:
+            return len(self.loop_total)
+        return int(self.triangle_face.max()) + 1 if len(self.triangle_face) else 0
+
+    @property
+    def outfit_count(self) -> int:
+        return len(self.face_colors)
+
+    @cached_property
+    def topology(self) -> str:
+        """SHA-256 over the polygons' vertex loops: the same in every pose and under every triangulation."""
+        if self.loop_total is not None:
+            return topology_hash(self.vertex_count, self.loop_total, self.loop_vertices)
+        if np.array_equal(self.triangle_face, np.arange(self.triangle_count)):
+            return topology_hash(self.vertex_count, np.full(self.triangle_count, 3), self.triangles.ravel())
+        # Polygons whose loops nobody stored: the file's word, else the triangles that stand for them.
+        return self.recorded_topology or sha256_arrays(self.triangles, self.triangle_face)
+
+    def texture_of(self, outfit: int) -> np.ndarray | None:
+        """The picture that an outfit wears, uint8 [H, W, 3]; None for one of plain faces."""
+        name = self.outfit_textures[outfit] if self.outfit_textures else ""
+        return self.textures[name] if name else None
+
+    def select_poses(self, indices: object) -> Bodies:
+        """The same bodies with only these poses (indices, in this order)."""
+        indices = np.atleast_1d(np.asarray(indices, np.int64))
+        names = tuple(self.names[i] for i in indices)
+        return replace(self, vertices=self.vertices[indices], names=names, recorded_topology=self.topology)
+
+
+def topology_hash(vertex_count: int, loop_total: np.ndarray, loop_vertices: np.ndarray) -> str:
+    """SHA-256 (hex) of polygons given as corner counts [F] and concatenated vertex loops."""
+    digest = hashlib.sha256(b"cloak topology 1\n" + str(int(vertex_count)).encode() + b"\n")
+    for array in (loop_total, loop_vertices):
+        digest.update(np.ascontiguousarray(array, "<i4").tobytes())
+    return digest.hexdigest()
+
+
+def _array(value: object, dtype: type, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
+    array = np.asarray(value)
+    kinds = {"f": "fiu", "i": "iu", "b": "b", "u": "u"}[np.dtype(dtype).kind]
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if not fits or (array.dtype.kind not in kinds and array.size):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        kind = {"f": "numbers", "i": "integers", "b": "booleans", "u": "bytes"}[np.dtype(dtype).kind]
+        raise InputError(f"{name}: {array.dtype} of shape {array.shape}, but {kind} of shape ({wanted}) are needed")
+    if np.dtype(dtype).kind == "i" and array.size and (array.min() < 0 or array.max() > np.iinfo(np.int32).max):
+        raise InputError(f"{name}: an index is negative or beyond 2^31")
+    return np.ascontiguousarray(array, dtype)
+
+
+def _finite(array: np.ndarray, name: str, axes: tuple[str, ...]) -> None:
+    if not np.isfinite(array).all():
+        where = np.argwhere(~np.isfinite(array))[0]
+        place = ", ".join(f"{axis} {index}" for axis, index in zip(axes, where, strict=False))
+        raise InputError(f"{name}: not a finite number at {place}")
+
+
+def _indices(array: np.ndarray, count: int, name: str, of: str) -> None:
+    if array.size and array.max() >= count:
+        raise InputError(f"{name}: index {array.max()} is beyond the {count} {of}")

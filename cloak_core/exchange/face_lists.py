@@ -1,0 +1,99 @@
+"""Face lists: which polygons, or triangles, a logo consists of."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..files.errors import InputError
+from ..files.reading import read_json, read_npy
+from ..files.writing import write_json, write_npy
+from .bodies import Bodies
+from .versions import FORMAT_VERSION, check_version
+
+
+@dataclass(frozen=True, eq=False)
+class FaceList:
+    """A set of faces as stored in a file."""
+
+    ids: np.ndarray
+    """[L] int64, sorted, unique."""
+    index_of: str = "polygon"
+    """What an id counts: "polygon" (Blender's faces) or "triangle" (the reference project's lists)."""
+    topology: str | None = None
+    """Hash of the mesh the list was made for, where its sidecar tells."""
+
+
+def read_face_list(path: str | os.PathLike, bodies: Bodies | None = None) -> FaceList:
+    """Read a face list and its sidecar NAME.json; with `bodies`, check it against that mesh.
+
+    Any integer type and order is read. Refused, by name: duplicates, negatives, floats, ids beyond the mesh, a sidecar
+    for another topology (both hashes). Without a sidecar a .npy list counts polygons; an .idx list, the reference
+    project's, counts triangles.
+    """
+    path = Path(path)
+    array = read_npy(path)
+    if array.ndim != 1 or array.dtype.kind not in "iu":
+        raise InputError(f"{path}: a face list is one row of integers, not {array.dtype} of shape {array.shape}")
+    if not array.size:
+        raise InputError(f"{path}: the face list is empty")
+    if array.max() > np.iinfo(np.int32).max:
+        raise InputError(f"{path}: face id {array.max()} is beyond any mesh")
+    ids, counts = np.unique(array.astype(np.int64), return_counts=True)
+    if ids[0] < 0:
+        raise InputError(f"{path}: negative face id {ids[0]}")
+    if counts.max() > 1:
+        raise InputError(f"{path}: duplicate face id {ids[counts.argmax()]} ({counts.max()} times)")
+    index_of, topology = "triangle" if path.suffix == ".idx" else "polygon", None
+    sidecar = path.with_suffix(".json")
+    if sidecar.exists():
+        record = read_json(sidecar)
+        check_version(record, "cloak face list", sidecar)
+        index_of, topology = record.get("index_of", index_of), record.get("topology")
+        if index_of not in ("polygon", "triangle"):
+            raise InputError(f"{sidecar}: index_of is {index_of!r}, neither 'polygon' nor 'triangle'")
+    face_list = FaceList(ids, index_of, topology)
+    if bodies is not None:
+        _check_face_list(face_list, bodies, path)
+    return face_list
+
+
+def _check_face_list(face_list: FaceList, bodies: Bodies, path: Path) -> None:
+    if face_list.topology not in (None, bodies.topology):
+        raise InputError(
+            f"{path}: made for topology {face_list.topology}, but scene '{bodies.name}' has {bodies.topology}"
+        )
+    count = bodies.face_count if face_list.index_of == "polygon" else bodies.triangle_count
+    if face_list.ids[-1] >= count:
+        raise InputError(f"{path}: {face_list.index_of} id {face_list.ids[-1]} is beyond the mesh's {count}")
+
+
+def face_ids(face_list: FaceList, bodies: Bodies) -> np.ndarray:
+    """[L] int64 sorted polygon ids of a face list; a polygon belongs as soon as one of its triangles is listed."""
+    if face_list.index_of == "polygon":
+        return face_list.ids
+    return np.unique(bodies.triangle_face[face_list.ids]).astype(np.int64)
+
+
+def write_face_list(path: str | os.PathLike, ids: np.ndarray, topology: str, index_of: str = "polygon") -> Path:
+    """Write a face list (one-dimensional int64, sorted, unique) and its sidecar NAME.json, each atomically."""
+    path = Path(path)
+    ids = np.asarray(ids)
+    if ids.ndim != 1 or ids.dtype.kind not in "iu":
+        raise InputError(f"{path}: a face list is one row of integers, not {ids.dtype} of shape {ids.shape}")
+    if not ids.size:
+        raise InputError(f"{path}: the face list would be empty")
+    ids = np.unique(ids.astype(np.int64))
+    record = {
+        "format": "cloak face list",
+        "version": FORMAT_VERSION,
+        "topology": topology,
+        "index_of": index_of,
+        "count": len(ids),
+    }
+    write_json(path.with_suffix(".json"), record)
+    write_npy(path, ids)
+    return path

@@ -1,0 +1,162 @@
+"""Two bounded caches: one in memory, one of files that save work between runs.
+
+The files are found again by the hash of what they were made from. A file is its data, then their CRC-32. It is written
+under another name and renamed, so that processes may share the folder and a crash leaves nothing half; what is torn
+nevertheless fails its checksum and is made anew. `CLOAK_CACHE` names the folder ("off": none); without it, it is
+`cloak` in the user's cache folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import tempfile
+import threading
+import zlib
+from collections import OrderedDict
+from collections.abc import Hashable
+from pathlib import Path
+
+import numpy as np
+
+_CHECKSUM = 4
+_NEW = ".new-"
+_log = logging.getLogger("cloak")
+
+
+def cache_folder(kind: str) -> Path | None:
+    """Where files of one kind ("images", "views") are kept; None: nowhere."""
+    named = os.environ.get("CLOAK_CACHE", "")
+    if named.lower() == "off":
+        return None
+    if named:
+        return Path(named) / kind
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+    return Path(home) / "cloak" / kind
+
+
+class DiskCache:
+    """The files of one kind in a folder, by name. Never raises: what cannot be kept is made anew.
+
+    folder: None keeps none. suffix: of their names; what else lies in the folder is left alone. limit: bytes of all
+    together; the least recently used go first. what: names them in a warning.
+    """
+
+    def __init__(self, folder: Path | None, suffix: str, limit: int, what: str) -> None:
+        self._folder, self._suffix, self._limit, self._what = folder, suffix, limit, what
+        self._written = limit  # what earlier runs left counts from the first file on
+
+    def get(self, name: str) -> np.ndarray | None:
+        """The data [N] uint8, mapped from the file; None where there is none, or a damaged one."""
+        if self._folder is None:
+            return None
+        path = self._path(name)
+        try:
+            if path.stat().st_size <= _CHECKSUM:
+                return None
+            # Mapped copy-on-write: torch takes no read-only arrays, and nothing reaches the file.
+            data = np.memmap(path, np.uint8, "c")
+        except (OSError, ValueError):
+            return None
+        if zlib.crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:].tobytes(), "little"):
+            return None
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return np.asarray(data[:-_CHECKSUM])
+
+    def put(self, name: str, data: bytes) -> None:
+        """Keep some data. A full or read-only disk ends the keeping, with a warning."""
+        if self._folder is None:
+            return
+        path = self._path(name)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, new = tempfile.mkstemp(prefix=_NEW, dir=path.parent)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(data)
+                    file.write(zlib.crc32(data).to_bytes(_CHECKSUM, "little"))
+                os.replace(new, path)
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    os.unlink(new)
+                raise
+        except OSError as error:
+            _log.warning("%s: %s are not kept (%s)", self._folder, self._what, error.strerror or error)
+            self._folder = None
+            return
+        self._written += len(data)
+        if self._written > self._limit // 8:
+            self.trim()
+
+    def trim(self) -> None:
+        """Remove the least recently used files beyond the limit, and what killed processes left among them."""
+        if self._folder is None:
+            return
+        self._written = 0
+        found = []
+        for pattern in (f"*{self._suffix}", f"{_NEW}*"):
+            for path in self._folder.glob(pattern):
+                with contextlib.suppress(OSError):  # another process may have removed it
+                    found.append((path.stat().st_mtime, path.stat().st_size, path))
+        total = 0
+        for _, size, path in sorted(found, reverse=True):
+            total += size
+            if total > self._limit:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}{self._suffix}"
+
+
+class MemoryCache:
+    """Objects by key, the least recently used dropped first once what they hold exceeds a number of bytes.
+
+    Threads may share one. The newest object stays even if it is larger than the limit.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.bytes = limit, 0
+        self._items: OrderedDict[Hashable, tuple[object, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable) -> object | None:
+        """What was put there, now the most recently used; None where there is nothing."""
+        with self._lock:
+            if key not in self._items:
+                return None
+            self._items.move_to_end(key)
+            return self._items[key][0]
+
+    def put(self, key: Hashable, item: object) -> object:
+        """Keep an object in place of an earlier one of that key, and return it."""
+        size = held_bytes(item)
+        with self._lock:
+            self.bytes += size - self._items.pop(key, (None, 0))[1]
+            self._items[key] = (item, size)
+            while self.bytes > self.limit and len(self._items) > 1:
+                self.bytes -= self._items.popitem(last=False)[1][1]
+        return item
+
+
+def held_bytes(item: object) -> int:
+    """Bytes that an object keeps in memory: of an array, a tensor, or an object with some among its attributes.
+
+    A view holds all that it is a view of; what two attributes share counts once.
+    """
+    parts = [item, *vars(item).values()] if hasattr(item, "__dict__") else [item]
+    return sum(dict(filter(None, map(_storage, parts))).values())
+
+
+def _storage(part: object) -> tuple[int, int] | None:
+    """Identity and bytes of the memory behind an array or a (torch) tensor."""
+    if hasattr(part, "untyped_storage"):
+        storage = part.untyped_storage()
+        return storage.data_ptr(), storage.nbytes()
+    if not isinstance(part, np.ndarray):
+        return None
+    while isinstance(part.base, np.ndarray):
+        part = part.base
+    return part.ctypes.data, part.nbytes

@@ -1,0 +1,19 @@
+"""The one error for bad input."""
+
+from __future__ import annotations
+
+
+class InputError(ValueError):
+    """Bad input from the user: one clear line that names the file or option. The command line exits with 2.
+
+    Line breaks and control characters in the message (a path may hold some) are written out: it stays one line.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in message))
+
+
+def first_line(error: Exception) -> str:
+    """What an exception says, on one line."""
+    words = str(error).strip()
+    return words.splitlines()[0] if words else type(error).__name__

@@ -1,0 +1,44 @@
+"""Locks between processes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from .writing import written
+
+
+@contextlib.contextmanager
+def lock(path: Path, wait: bool = False) -> Iterator[None]:
+    """Hold the lock file `path`, which the system releases when the process ends, however it ends.
+
+    BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
+    """
+    with written(path):
+        file = path.open("ab")
+    with file:
+        while not _lock(file.fileno(), path):
+            if not wait:
+                raise BlockingIOError(f"{path}: held by another process")
+            time.sleep(0.05)
+        yield
+
+
+def _lock(handle: int, path: Path) -> bool:
+    """Whether the lock is ours now; InputError where the file system has none."""
+    if os.name == "nt":
+        import msvcrt
+
+        with contextlib.suppress(OSError):
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            return True
+        return False
+    import fcntl
+
+    with written(path), contextlib.suppress(BlockingIOError):
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False

@@ -1,0 +1,70 @@
+"""Writing files that appear whole or not at all, whatever happens in between."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from .errors import InputError
+
+
+def write_json(path: str | os.PathLike, record: dict) -> None:
+    """Replace a JSON file atomically."""
+    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
+    replace_file(Path(path), lambda file: file.write(text.encode()))
+
+
+def write_npy(path: str | os.PathLike, array: np.ndarray) -> None:
+    """Replace a .npy file atomically."""
+    replace_file(
+        Path(path), lambda file: np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+    )
+
+
+def replace_file(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write beside the file and rename over it: after a crash there is the old file or the new one, never a half."""
+    with written(path):
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(temporary)
+
+
+@contextlib.contextmanager
+def written(path: str | os.PathLike) -> Iterator[None]:
+    """Whatever the system has against writing becomes an `InputError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder beside `folder` that takes its name when the block ends well and vanishes when not."""
+    with written(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+        try:
+            yield temporary
+            os.chmod(temporary, 0o755)
+            if folder.exists():
+                folder.rmdir()  # empty, or this fails; Windows cannot rename over a folder
+            os.replace(temporary, folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)

@@ -1,0 +1,117 @@
+"""Built views on disk, so that runs that look at the same bodies from the same cameras build them once.
+
+One safetensors file for each view, named after the SHA-256 of all that decides it: the pose's vertices, the topology,
+camera, light and samples, and the code that renders. See files/caching.py for how such files are kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+import cloak_core
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.caching import DiskCache, cache_folder
+from cloak_core.render.dressing import View
+from cloak_core.scene import cameras
+from cloak_core.scene import geometry as bodies_module
+from cloak_core.scene.cameras import Camera
+
+LIMIT_BYTES = 1 << 30
+"""Of all files together: some 2000 views of 416 x 416."""
+_INDICES = ("pixels", "crow", "face")
+_NUMBERS = ("coverage", "specular", "weight")
+
+
+def view_files() -> DiskCache:
+    """The views in the user's cache folder."""
+    return DiskCache(cache_folder("views"), ".view", LIMIT_BYTES, "views")
+
+
+class StoredViews:
+    """Views of one scene among the files. recipe: all else that decides them (light, samples, device)."""
+
+    def __init__(self, files: DiskCache, bodies: Bodies, recipe: object, textured: bool, device: torch.device) -> None:
+        self._files, self._bodies, self._textured, self._device = files, bodies, textured, device
+        self._keys: dict[int, bytes] = {}
+        common = hashlib.sha256(CODE)
+        common.update(repr((recipe, textured, device.type, torch.__version__)).encode())
+        common.update(torch.backends.cpu.get_cpu_capability().encode())
+        for array in (bodies.triangles, bodies.triangle_face, *((bodies.uv, bodies.triangle_uv) if textured else ())):
+            common.update(_content(array))
+        self._common = common
+
+    def get(self, pose: int, camera: Camera) -> View | None:
+        """The view; None where there is none, or a file that is no such view."""
+        if not 0 <= pose < self._bodies.pose_count:
+            return None
+        data = self._files.get(self._name(pose, camera))
+        if data is None:
+            return None
+        try:
+            tensors = load(data.tobytes())
+        except (SafetensorError, ValueError, KeyError, OverflowError):
+            return None
+        return self._checked(tensors, camera)
+
+    def put(self, pose: int, camera: Camera, view: View) -> None:
+        """Keep a view."""
+        tensors = {name: getattr(view, name).to("cpu", torch.int32) for name in _INDICES}
+        tensors |= {name: getattr(view, name).cpu() for name in _NUMBERS}
+        tensors |= {} if view.uv is None else {"uv": view.uv.cpu()}
+        self._files.put(self._name(pose, camera), save({name: value.contiguous() for name, value in tensors.items()}))
+
+    def _checked(self, tensors: dict[str, Tensor], camera: Camera) -> View | None:
+        """Nothing that reads a view looks at its indices again, so a foreign file must not get further than this."""
+        expected = {*_INDICES, *_NUMBERS} | ({"uv"} if self._textured else set())
+        if set(tensors) != expected or any(t.dtype != torch.int32 for t in (tensors[name] for name in _INDICES)):
+            return None
+        count, entries = len(tensors["pixels"]), len(tensors["face"])
+        shapes = {"pixels": (count,), "coverage": (count,), "specular": (count,), "crow": (count + 1,)}
+        shapes |= {"face": (entries,), "weight": (entries,), "uv": (2, entries)}
+        if any(tuple(value.shape) != shapes[name] for name, value in tensors.items()):
+            return None
+        if any(tensors[name].dtype != torch.float32 for name in expected.difference(_INDICES)):
+            return None
+        crow = tensors["crow"]
+        if crow[0] != 0 or crow[-1] != entries or (crow.diff() < 0).any():
+            return None
+        if not (
+            _within(tensors["pixels"], camera.height * camera.width)
+            and _within(tensors["face"], self._bodies.face_count)
+        ):
+            return None
+        put = lambda name: tensors[name].to(self._device, torch.int64 if name in _INDICES else torch.float32)
+        return View(camera.height, camera.width, **{name: put(name) for name in tensors})
+
+    def _name(self, pose: int, camera: Camera) -> str:
+        if pose not in self._keys:
+            own = self._common.copy()
+            own.update(_content(self._bodies.vertices[pose]))
+            self._keys[pose] = own.digest()
+        return hashlib.sha256(self._keys[pose] + repr(camera).encode()).hexdigest()
+
+
+def _within(indices: Tensor, count: int) -> bool:
+    return not len(indices) or (int(indices.min()) >= 0 and int(indices.max()) < count)
+
+
+def _content(array: np.ndarray) -> bytes:
+    return f"{array.dtype} {array.shape} ".encode() + array.tobytes()
+
+
+def _code() -> bytes:
+    hashed = hashlib.sha256(cloak_core.__version__.encode())
+    for path in [*sorted(Path(__file__).parent.glob("*.py")), *map(Path, (bodies_module.__file__, cameras.__file__))]:
+        hashed.update(path.read_bytes())
+    return hashed.digest()
+
+
+CODE = _code()
+"""Of the code that decides what a view holds, as this process has loaded it: another renderer builds all views anew."""

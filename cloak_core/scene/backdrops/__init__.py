@@ -1,0 +1,1 @@
+"""What is behind the bodies: photographs and procedural scenes."""

@@ -1,0 +1,224 @@
+"""Backgrounds: a folder of images, or procedural scenes as the embedded default.
+
+Images are kept in memory as uint8 at the size they were asked for, up to a bound, and those of folders decoded on disk
+(`scene.backdrops.decoded`); what is in neither is made anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import logging
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from cloak_core.files.caching import MemoryCache, cache_folder
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.decoded import DecodedImages
+from cloak_core.scene.backdrops.procedural import draw_scene
+from cloak_core.scene.meshes.pictures import MAX_PIXELS
+from cloak_core.scene.selection import select, split_selection
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+MEMORY_BYTES = 1 << 30
+"""Bound on the images that one set of backgrounds keeps in memory."""
+MAX_FILE_BYTES = 256 << 20
+PROCEDURAL_COUNT = 256
+_SPLITS = ("train", "test")
+_log = logging.getLogger("cloak")
+
+Draw = Callable[[int, int, int], UInt8[np.ndarray, "H W 3"]]
+
+
+class Backgrounds:
+    """Images without people, by index; every image is resized and centre-cropped to the size asked for.
+
+    `draw(index, height, width)` makes image `index` of the source as uint8 [H, W, 3]. Subsets share one cache.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        draw: Draw,
+        memory_bytes: int = MEMORY_BYTES,
+        identify: Callable[[int], str] | None = None,
+    ) -> None:
+        self.names = tuple(names)
+        self._draw = draw
+        self._identify = identify or self.names.__getitem__
+        self._indices = tuple(range(len(self.names)))
+        self._cache = MemoryCache(memory_bytes)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def image(self, index: int, size: tuple[int, int] = (416, 416)) -> UInt8[Tensor, "3 H W"]:
+        """Image `index` (negative counts from the end) at `size` (height, width). Shared memory: do not write to it."""
+        key = (self._indices[index], *size)
+        image = self._cache.get(key)
+        if image is None:
+            image = torch.from_numpy(np.ascontiguousarray(self._draw(*key))).permute(2, 0, 1)
+            self._cache.put(key, image)
+        return image
+
+    def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
+        """The images at `indices` as float32 in [0, 1], channels-last in memory."""
+        images = torch.empty(len(indices), height, width, 3).permute(0, 3, 1, 2)
+        for image, index in zip(images, indices, strict=True):
+            image.copy_(self.image(int(index), (height, width)))
+        return images.div_(255)
+
+    def subset(self, indices: Sequence[int] | range) -> Backgrounds:
+        """The images at `indices`, in that order."""
+        part = Backgrounds.__new__(Backgrounds)
+        part.names = tuple(self.names[i] for i in indices)
+        part._draw, part._cache, part._identify = self._draw, self._cache, self._identify
+        part._indices = tuple(self._indices[i] for i in indices)
+        return part
+
+    def identities(self) -> list[str]:
+        """What tells an image from every other, whatever it is called: a file's SHA-256, a procedural scene's name."""
+        return [self._identify(i) for i in self._indices]
+
+    def split(self, every: int = 2, offset: int = 0) -> Backgrounds:
+        """Image `offset` and every `every`-th after it: `split(2, 0)` the first, third, ..., `split(2, 1)` the rest."""
+        return self.subset(range(offset, len(self), every))
+
+
+def open_backgrounds(
+    spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
+) -> Backgrounds:
+    """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`; `SPEC[0::2]` takes some
+    of them (`scene.selection`).
+
+    A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
+    at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.
+    Raises `InputError` when nothing usable is there.
+    """
+    whole, selection = split_selection(str(spec))
+    if isinstance(spec, str) and (whole == "procedural" or whole.startswith("procedural:")):
+        backgrounds = _open_procedural(whole, memory_bytes)
+    else:
+        backgrounds = _open_folder(Path(whole), size, memory_bytes)
+    return backgrounds if selection is None else backgrounds.subset(select(selection, backgrounds.names, str(spec)))
+
+
+# --- procedural ------------------------------------------------------------------------------------------------------
+
+
+def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
+    fields = spec.split(":")[1:]
+    split = fields.pop(0) if fields and fields[0] in _SPLITS else "train"
+    if len(fields) > 2 or not all(f.isdecimal() for f in fields):
+        raise InputError(f"{spec}: expected procedural[:train|test][:COUNT][:SEED]")
+    count, seed = [*map(int, fields), *(PROCEDURAL_COUNT, 0)[len(fields) :]]
+    if not 1 <= count <= 1_000_000:
+        raise InputError(f"{spec}: COUNT must lie in 1..1000000")
+    stream = _SPLITS.index(split)
+
+    def draw(index: int, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+        return draw_scene(np.random.default_rng([stream, seed, index]), height, width)
+
+    return Backgrounds([f"procedural:{split}:{seed}/{i}" for i in range(count)], draw, memory_bytes)
+
+
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
+def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Backgrounds:
+    if not folder.exists():
+        raise InputError(f"{folder}: no such folder of backgrounds")
+    if not folder.is_dir():
+        raise InputError(f"{folder}: backgrounds are a folder of images, this is a file")
+    files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    if not files:
+        raise InputError(f"{folder}: no jpg, png or webp image in this folder (sub-folders are not searched)")
+    decoded = DecodedImages(cache_folder("images"))
+    room = max(1, memory_bytes // (3 * size[0] * size[1]))
+    good: list[Path] = []
+    digests: list[str] = []
+    ready: list[np.ndarray] = []
+    with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+        found = pool.map(lambda path: _try_read(path, *size, decoded), files)
+        for file, (image, digest) in zip(files, found, strict=True):
+            if image is not None:
+                good.append(file)
+                digests.append(digest)
+                if len(ready) < room:
+                    ready.append(image)
+    if not good:
+        raise InputError(f"{folder}: none of its {len(files)} images can be read")
+    backgrounds = Backgrounds(
+        [path.name for path in good],
+        lambda i, h, w: _read(good[i], h, w, decoded, digests[i])[0],
+        memory_bytes,
+        digests.__getitem__,
+    )
+    for i, image in enumerate(ready):
+        backgrounds._cache.put((i, *size), torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1))
+    return backgrounds
+
+
+def _try_read(
+    path: Path, height: int, width: int, decoded: DecodedImages
+) -> tuple[UInt8[np.ndarray, "H W 3"] | None, str]:
+    try:
+        return _read(path, height, width, decoded)
+    except InputError as error:
+        _log.warning("%s; skipped", error)
+        return None, ""
+
+
+def _read(
+    path: Path, height: int, width: int, decoded: DecodedImages, digest: str | None = None
+) -> tuple[UInt8[np.ndarray, "H W 3"], str]:
+    """The file upright, resized so that it just covers height x width, and centre-cropped; and its SHA-256 (hex).
+
+    From among the decoded ones where it is there; a file whose digest is known already is not read for that.
+    """
+    image = None if digest is None else decoded.get(digest, height, width)
+    if image is not None:
+        return image, digest
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise InputError(f"{path}: larger than any image taken here ({MAX_FILE_BYTES >> 20} MiB)")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: not a readable image ({error})") from error
+    digest = hashlib.sha256(data).hexdigest()
+    image = decoded.get(digest, height, width)
+    if image is None:
+        image = _decode(path, data, height, width)
+        decoded.put(digest, image)
+    return image, digest
+
+
+def _decode(path: Path, data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+    try:
+        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image:
+            image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
+            if image.width * image.height > MAX_PIXELS:
+                raise InputError(f"{path}: more than {MAX_PIXELS >> 20} million pixels")
+            upright = ImageOps.exif_transpose(image)
+            return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
+    except InputError:
+        raise
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not a readable image ({error})") from error
+
+
+def _rgb(image: Image.Image) -> Image.Image:
+    if image.mode.startswith("I"):  # 16-bit grey: Pillow's own conversion clips at 255 instead of scaling
+        return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8)).convert("RGB")
+    if image.has_transparency_data:
+        rgba = image.convert("RGBA")
+        return Image.alpha_composite(Image.new("RGBA", rgba.size, "white"), rgba).convert("RGB")
+    return image.convert("RGB")

@@ -1,0 +1,1 @@
+"""Scenes that only Blender reads, through a Blender outside this process."""

@@ -1,0 +1,96 @@
+"""Files that only Blender reads (Alembic, USD, FBX, .blend), through the user's Blender in a process of its own."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_npz
+from cloak_core.scene.meshes.mesh_file import MeshFile, to_srgb
+from cloak_core.scene.meshes.pictures import put_together
+
+SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")
+SCRIPT = Path(__file__).with_name("inside.py")
+ROOT = Path(__file__).resolve().parents[3]
+PROBE = "import os, bpy; os._exit(0)"
+
+
+def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
+    """All visible meshes of a file as one, at its first frame, or in `frames` > 0 moments evenly over its animation.
+
+    Raises `InputError` where there is no Blender, where it cannot read the file, and for the frame whose topology
+    differs from the first one's.
+    """
+    command = find_blender()
+    if command is None:
+        raise InputError(
+            f"{path}: {path.suffix} files are read through Blender, and there is none: put one on the path, name it in "
+            "CLOAK_BLENDER, or pip install bpy"
+        )
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "mesh.npz"
+        environment["BLENDER_USER_RESOURCES"] = folder
+        arguments = [str(SCRIPT), "--", str(path.resolve()), str(frames), str(out)]
+        done = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
+        reason = out.with_name("mesh.npz.error")
+        if reason.exists():
+            raise InputError(f"{path}: {reason.read_text('utf-8')}")
+        if done.returncode or not out.exists():
+            last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["it said nothing"]
+            raise InputError(f"{path}: Blender could not read it ({last[0]})")
+        return mesh_of(path, read_npz(out))
+
+
+def find_blender() -> list[str] | None:
+    """A command line that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+    named = os.environ.get("CLOAK_BLENDER")
+    places = [named] if named else []
+    places += [sys.executable] if importlib.util.find_spec("bpy") else []
+    places += [str(python) for python in sorted(ROOT.glob(".venv-blender*/bin/python"))]
+    for place in places:
+        if Path(place).name.startswith("blender"):
+            return [place, "-b", "--factory-startup", "-P"]
+        try:
+            if subprocess.run([place, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0:
+                return [place]
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+    blender = shutil.which("blender")
+    return [blender, "-b", "--factory-startup", "-P"] if blender else None
+
+
+def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
+    """What the script wrote, with its pictures as one."""
+    pictures = [arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)]
+    loop_total, corner_uv, picture_of = (arrays[key].astype(float) for key in ("loop_total", "corner_uv", "picture_of"))
+    loop_total, picture_of = loop_total.astype(np.int64), picture_of.astype(np.int64)
+    colors = to_srgb(arrays["linear_colors"])
+    used = np.repeat(picture_of, loop_total) >= 0
+    missing = np.flatnonzero(used & ~np.isfinite(corner_uv).all(axis=1))
+    if len(missing):
+        face = int(np.searchsorted(np.cumsum(loop_total), missing[0], side="right"))
+        raise InputError(f"{path}: face {face} has a texture but no texture coordinates (UVs)")
+    picture = None
+    if len(np.unique(picture_of)) == 1 and len(pictures) == 1:
+        picture = pictures[0]
+    elif pictures:
+        picture, corner_uv = put_together(pictures, picture_of, colors, np.nan_to_num(corner_uv), loop_total)
+    has_uv = bool(np.isfinite(corner_uv).all())
+    return MeshFile(
+        poses=arrays["poses"],
+        loop_total=loop_total,
+        loop_vertices=arrays["loop_vertices"].astype(np.int64),
+        face_colors=colors,
+        uv=corner_uv if has_uv else None,
+        loop_uv=np.arange(len(corner_uv)) if has_uv else None,
+        picture=picture,
+    )

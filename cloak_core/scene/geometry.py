@@ -1,0 +1,119 @@
+"""What the geometry of bodies says about faces, edges and surfaces.
+
+Everything measured here is measured in metres in one pose, the first unless told otherwise; a face is
+a polygon.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.meshes.polygons import next_corner, polygon_loops
+
+
+def area_vectors(bodies: Bodies, pose: int) -> tuple[np.ndarray, np.ndarray]:
+    """Per triangle: the normal times the area [T, 3], and the centroid [T, 3]; float64."""
+    corners = bodies.vertices[pose][bodies.triangles].astype(np.float64)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    return np.cross(b - a, c - a) / 2, corners.mean(axis=1)
+
+
+def sum_by_face(bodies: Bodies, values: np.ndarray) -> np.ndarray:
+    """Sums of per-triangle values over each face."""
+    total = np.zeros((bodies.face_count, *values.shape[1:]))
+    np.add.at(total, bodies.triangle_face, values)
+    return total
+
+
+def face_areas(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, " faces"]:
+    """Area of every face in square metres (the sum of its triangles'), float64."""
+    vectors, _ = area_vectors(bodies, pose)
+    return sum_by_face(bodies, np.linalg.norm(vectors, axis=1))
+
+
+def face_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
+    """Unit normals, outwards where corners turn counter-clockwise; zero for a face without area."""
+    vectors, _ = area_vectors(bodies, pose)
+    normal = sum_by_face(bodies, vectors)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+
+
+def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
+    """Centroids, weighted by area; of a face without area, the mean of its triangles' corners."""
+    vectors, centroid = area_vectors(bodies, pose)
+    area = np.linalg.norm(vectors, axis=1)
+    flat = sum_by_face(bodies, area)[bodies.triangle_face] == 0
+    weight = np.where(flat, 1.0, area)
+    return sum_by_face(bodies, centroid * weight[:, None]) / np.maximum(sum_by_face(bodies, weight), 1e-300)[:, None]
+
+
+def is_closed(triangles: Integer[np.ndarray, "triangles 3"]) -> bool:
+    """Whether triangles form closed, consistently oriented surfaces: every edge is walked once in each direction.
+
+    Such surfaces may drop their back faces, provided that they face outwards (`is_outward`). No triangles: False.
+    """
+    if not len(triangles):
+        return False
+    starts = triangles.astype(np.int64)
+    ends = np.roll(starts, -1, axis=1)
+    base = int(triangles.max()) + 1
+    forward = np.sort((starts * base + ends).ravel())
+    backward = np.sort((ends * base + starts).ravel())
+    once = bool((np.diff(forward) > 0).all())
+    return once and np.array_equal(forward, backward) and not bool((starts == ends).any())
+
+
+def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
+    """Of closed bodies, per pose: whether each connected surface encloses a positive volume: normals point outwards."""
+    part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
+    outward = np.zeros(bodies.pose_count, bool)
+    for pose in range(bodies.pose_count):
+        vectors, centroid = area_vectors(bodies, pose)
+        # The divergence theorem; the origin does not matter for a closed surface.
+        volume = np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
+        outward[pose] = bool((volume[np.unique(part)] > 0).all())
+    return outward
+
+
+def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:
+    """A label per vertex: the lowest vertex that it is joined to by faces."""
+    label = np.arange(vertex_count)
+    while True:
+        lowest = label.copy()
+        np.minimum.at(lowest, faces, label[faces].min(axis=1, keepdims=True))
+        # Following the labels as pointers halves the way each round.
+        lowest = lowest[lowest]
+        if np.array_equal(lowest, label):
+            return label
+        label = lowest
+
+
+def inner_edges(
+    bodies: Bodies, face_ids: Integer[np.ndarray, " logo"]
+) -> tuple[Integer[np.ndarray, "edges 2"], Float[np.ndarray, " edges"]]:
+    """Edges between two faces of a logo: pairs of positions in `face_ids` [E, 2], lower first, and lengths [E] in
+    metres in the first pose. Faces with two edges in common appear twice; an edge of three faces joins each two.
+    """
+    loop_total, loop_vertices, face = polygon_loops(bodies)
+    position = np.full(bodies.face_count, -1, np.int64)
+    position[face_ids] = np.arange(len(face_ids))
+    ends = np.stack([loop_vertices, loop_vertices[next_corner(loop_total)]], axis=1).astype(np.int64)
+    ends.sort(axis=1)
+    owner = position[np.repeat(face, loop_total)]
+    ends, owner = ends[owner >= 0], owner[owner >= 0]
+    order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
+    ends, owner = ends[order], owner[order]
+    found = []
+    # Equal edges lie side by side now: compare each with the next, then the one after, until none is equal.
+    for step in range(1, len(ends)):
+        same = np.flatnonzero((ends[step:] == ends[:-step]).all(axis=1))
+        if not len(same):
+            break
+        found.append(np.stack([same, same + step], axis=1))
+    pairs = np.concatenate(found) if found else np.zeros((0, 2), np.int64)
+    pairs = pairs[owner[pairs[:, 0]] != owner[pairs[:, 1]]]
+    a, b = (bodies.vertices[0][ends[pairs[:, 0], side]].astype(np.float64) for side in (0, 1))
+    return owner[pairs], np.linalg.norm(a - b, axis=1)

@@ -1,0 +1,1 @@
+"""Which faces may change colour, and in which colours."""

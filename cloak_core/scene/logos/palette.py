@@ -1,0 +1,81 @@
+"""Palette files: the colours a printer, or a set of cloths, can show. Training and printing read the same ones.
+
+A text file, one colour a line: three numbers in [0, 1] between commas or spaces, or #rrggbb; lines that start with
+"# " or ";" are comments. GIMP palettes (.gpl: three bytes and a name a line) are read as well. All are sRGB.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cloak_core.files.errors import InputError
+
+MAX_BYTES = 1 << 20
+MAX_COLORS = 4096
+TOLERANCE = 8 / 255
+"""Differences up to this, in the largest channel, count as printable."""
+_HEX = re.compile(r"#([0-9a-fA-F]{6})\b")
+
+
+def read_palette(path: str | os.PathLike) -> Float[np.ndarray, "P 3"]:
+    """The colours of a palette file, sRGB in [0, 1], float64. InputError names the file and line."""
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from None
+    if len(data) > MAX_BYTES:
+        raise InputError(f"{path}: larger than any palette ({MAX_BYTES >> 20} MiB)")
+    try:
+        lines = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file") from None
+    gimp = bool(lines) and lines[0].strip() == "GIMP Palette"
+    colors = []
+    for number, line in enumerate(lines[1:] if gimp else lines, 2 if gimp else 1):
+        text = line.strip()
+        if text and not _is_aside(text, gimp):
+            colors.append(_color(text, gimp, f"{path}:{number}"))
+    if not colors:
+        raise InputError(f"{path}: no colour in this palette")
+    if len(colors) > MAX_COLORS:
+        raise InputError(f"{path}: {len(colors)} colours, more than {MAX_COLORS}")
+    return np.array(colors, np.float64)
+
+
+def nearest_in_palette(
+    colors: Float[np.ndarray, "n 3"], palette: Float[np.ndarray, "P 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Each colour's nearest of the palette, and whether it is farther than `TOLERANCE` from it."""
+    square = (palette**2).sum(axis=1)
+    nearest = np.empty((len(colors), 3))
+    for start in range(0, len(colors), 256):
+        part = colors[start : start + 256].astype(np.float64)
+        nearest[start : start + 256] = palette[(square - 2 * part @ palette.T).argmin(axis=1)]
+    return nearest, np.abs(nearest - colors).max(axis=1, initial=0) > TOLERANCE
+
+
+def _is_aside(text: str, gimp: bool) -> bool:
+    if gimp:
+        return text.startswith("#") or text.partition(":")[0] in ("Name", "Columns")
+    return text == "#" or text.startswith(("# ", ";"))
+
+
+def _color(text: str, gimp: bool, place: str) -> tuple[float, float, float]:
+    if not gimp and (match := _HEX.match(text)):
+        return tuple(byte / 255 for byte in bytes.fromhex(match[1]))
+    parts = text.split()[:3] if gimp else text.replace(",", " ").split()
+    try:
+        values = tuple(float(part) / (255 if gimp else 1) for part in parts)
+    except ValueError:
+        values = ()
+    if len(values) != 3 or not all(0 <= value <= 1 for value in values):
+        wanted = "three bytes" if gimp else "three numbers in [0, 1], or #rrggbb"
+        raise InputError(f"{place}: {text[:40]!r} is no colour ({wanted})")
+    return values

@@ -1,0 +1,1 @@
+"""Bodies of people: the embedded ones, SMPL, Anny."""

@@ -1,0 +1,126 @@
+"""Pose sequences for SMPL models: AMASS .npz, SURREAL _info.mat, rows of numbers in .npy or .csv."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_npy, read_npz
+
+BODY_JOINTS = 22
+"""Joints that SMPL (24), SMPL+H (52) and SMPL-X (55) have in common, from the root on."""
+HANDS_FROM = {52: 22, 55: 25}
+"""Where the 30 finger joints begin in models that have them."""
+SHAPES = 10
+MAX_POSES = 10_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSequence:
+    """P poses: axis-angle [P, 3 J] radians, betas [P, S], translation [P, 3] metres, and which axis is up."""
+
+    poses: np.ndarray
+    betas: np.ndarray
+    translation: np.ndarray
+    up: str = "y"
+
+    def take(self, part: slice, limit: int | None) -> PoseSequence:
+        poses, betas, moves = (values[part][:limit] for values in (self.poses, self.betas, self.translation))
+        return replace(self, poses=poses, betas=betas, translation=moves)
+
+
+def read_poses(path: Path, joint_count: int) -> PoseSequence:
+    """Poses for a model of `joint_count` joints.
+
+    .npz: AMASS, `poses` [P, 3 J'] with optional `betas` [S] or [P, S] and `trans` [P, 3]; z is up there.
+    .mat: SURREAL's _info files, `pose` [72, P] and `shape` [10, P] (needs scipy).
+    .npy, .csv: a row per pose, the joints' numbers and then any number of betas, usually 72 + 10.
+    A sequence for another model of the family keeps the body's 22 joints, and the fingers where both have them.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file of poses")
+    readers = {".npz": read_amass, ".mat": read_surreal, ".npy": read_rows, ".csv": read_rows}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path}: poses are read from {', '.join(readers)}")
+    poses, betas, translation, up = reader(path, joint_count)
+    poses = convert_joints(path, poses, joint_count)
+    betas = np.broadcast_to(betas, (len(poses), betas.shape[-1])) if betas.shape[0] in (1, len(poses)) else betas
+    checks = {"poses": poses, "betas": betas, "translation": translation}
+    for name, values in checks.items():
+        if len(values) != len(poses):
+            raise InputError(f"{path}: {len(values)} {name} for {len(poses)} poses")
+        if not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            raise InputError(f"{path}: {name} of pose {row} are not finite")
+    if not 0 < len(poses) <= MAX_POSES:
+        raise InputError(f"{path}: {len(poses)} poses")
+    return PoseSequence(poses.astype(np.float64), betas.astype(np.float64), translation.astype(np.float64), up)
+
+
+Read = tuple[np.ndarray, np.ndarray, np.ndarray, str]
+
+
+def read_amass(path: Path, joint_count: int) -> Read:
+    arrays = read_npz(path)
+    poses = numbers(path, "poses", arrays.get("poses"))
+    betas = np.atleast_2d(numbers(path, "betas", arrays.get("betas", np.zeros((1, SHAPES))), ranks=(1, 2)))
+    translation = numbers(path, "trans", arrays.get("trans", np.zeros((len(poses), 3))))
+    if translation.shape != (len(poses), 3):
+        raise InputError(f"{path}: trans is {translation.shape}, not ({len(poses)}, 3)")
+    return poses, betas, translation, "z"
+
+
+def read_surreal(path: Path, joint_count: int) -> Read:
+    try:
+        from scipy.io import loadmat
+    except ImportError:
+        raise InputError(f"{path}: reading .mat files needs scipy (pip install scipy)") from None
+    try:
+        arrays = loadmat(path, variable_names=["pose", "shape"])
+    except Exception as error:  # scipy raises whatever a damaged file leads it into
+        raise InputError(f"{path}: not a readable .mat file ({type(error).__name__}: {error})") from None
+    pose, shape = (numbers(path, name, arrays.get(name)) for name in ("pose", "shape"))
+    return pose.T, shape.T, np.zeros((pose.shape[1], 3)), "y"
+
+
+def read_rows(path: Path, joint_count: int) -> Read:
+    if path.suffix.lower() == ".npy":
+        rows = np.atleast_2d(numbers(path, "rows", read_npy(path), ranks=(1, 2)))
+    else:
+        try:
+            rows = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
+        except (ValueError, OSError) as error:
+            raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
+    width = 3 * joint_count
+    if rows.shape[1] < width:
+        raise InputError(f"{path}: rows of {rows.shape[1]} numbers, but {joint_count} joints need {width} (and betas)")
+    betas = rows[:, width:] if rows.shape[1] > width else np.zeros((1, SHAPES))
+    return rows[:, :width], betas, np.zeros((len(rows), 3)), "y"
+
+
+def numbers(path: Path, name: str, values: object, ranks: tuple[int, ...] = (2,)) -> np.ndarray:
+    if not isinstance(values, np.ndarray):
+        raise InputError(f"{path}: no array '{name}' in it")
+    if values.ndim not in ranks or values.dtype.kind not in "fiu" or not values.size:
+        raise InputError(f"{path}: {name} is {values.dtype} of shape {values.shape}, not a table of numbers")
+    return values
+
+
+def convert_joints(path: Path, poses: np.ndarray, joint_count: int) -> np.ndarray:
+    """Poses [P, 3 J'] of any model of the family as poses [P, 3 J]."""
+    width = poses.shape[1]
+    if width == 3 * joint_count:
+        return poses
+    if width not in (3 * BODY_JOINTS, 72, 156, 165):
+        raise InputError(f"{path}: poses of {width} numbers, but {joint_count} joints need {3 * joint_count}")
+    body = 3 * min(BODY_JOINTS, joint_count)
+    converted = np.zeros((len(poses), 3 * joint_count))
+    converted[:, :body] = poses[:, :body]
+    source, target = HANDS_FROM.get(width // 3), HANDS_FROM.get(joint_count)
+    if source is not None and target is not None:
+        converted[:, 3 * target : 3 * target + 90] = poses[:, 3 * source : 3 * source + 90]
+    return converted

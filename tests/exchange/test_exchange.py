@@ -1,0 +1,223 @@
+"""The file formats: what is written is read back, and what is broken is refused in one line that names it."""
+
+import io
+import json
+import os
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import face_ids, read_face_list, write_face_list
+from cloak_core.exchange.scenes import read_scene, write_scene
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_npy, read_npz
+from cloak_core.files.writing import write_json
+
+CUBE_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+
+
+def cube(poses: int = 2) -> Bodies:
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+    triangles = [t for a, b, c, d in CUBE_QUADS for t in ([a, b, c], [a, c, d])]
+    return Bodies(
+        vertices=np.stack([corners + i for i in range(poses)]),
+        triangles=np.array(triangles),
+        triangle_face=np.repeat(np.arange(6), 2),
+        loop_total=np.full(6, 4),
+        loop_vertices=np.ravel(CUBE_QUADS),
+        face_colors=np.linspace(0, 1, 36).reshape(2, 6, 3),
+        regions={"top": np.arange(6) == 3},
+        uv=np.zeros((1, 2)),
+        triangle_uv=np.zeros((12, 3), int),
+        textures={"skin": np.zeros((2, 2, 3), np.uint8)},
+        name="cube",
+    )
+
+
+def refused(words: str, call, *arguments):
+    with pytest.raises(InputError, match=words) as caught:
+        call(*arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_scene_round_trip(tmp_path):
+    bodies = cube()
+    write_scene(tmp_path / "scene", bodies)
+    back = read_scene(tmp_path / "scene")
+    for key in ("vertices", "triangles", "triangle_face", "face_colors", "loop_total", "loop_vertices", "uv"):
+        np.testing.assert_array_equal(getattr(back, key), getattr(bodies, key))
+        assert getattr(back, key).dtype == getattr(bodies, key).dtype
+    assert (back.names, back.name, back.topology) == (bodies.names, "cube", bodies.topology)
+    np.testing.assert_array_equal(back.regions["top"], bodies.regions["top"])
+    np.testing.assert_array_equal(back.textures["skin"], bodies.textures["skin"])
+    assert list(tmp_path.iterdir()) == [tmp_path / "scene"], "no temporary folder stays behind"
+
+
+def test_topology_ignores_pose_and_triangulation_but_not_loops():
+    bodies = cube()
+    other_split = bodies.triangles.copy()
+    other_split[0], other_split[1] = [0, 1, 2], [1, 3, 2]
+    same = Bodies(**{**vars_of(bodies), "triangles": other_split, "vertices": bodies.vertices * 2})
+    assert same.topology == bodies.topology
+    loops = bodies.loop_vertices.copy()
+    loops[[0, 1]] = loops[[1, 0]]
+    assert Bodies(**{**vars_of(bodies), "loop_vertices": loops}).topology != bodies.topology
+
+
+def vars_of(bodies: Bodies) -> dict:
+    return {k: v for k, v in vars(bodies).items() if k in Bodies.__dataclass_fields__}
+
+
+def test_scene_is_never_overwritten(tmp_path):
+    write_scene(tmp_path / "scene", cube())
+    refused("scene: exists already", write_scene, tmp_path / "scene", cube())
+
+
+def test_scene_with_a_changed_mesh_is_refused_with_both_hashes(tmp_path):
+    folder = write_scene(tmp_path / "scene", cube())
+    record = json.loads((folder / "scene.json").read_text())
+    record["topology"] = "0" * 64
+    (folder / "scene.json").write_text(json.dumps(record))
+    refused(f"{'0' * 64}.*{cube().topology}", read_scene, folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"vertices": np.full((2, 8, 3), np.nan)}, "vertices: not a finite number at pose 0, vertex 0"),
+        ({"triangles": np.full((12, 3), 8)}, "triangles: index 8 is beyond the 8 vertices"),
+        ({"triangles": np.full((12, 3), -1)}, "triangles: an index is negative"),
+        ({"triangles": np.zeros((12, 4), int)}, r"triangles: .* integers of shape \(any, 3\) are needed"),
+        ({"face_colors": np.full((1, 6, 3), 1.5)}, r"face_colors: values outside \[0, 1\]"),
+        ({"regions": {"top": np.ones(5, bool)}}, "region_top"),
+        ({"loop_total": np.array([4, 4, 4, 4, 4, 2])}, "polygon 5 has fewer than 3 corners"),
+        ({"names": ("a", "b", "c")}, "names: 3 for 2 poses"),
+        ({"triangle_uv": np.ones((12, 3), int)}, "triangle_uv: index 1 is beyond the 1 uv"),
+    ],
+)
+def test_bad_arrays_are_named(change, words):
+    refused(words, lambda: Bodies(**{**vars_of(cube()), **change}))
+
+
+def test_missing_foreign_and_newer_scenes(tmp_path):
+    refused("no such scene", read_scene, tmp_path / "absent")
+    refused("no scene.json", read_scene, tmp_path)
+    (tmp_path / "scene.json").write_text('{"format": "cloak scene", "version": 99}')
+    refused("version 99 is newer", read_scene, tmp_path)
+    (tmp_path / "scene.json").write_text('{"format": "something"}')
+    refused("not a cloak scene", read_scene, tmp_path)
+    (tmp_path / "scene.json").write_text('{"format": ' * 10)
+    refused("not valid JSON", read_scene, tmp_path)
+    np.savez(tmp_path / "a.npz", vertices=np.zeros((1, 3, 3)))
+    refused("no array 'triangles'", read_scene, tmp_path / "a.npz")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sets(st.integers(0, 5), min_size=1), st.sampled_from(["<i4", "<u4", "<i8", ">i8", "u1"]), st.randoms())
+def test_face_lists_of_every_integer_type_and_order(tmp_path_factory, ids, dtype, random):
+    path = tmp_path_factory.mktemp("lists") / "faces.npy"
+    shuffled = sorted(ids)
+    random.shuffle(shuffled)
+    np.save(path, np.array(shuffled, dtype))
+    read = read_face_list(path, cube())
+    assert read.ids.dtype == np.int64 and read.ids.tolist() == sorted(ids)
+
+
+def test_face_list_round_trip_and_sidecar(tmp_path):
+    bodies = cube()
+    write_face_list(tmp_path / "logo.npy", np.array([3, 1], np.int32), bodies.topology)
+    stored = np.load(tmp_path / "logo.npy")
+    assert stored.dtype == np.int64 and stored.tolist() == [1, 3]
+    assert json.loads((tmp_path / "logo.json").read_text())["topology"] == bodies.topology
+    other = Bodies(vertices=np.zeros((1, 9, 3)), triangles=np.zeros((9, 3), int))
+    refused(
+        f"{bodies.topology}, but .* {other.topology}",
+        read_face_list,
+        tmp_path / "logo.npy",
+        other,
+    )
+
+
+def test_reference_lists_count_triangles(tmp_path):
+    with open(tmp_path / "reference.idx", "wb") as file:
+        np.save(file, np.array([11, 2], np.int32))
+    read = read_face_list(tmp_path / "reference.idx", cube())
+    assert read.index_of == "triangle"
+    assert face_ids(read, cube()).tolist() == [1, 5]
+    np.save(tmp_path / "polygons.npy", np.array([11, 2]))
+    refused("polygon id 11 is beyond the mesh's 6", read_face_list, tmp_path / "polygons.npy", cube())
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.array([1, 2, 2]), r"duplicate face id 2 \(2 times\)"),
+        (np.array([1, -2]), "negative face id -2"),
+        (np.array([1.0, 2.0]), "not float64"),
+        (np.array([[1, 2]]), r"shape \(1, 2\)"),
+        (np.array([True]), "not bool"),
+        (np.array([], int), "empty"),
+        (np.array([2**40]), "beyond any mesh"),
+        (np.array([2**64 - 1], np.uint64), "beyond any mesh"),
+        (np.array([6]), "polygon id 6 is beyond the mesh's 6"),
+    ],
+)
+def test_bad_face_lists_are_refused_by_name(tmp_path, array, words):
+    np.save(tmp_path / "logo.npy", array)
+    refused(f"logo.npy: .*{words}", read_face_list, tmp_path / "logo.npy", cube())
+
+
+def test_nothing_is_unpickled(tmp_path):
+    np.save(tmp_path / "evil.npy", np.array([print], object), allow_pickle=True)
+    refused("Python objects", read_npy, tmp_path / "evil.npy")
+    np.savez(tmp_path / "evil.npz", vertices=np.array([print], object), triangles=np.zeros((1, 3), int))
+    refused("Python objects", read_scene, tmp_path / "evil.npz")
+
+
+def test_huge_declared_sizes_take_no_memory(tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<i8", "fortran_order": False, "shape": (1 << 40,)})
+    (tmp_path / "bomb.npy").write_bytes(header.getvalue())
+    refused("more than the file holds", read_npy, tmp_path / "bomb.npy")
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("vertices.npy", header.getvalue())
+    refused("more than the file holds", read_npz, tmp_path / "bomb.npz")
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 4000), st.binary(max_size=8))
+def test_damaged_archives_are_bad_input_not_defects(tmp_path_factory, at, patch):
+    folder = tmp_path_factory.mktemp("damaged")
+    np.savez_compressed(folder / "s.npz", **{k: v for k, v in vars_of(cube()).items() if isinstance(v, np.ndarray)})
+    data = bytearray((folder / "s.npz").read_bytes())
+    data[at % len(data) : at % len(data) + len(patch)] = patch
+    (folder / "s.npz").write_bytes(data[: len(data) - at % 7 * 20])
+    try:
+        read_scene(folder / "s.npz")
+    except InputError as error:
+        assert "s.npz" in str(error) and "\n" not in str(error)
+
+
+def test_colors(tmp_path):
+    write_colors(tmp_path / "colors.npy", np.array([[0, 0.5, 1]]))
+    assert read_colors(tmp_path / "colors.npy", 1).dtype == np.float32
+    refused("colours for 1 faces, but the logo has 2", read_colors, tmp_path / "colors.npy", 2)
+    np.save(tmp_path / "colors.npy", np.array([[0, 0.5, np.nan]]))
+    refused("outside", read_colors, tmp_path / "colors.npy")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    write_json(tmp_path / "a.json", {"old": 1})
+
+    def no_space(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    refused("a.json: cannot be written .No space left", write_json, tmp_path / "a.json", {"new": 1})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"old": 1}
+    assert len(list(tmp_path.iterdir())) == 1

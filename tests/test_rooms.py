@@ -1,0 +1,67 @@
+"""Rooms import downwards only, and the ground floor needs numpy alone."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+CORE = Path(__file__).parents[1] / "cloak_core"
+MAY_IMPORT = {
+    "files": set(),
+    "exchange": {"files"},
+    "scene": {"files", "exchange"},
+    "render": {"files", "exchange", "scene"},
+    "detectors": {"files", "exchange", "scene"},
+    "attack": {"files", "exchange", "scene", "render", "detectors"},
+    "output": {"files", "exchange", "scene", "render", "detectors"},
+    "evaluate": {"files", "exchange", "scene", "render", "detectors", "attack"},
+}
+"""Nobody imports `bench` and `pretrain` but the commands; `commands` are imported by the command line alone."""
+TOP = {"commands", "cli", "bench", "pretrain", "__main__", "__init__"}
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(CORE).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    """Modules that a file imports anywhere, also inside functions; relative ones resolved."""
+    package = ["cloak_core", *path.relative_to(CORE).parts[:-1]]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else []
+            module = ".".join([*above, *([node.module] if node.module else [])])
+            found |= {f"{module}.{alias.name}" for alias in node.names} | {module}
+    return found
+
+
+def rooms_imported(path: Path) -> set[str]:
+    return {name.split(".")[1] for name in imported(path) if name.startswith("cloak_core.")}
+
+
+FILES = [path for path in sorted(CORE.rglob("*.py")) if room_of(path) not in TOP]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(CORE).as_posix())
+def test_a_room_imports_only_the_rooms_below_it(path):
+    room = room_of(path)
+    assert room in MAY_IMPORT, f"{room} has no place among the rooms yet"
+    assert rooms_imported(path) - {room, "__version__"} <= MAY_IMPORT[room]
+
+
+@pytest.mark.parametrize("room", ["bench", "pretrain", "commands"])
+def test_nobody_below_imports_what_stands_above(room):
+    for path in CORE.rglob("*.py"):
+        if room_of(path) not in (room, "commands", "cli"):
+            assert room not in rooms_imported(path), path
+
+
+@pytest.mark.parametrize("room", ["files", "exchange"])
+def test_what_the_extension_ships_needs_numpy_and_the_standard_library_alone(room):
+    for path in (CORE / room).glob("*.py"):
+        outside = {name.split(".")[0] for name in imported(path)} - {"cloak_core", "numpy"}
+        assert outside <= set(sys.stdlib_module_names), path
