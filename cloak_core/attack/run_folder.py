@@ -16,6 +16,7 @@ from cloak_core.attack.settings import TrainSettings
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.logo import Logo
