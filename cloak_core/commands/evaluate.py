@@ -44,9 +44,9 @@ class Evaluate(Command):
 
     def run(self) -> dict:
         from cloak_core.attack.parsing import parse_angles
+        from cloak_core.evaluate.evaluation import evaluate
+        from cloak_core.evaluate.evaluation_folder import FOLDER
         from cloak_core.evaluate.provenance import training_record
-        from cloak_core.evaluate.store import FOLDER
-        from cloak_core.evaluate.success import evaluate
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
         from cloak_core.scene.logos.logo import make_logo
 

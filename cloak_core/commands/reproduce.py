@@ -48,10 +48,10 @@ class Reproduce(Command):
 
     def run(self) -> dict:
         from cloak_core.evaluate.cycles import NoBlender
+        from cloak_core.evaluate.experiments.index_page import make_page
         from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
         from cloak_core.evaluate.experiments.markdown import publish
         from cloak_core.evaluate.experiments.materials import open_materials
-        from cloak_core.evaluate.experiments.page import make_page
         from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 
         materials = open_materials(

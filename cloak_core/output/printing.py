@@ -12,8 +12,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.output.baking import bake, dressed
 from cloak_core.output.layout import lay_out
+from cloak_core.output.print_sheets import PAGES, write_sheets
 from cloak_core.output.printer_gamut import nearest_printable
-from cloak_core.output.sheets import PAGES, write_sheets
 from cloak_core.output.textured import png, write_glb, write_obj
 from cloak_core.scene.logos.palette import nearest_in_palette
 

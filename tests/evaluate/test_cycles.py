@@ -9,9 +9,9 @@ import torch
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluate import cycles
 from cloak_core.evaluate.cycles import CyclesStage, NoBlender, image_difference, render_frames, require_blender
+from cloak_core.evaluate.evaluation import make_stage
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
-from cloak_core.evaluate.success import make_stage
 from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from cloak_core.scene.logos.logo import make_logo, select_region
 from cloak_core.scene.people.samples import sample_bodies

@@ -14,12 +14,12 @@ from torch import Tensor
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluate.experiments import lab as lab_module
 from cloak_core.evaluate.experiments.attacks import repeated
+from cloak_core.evaluate.experiments.index_page import make_page
 from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
 from cloak_core.evaluate.experiments.logos import PAPER_SHARES, chest_thighs, paper_logos, shapes, trimmed
 from cloak_core.evaluate.experiments.markdown import publish
 from cloak_core.evaluate.experiments.materials import Materials, open_materials
 from cloak_core.evaluate.experiments.outcome import threshold_rows
-from cloak_core.evaluate.experiments.page import make_page
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.files.errors import InputError

@@ -12,9 +12,9 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.output.baking import Texture, bake, dressed, look_up
 from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
+from cloak_core.output.print_sheets import PAGES, pages, tiles
 from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
 from cloak_core.output.printing import print_logo
-from cloak_core.output.sheets import PAGES, pages, tiles
 from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera

@@ -25,13 +25,13 @@ from cloak_core.attack.settings import TrainSettings, make_settings, settings_re
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.evaluate.controls import NATURAL, STANDARD
+from cloak_core.evaluate.evaluation import make_stage
 from cloak_core.evaluate.experiments.materials import Materials, backgrounds_record, bodies_record
 from cloak_core.evaluate.experiments.repeats import Repeats
+from cloak_core.evaluate.inference import measure
 from cloak_core.evaluate.measurement import Measurement, read_measurement
-from cloak_core.evaluate.measuring import measure
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
-from cloak_core.evaluate.success import make_stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image
 
 from cloak_core.evaluate.controls import LOGO
-from cloak_core.evaluate.experiments.page import table
+from cloak_core.evaluate.experiments.index_page import table
 from cloak_core.evaluate.experiments.registry import finished
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json

@@ -11,12 +11,12 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
+from cloak_core.evaluate.contact_sheet import draw_sheet
 from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.experiments.lab import Lab, Trained
 from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.evaluate.figures import SERIES
 from cloak_core.evaluate.pictures import failure_trials, gallery_trials, shoot_pair
-from cloak_core.evaluate.sheets import draw_sheet
 
 SIDE = 160
 """Of a picture, pixels."""

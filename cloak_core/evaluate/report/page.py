@@ -11,10 +11,10 @@ import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from cloak_core.evaluate.evaluation_folder import FOLDER, StoredEvaluation, read_evaluation
 from cloak_core.evaluate.figures import inline_svg, style
 from cloak_core.evaluate.report import plots, words
 from cloak_core.evaluate.report.history import History, read_history
-from cloak_core.evaluate.store import FOLDER, StoredEvaluation, read_evaluation
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 

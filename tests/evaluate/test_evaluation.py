@@ -12,13 +12,13 @@ from torch import Tensor
 
 from cloak_core.commands.evaluate import show_success
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
-from cloak_core.evaluate.measuring import max_score_on
+from cloak_core.evaluate.contact_sheet import contact_sheet
+from cloak_core.evaluate.evaluation import evaluate, make_stage
+from cloak_core.evaluate.evaluation_folder import read_evaluation
+from cloak_core.evaluate.inference import max_score_on
 from cloak_core.evaluate.provenance import pose_hashes
 from cloak_core.evaluate.report import make_report
 from cloak_core.evaluate.settings import EvaluateSettings
-from cloak_core.evaluate.sheets import contact_sheet
-from cloak_core.evaluate.store import read_evaluation
-from cloak_core.evaluate.success import evaluate, make_stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds

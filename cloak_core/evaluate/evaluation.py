@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.evaluate.evaluation_folder import check_folder, write_evaluation
+from cloak_core.evaluate.inference import OnProgress, measure
 from cloak_core.evaluate.measurement import draw_trials
-from cloak_core.evaluate.measuring import OnProgress, measure
 from cloak_core.evaluate.provenance import seen_in_training, trained_against
 from cloak_core.evaluate.rates import summarize
-from cloak_core.evaluate.recording import store_evaluation
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
-from cloak_core.evaluate.store import check_folder
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.view_files import view_files
@@ -78,7 +77,7 @@ def evaluate(
         },
     }
     if out is not None:
-        store_evaluation(out, summary, measurement, stage, detectors)
+        write_evaluation(out, summary, measurement, stage, detectors)
     return summary
 
 

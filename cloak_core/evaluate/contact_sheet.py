@@ -8,8 +8,8 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from cloak_core.evaluate.controls import CLOTHING, LOGO
+from cloak_core.evaluate.evaluation_folder import FOLDER, read_evaluation
 from cloak_core.evaluate.figures import SERIES
-from cloak_core.evaluate.store import FOLDER, read_evaluation
 from cloak_core.files.errors import InputError
 
 BOX, INK, SOFT, PAPER = (224, 52, 28), (31, 35, 40), (89, 99, 110), (255, 255, 255)
