@@ -1,6 +1,7 @@
 """Decoded and resized images on disk, so that no run pays for the same photograph twice.
 
-One file of raw bytes for each picture and size, named after the SHA-256 of the picture's own file; see files/caching.py.
+One file of raw bytes for each picture and size, named after the SHA-256 of the picture's own file; see
+files/caching.py.
 """
 
 from __future__ import annotations
