@@ -31,14 +31,14 @@ _STATE = "held_out."
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Material:
+class TrainingData:
     """Bodies and backgrounds of which images are made."""
 
     bodies: Bodies
     backgrounds: Backgrounds
 
 
-def set_aside(settings: TrainSettings, material: Material) -> tuple[Material, Material | None]:
+def set_aside(settings: TrainSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
     """What is trained on, and what is held out (None where `settings.held_out` is 0).
 
     At least one background is held out, and at least one pose where there are several; a single pose serves both.
@@ -53,8 +53,8 @@ def set_aside(settings: TrainSettings, material: Material) -> tuple[Material, Ma
     image, held_image = _split(random, len(backgrounds), settings.held_out)
     pose, held_pose = _split(random, bodies.pose_count, settings.held_out) if bodies.pose_count > 1 else ([0], [0])
     return (
-        Material(bodies.select_poses(pose), backgrounds.subset(image)),
-        Material(bodies.select_poses(held_pose), backgrounds.subset(held_image)),
+        TrainingData(bodies.select_poses(pose), backgrounds.subset(image)),
+        TrainingData(bodies.select_poses(held_pose), backgrounds.subset(held_image)),
     )
 
 

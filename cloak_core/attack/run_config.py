@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from cloak_core import __version__
-from cloak_core.attack.held_out import Material
+from cloak_core.attack.held_out import TrainingData
 from cloak_core.attack.settings import TrainSettings, settings_record
 from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
@@ -27,7 +27,7 @@ def run_config(
     inputs: Mapping[str, str],
     processes: int = 1,
     palette: np.ndarray | None = None,
-    held_out: Material | None = None,
+    held_out: TrainingData | None = None,
     start: np.ndarray | None = None,
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""

@@ -141,7 +141,7 @@ def _text(value: object) -> str:
 # --- running it ------------------------------------------------------------------------------------------------------
 
 
-class _Material:
+class _Opened:
     """What runs are made of, opened once."""
 
     def __init__(self) -> None:
@@ -168,7 +168,7 @@ class Sweep:
 
     def __init__(self, runs: Sequence[SweepRun], out: str | Path) -> None:
         self.runs, self.out = tuple(runs), Path(out)
-        self._material = _Material()
+        self._opened = _Opened()
         self._failed_before: dict[str, int] = {}
 
     def run(self, tell: Tell = lambda line: None, on_event: OnEvent | None = None) -> str:
@@ -178,7 +178,7 @@ class Sweep:
         next sweep tries it again. InputError before anything is trained: something in the grid cannot be opened.
         """
         for run in self.runs:
-            self._material.open(run)
+            self._opened.open(run)
         with written(self.out):
             for folder in ("runs", "results"):
                 (self.out / folder).mkdir(parents=True, exist_ok=True)
@@ -217,7 +217,7 @@ class Sweep:
         folder = self.out / "runs" / run.name
         record = {"name": run.name, "varied": run.varied}
         try:
-            bodies, logo, detectors, backgrounds = self._material.open(run)
+            bodies, logo, detectors, backgrounds = self._opened.open(run)
             inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
             result = train(
                 run.settings,

@@ -14,7 +14,7 @@ import torch
 from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
-from cloak_core.attack.held_out import HeldOut, Material, held_out_settings, set_aside
+from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
 from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
@@ -98,7 +98,7 @@ def _train(
     device = local_device(settings.device)
     detectors = [detector.to(device) for detector in detectors]
     palette = None if settings.palette is None else read_palette(settings.palette)
-    trained, held = set_aside(settings, Material(bodies, backgrounds))
+    trained, held = set_aside(settings, TrainingData(bodies, backgrounds))
     batcher = make_batcher(settings, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings)
     start = None if settings.init is None else read_start(Path(settings.init), logo)
@@ -132,7 +132,7 @@ def make_bank(bodies: Bodies, settings: TrainSettings, device: torch.device) -> 
     return ViewBank(bodies, device=device, samples=settings.samples, files=view_files())
 
 
-def make_batcher(settings: TrainSettings, material: Material, logo: Logo, device: torch.device) -> Batcher:
+def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, device: torch.device) -> Batcher:
     """What draws and builds a run's batches."""
     bodies, backgrounds = material.bodies, material.backgrounds
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))

@@ -13,7 +13,7 @@ from cloak_core.render.projection import Screen
 
 
 @dataclass(frozen=True)
-class Flat:
+class FlatTriangles:
     """N triangles on the snapped screen, between K corners."""
 
     x: Int32[Tensor, " K"]
@@ -27,20 +27,20 @@ class Flat:
         return [t.contiguous().numpy() for t in (self.x, self.y, self.nearness, self.corner, self.ids)]
 
 
-def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int) -> Flat:
+def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int) -> FlatTriangles:
     """All triangles of one view but those behind its near plane; parts of clipped ones come last and keep their
     triangle's id."""
     x, y, nearness = (t[view] for t in (screen.x, screen.y, screen.nearness))
     ids = torch.arange(triangles.shape[1], device=x.device)
     if screen.safe is None:
-        return Flat(x, y, nearness, triangles, ids)
+        return FlatTriangles(x, y, nearness, triangles, ids)
     whole = screen.safe[view][triangles].all(0)
     ahead = (screen.view[2][view] >= screen.near[view])[triangles].any(0)
     cut = (ahead & ~whole).nonzero().view(-1)
     corners = torch.stack([axis[view][triangles[:, cut]] for axis in screen.view], 1)
     focal, near = (t[view].expand(len(cut)) for t in (screen.focal, screen.near))
     soup, owner = clip(corners, focal, near, screen.width, screen.height)
-    return Flat(
+    return FlatTriangles(
         torch.cat([x, soup.x.view(-1)]),
         torch.cat([y, soup.y.view(-1)]),
         torch.cat([nearness, soup.nearness]),

@@ -26,7 +26,7 @@ GRID = 1 << 16
 GUARD = 8192 * GRID
 """Guard band: snapped coordinates stay within [-GUARD, GUARD], so that edge functions fit into int64."""
 
-Points = tuple[Tensor, Tensor, Tensor]
+Coordinates = tuple[Tensor, Tensor, Tensor]
 """x, y and z of points, float64, all of one shape."""
 
 
@@ -36,7 +36,7 @@ class Screen:
 
     width: int
     height: int
-    view: Points
+    view: Coordinates
     """View space coordinates [B, V], metres."""
     x: Int32[Tensor, "B V"]
     y: Int32[Tensor, "B V"]
@@ -114,7 +114,7 @@ def _by_loops(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]],
 def _screen_of(
     width: int,
     height: int,
-    view: Points,
+    view: Coordinates,
     x: Int32[Tensor, "B V"],
     y: Int32[Tensor, "B V"],
     nearness: Tensor,
@@ -131,13 +131,13 @@ def _screen_of(
     return Screen(width, height, view, x, y, nearness, safe, bounds, focal, near)
 
 
-def snap(view: Points, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+def snap(view: Coordinates, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
     """Snapped screen x and y, int32, of points in view space that lie before the near plane and in the guard band."""
     x, y = _screen(view, focal, near, width, height)
     return _integers(x), _integers(y)
 
 
-def _screen(view: Points, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
+def _screen(view: Coordinates, focal: Tensor, near: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:
     """Whole numbers of grid units, float64."""
     scale = focal * GRID / view[2].clamp(min=near)
     x = (view[0] * scale).add_(width * (GRID // 2)).round_()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloak_core.attack.events import read_events
-from cloak_core.attack.held_out import Material, set_aside
+from cloak_core.attack.held_out import TrainingData, set_aside
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from tests.attack.fakes import box_bodies, noise_backgrounds, tiny_settings
@@ -14,7 +14,7 @@ EARLY = {"held_out": 0.3, "tv_weight": 0, "held_out_every": 2, "patience": 2, "s
 
 
 def test_what_is_set_aside_is_apart_and_drawn_by_the_seed():
-    material = Material(box_bodies(5), noise_backgrounds(10))
+    material = TrainingData(box_bodies(5), noise_backgrounds(10))
     trained, held = set_aside(tiny_settings(held_out=0.3), material)
     for count, share, names in ((5, 2, lambda m: m.bodies.names), (10, 3, lambda m: m.backgrounds.names)):
         assert len(names(held)) == share and len(names(trained)) == count - share
@@ -26,11 +26,11 @@ def test_what_is_set_aside_is_apart_and_drawn_by_the_seed():
 
 
 def test_little_material():
-    trained, held = set_aside(tiny_settings(held_out=0.01), Material(box_bodies(1), noise_backgrounds(2)))
+    trained, held = set_aside(tiny_settings(held_out=0.01), TrainingData(box_bodies(1), noise_backgrounds(2)))
     assert len(trained.backgrounds) == len(held.backgrounds) == 1
     assert trained.bodies.pose_count == held.bodies.pose_count == 1
     with pytest.raises(InputError, match=r"--held-out 0\.2: a single background"):
-        set_aside(tiny_settings(held_out=0.2), Material(box_bodies(1), noise_backgrounds(1)))
+        set_aside(tiny_settings(held_out=0.2), TrainingData(box_bodies(1), noise_backgrounds(1)))
 
 
 def told(folder, kind):

@@ -75,7 +75,7 @@ def test_bad_grids_are_refused_by_name(tmp_path, text, words):
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
     """Four tiny runs, on the fakes' material."""
-    monkeypatch.setattr(sweeps._Material, "open", children.tiny_material)
+    monkeypatch.setattr(sweeps._Opened, "open", children.tiny_material)
     return children.tiny_runs(tmp_path)
 
 
@@ -116,13 +116,13 @@ def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):
 
 
 def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, runs, monkeypatch):
-    sound = sweeps._Material.open
+    sound = sweeps._Opened.open
 
     def broken(self, run):
         bodies, logo, detectors, backgrounds = sound(self, run)
         return bodies, logo, [BrokenDetector(2)] if run is runs[1] else detectors, backgrounds
 
-    monkeypatch.setattr(sweeps._Material, "open", broken)
+    monkeypatch.setattr(sweeps._Opened, "open", broken)
     sweep = Sweep(runs, tmp_path / "out")
     assert sweep.run() == ""
     record = sweep.write_results()
