@@ -48,7 +48,7 @@ def heatmap(
         for azimuth in angles:
             outfit = count // per_view % bodies.outfit_count
             view = bank.dress(pose, Camera(azimuth=float(azimuth), width=size, height=size), faces, outfit)
-            worn = torch.from_numpy(bodies.face_colors[outfit]).to(device)
+            worn = torch.tensor(bodies.face_colors[outfit], device=device)
             for first in range(0, per_view, IMAGES):
                 chosen = [(count + i) % len(backgrounds) for i in range(min(IMAGES, per_view - first))]
                 behind = backgrounds.batch(chosen, size, size).to(device)

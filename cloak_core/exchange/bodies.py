@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..files.errors import InputError
-from ..files.identity import sha256_arrays
+from ..files.identity import sha256_arrays, sha256_record
 
 MAX_FACES = 1 << 24
 
@@ -19,7 +19,8 @@ class Bodies:
     """One topology in many poses: the scene as arrays (P poses, V vertices, T triangles, F polygons, K outfits).
 
     A face is a polygon, by its index in Blender. Polygons were triangulated once, in the first pose.
-    Construction checks shapes, ranges and finiteness and raises `InputError`.
+    Construction checks shapes, ranges and finiteness and raises `InputError`. The arrays cannot be written to, so that
+    what is known of them stays true; an array that somebody else could still write to is copied (see `frozen`).
     """
 
     vertices: np.ndarray
@@ -154,11 +155,32 @@ class Bodies:
         name = self.outfit_textures[outfit] if self.outfit_textures else ""
         return self.textures[name] if name else None
 
+    @cached_property
+    def pose_hashes(self) -> tuple[str, ...]:
+        """SHA-256 (hex) of every pose's vertices."""
+        return tuple(sha256_arrays(vertices) for vertices in self.vertices)
+
+    @cached_property
+    def identity(self) -> str:
+        """SHA-256 (hex) of all that images of these bodies depend on: names and regions do not count."""
+        arrays = {key: getattr(self, key) for key in ("triangles", "triangle_face", "face_colors", "uv", "triangle_uv")}
+        hashes = {key: sha256_arrays(array) for key, array in arrays.items() if array is not None}
+        worn = [self.texture_of(outfit) for outfit in range(self.outfit_count)]
+        textures = ["" if image is None else sha256_arrays(image) for image in worn]
+        return sha256_record(hashes | {"topology": self.topology, "poses": self.pose_hashes, "textures": textures})
+
+    def __setstate__(self, state: dict) -> None:
+        """Arrays come back from another process writable: they are frozen again."""
+        for array in [*state.values(), *state["regions"].values(), *state["textures"].values()]:
+            if isinstance(array, np.ndarray):
+                frozen(array)
+        self.__dict__.update(state)
+
     def select_poses(self, indices: object) -> Bodies:
         """The same bodies with only these poses (indices, in this order)."""
         indices = np.atleast_1d(np.asarray(indices, np.int64))
         names = tuple(self.names[i] for i in indices)
-        return replace(self, vertices=self.vertices[indices], names=names, recorded_topology=self.topology)
+        return replace(self, vertices=frozen(self.vertices[indices]), names=names, recorded_topology=self.topology)
 
 
 def topology_hash(vertex_count: int, loop_total: np.ndarray, loop_vertices: np.ndarray) -> str:
@@ -179,7 +201,26 @@ def _array(value: object, dtype: type, name: str, shape: tuple[int | None, ...])
         raise InputError(f"{name}: {array.dtype} of shape {array.shape}, but {kind} of shape ({wanted}) are needed")
     if np.dtype(dtype).kind == "i" and array.size and (array.min() < 0 or array.max() > np.iinfo(np.int32).max):
         raise InputError(f"{name}: an index is negative or beyond 2^31")
-    return np.ascontiguousarray(array, dtype)
+    ours = np.ascontiguousarray(array, dtype)
+    if _is_frozen(ours):
+        return ours
+    return frozen(ours.copy() if np.may_share_memory(ours, array) else ours)
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """The array, read-only from now on, and what it is a view of: `Bodies` then takes it as it is, without a copy."""
+    part = array
+    while isinstance(part, np.ndarray):
+        part.setflags(write=False)
+        part = part.base
+    return array
+
+
+def _is_frozen(array: object) -> bool:
+    """Whether nobody can write to this array, nor to one that it is a view of."""
+    while isinstance(array, np.ndarray) and not array.flags.writeable:
+        array = array.base
+    return not isinstance(array, np.ndarray)
 
 
 def _finite(array: np.ndarray, name: str, axes: tuple[str, ...]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from ..files.errors import InputError
 from ..files.reading import read_json, read_npz
 from ..files.writing import new_folder
-from .bodies import Bodies
+from .bodies import Bodies, frozen
 from .versions import FORMAT_VERSION, check_version
 
 AXES = "y up, facing +z, right-handed"
@@ -29,7 +29,7 @@ def read_scene(path: str | os.PathLike) -> Bodies:
         check_version(record, "cloak scene", path / "scene.json")
     elif not path.exists():
         raise InputError(f"{path}: no such scene")
-    arrays = read_npz(arrays_path)
+    arrays = {key: frozen(array) for key, array in read_npz(arrays_path).items()}
     for key in ("vertices", "triangles"):
         if key not in arrays:
             raise InputError(f"{arrays_path}: not a scene (no array '{key}')")

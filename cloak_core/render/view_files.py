@@ -1,30 +1,28 @@
 """Built views on disk, so that runs that look at the same bodies from the same cameras build them once.
 
 One safetensors file for each view, named after the SHA-256 of all that decides it: the pose's vertices, the topology,
-camera, light and samples, and the code that renders. See files/caching.py for how such files are kept.
+camera, light and samples, the code that renders, and whether compiled loops or torch run it. See files/caching.py for
+how such files are kept.
 """
 
 from __future__ import annotations
 
-import hashlib
-from pathlib import Path
-
-import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-import cloak_core
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache, cache_folder
+from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
+from cloak_core.render.compiled import use_loops
 from cloak_core.render.dressing import View
-from cloak_core.scene import cameras
-from cloak_core.scene import geometry as bodies_module
 from cloak_core.scene.cameras import Camera
 
 LIMIT_BYTES = 1 << 30
 """Of all files together: some 2000 views of 416 x 416."""
+CODE = ("render", "exchange/bodies.py", "scene/cameras.py", "scene/geometry.py")
+"""What decides a view among our sources: another renderer builds all views anew."""
 _INDICES = ("pixels", "crow", "face")
 _NUMBERS = ("coverage", "specular", "weight")
 
@@ -39,13 +37,10 @@ class StoredViews:
 
     def __init__(self, files: DiskCache, bodies: Bodies, recipe: object, textured: bool, device: torch.device) -> None:
         self._files, self._bodies, self._textured, self._device = files, bodies, textured, device
-        self._keys: dict[int, bytes] = {}
-        common = hashlib.sha256(CODE)
-        common.update(repr((recipe, textured, device.type, torch.__version__)).encode())
-        common.update(torch.backends.cpu.get_cpu_capability().encode())
-        for array in (bodies.triangles, bodies.triangle_face, *((bodies.uv, bodies.triangle_uv) if textured else ())):
-            common.update(_content(array))
-        self._common = common
+        arrays = [bodies.triangles, bodies.triangle_face, *((bodies.uv, bodies.triangle_uv) if textured else ())]
+        packages = package_versions("torch", "numpy", "numba")
+        self._common = [code_hash(*CODE), repr(recipe), device.type, torch.backends.cpu.get_cpu_capability(), packages]
+        self._common.append(sha256_arrays(*arrays))
 
     def get(self, pose: int, camera: Camera) -> View | None:
         """The view; None where there is none, or a file that is no such view."""
@@ -91,27 +86,9 @@ class StoredViews:
         return View(camera.height, camera.width, **{name: put(name) for name in tensors})
 
     def _name(self, pose: int, camera: Camera) -> str:
-        if pose not in self._keys:
-            own = self._common.copy()
-            own.update(_content(self._bodies.vertices[pose]))
-            self._keys[pose] = own.digest()
-        return hashlib.sha256(self._keys[pose] + repr(camera).encode()).hexdigest()
+        decisive = [*self._common, self._bodies.pose_hashes[pose], repr(camera), use_loops(self._device)]
+        return sha256_record(decisive)
 
 
 def _within(indices: Tensor, count: int) -> bool:
     return not len(indices) or (int(indices.min()) >= 0 and int(indices.max()) < count)
-
-
-def _content(array: np.ndarray) -> bytes:
-    return f"{array.dtype} {array.shape} ".encode() + array.tobytes()
-
-
-def _code() -> bytes:
-    hashed = hashlib.sha256(cloak_core.__version__.encode())
-    for path in [*sorted(Path(__file__).parent.glob("*.py")), *map(Path, (bodies_module.__file__, cameras.__file__))]:
-        hashed.update(path.read_bytes())
-    return hashed.digest()
-
-
-CODE = _code()
-"""Of the code that decides what a view holds, as this process has loaded it: another renderer builds all views anew."""

@@ -67,7 +67,8 @@ class ViewBank:
         self.bodies, self.light, self.samples = bodies, light or Light(), samples or AREA_SAMPLES
         self.by_area = samples is None
         self.device = torch.device(device)
-        put = lambda array, dtype: torch.from_numpy(np.ascontiguousarray(array)).to(self.device, dtype)
+        # A copy, always: torch takes no arrays that cannot be written to.
+        put = lambda array, dtype: torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=self.device)
         self._triangles = put(bodies.triangles.T, torch.int64)
         self._triangle_face = put(bodies.triangle_face, torch.int64)
         self._colors = put(bodies.face_colors, torch.float32)

@@ -13,6 +13,7 @@ from safetensors.torch import load, save
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache
 from cloak_core.render import view_files as stored
+from cloak_core.render.compiled import torch_alone
 from cloak_core.render.dressing import View
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
@@ -93,10 +94,27 @@ def test_what_decides_a_view_decides_its_name(tmp_path, monkeypatch, changed: st
     if changed == "samples":
         options["samples"] = 64  # as many as an area view counts in doubtful pixels
     if changed == "code":
-        monkeypatch.setattr(stored, "CODE", b"another renderer")
+        monkeypatch.setattr(stored, "code_hash", lambda *rooms: "another renderer")
     no_building(monkeypatch)
     with pytest.raises(TypeError):
         bank(tmp_path, bodies, **options).view(0, camera)
+
+
+def test_what_loops_and_what_torch_make_are_apart(tmp_path):
+    bank(tmp_path).view(0, CAMERA)
+    with torch_alone():
+        bank(tmp_path).view(0, CAMERA)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_bodies_that_were_changed_in_place_are_not_found_under_the_old_name(tmp_path):
+    bodies, vertices = sphere(poses=2), sphere(poses=2).vertices.copy()
+    with pytest.raises(ValueError, match="read-only"):
+        bodies.vertices[0] += 1
+    theirs = dataclasses.replace(bodies, vertices=vertices)
+    kept = bank(tmp_path, theirs)
+    vertices[:, :, 0] *= 2
+    assert_same(kept.view(0, CAMERA), ViewBank(bodies).view(0, CAMERA))
 
 
 def test_colours_do_not_decide_a_view(tmp_path, monkeypatch):
