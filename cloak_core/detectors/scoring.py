@@ -55,15 +55,14 @@ def person_boxes(detections: Detections, threshold: float = THRESHOLD, nms: floa
 
 
 def _suppress(boxes: Tensor, scores: Tensor, threshold: float, nms: float) -> Tensor:
+    from torchvision.ops import nms as kept_by_nms  # its import takes nearly two seconds
+
     order = scores.argsort(descending=True, stable=True)
     order = order[scores[order] > threshold]
     rows = torch.cat([boxes[order], scores[order, None]], dim=1).float().cpu()
-    kept: list[Tensor] = []
-    while len(rows):
-        best, rows = rows[0], rows[1:]
-        kept.append(best)
-        rows = rows[box_iou(rows[:, :4], best[:4]) <= nms]
-    return torch.stack(kept) if kept else rows.new_zeros(0, 5)
+    # A box whose corners are swapped is empty here; torchvision would count its negative sides.
+    corners = torch.cat([rows[:, :2], torch.maximum(rows[:, :2], rows[:, 2:4])], dim=1)
+    return rows[kept_by_nms(corners, rows[:, 4], nms)]
 
 
 def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, "B"]:

@@ -1,5 +1,8 @@
 """When a person counts as detected."""
 
+import subprocess
+import sys
+
 import pytest
 import torch
 from hypothesis import given
@@ -79,3 +82,30 @@ def test_suppression_keeps_the_best() -> None:
     kept = person_boxes(found([[0.7, 0.9, 0.8, 0.1]], boxes))[0]
     assert kept[:, 4].tolist() == pytest.approx([0.9, 0.8])
     assert kept[0, :4].tolist() == [1.0, 0.0, 11.0, 10.0]
+
+
+def suppressed_one_by_one(rows: torch.Tensor, nms: float) -> torch.Tensor:
+    """The best box, then the best of those that overlap no kept one, and so on: what suppression means."""
+    rows, kept = rows[rows[:, 4].argsort(descending=True, stable=True)], []
+    while len(rows):
+        kept.append(rows[0])
+        rows = rows[1:][box_iou(rows[1:, :4], kept[-1][:4]) <= nms]
+    return torch.stack(kept)
+
+
+@pytest.mark.parametrize("nms", [0.25, 0.45, 0.5])
+@pytest.mark.parametrize("seed", range(20))
+def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:
+    """On random boxes: many overlap by exactly 1/4 or 1/2, scores tie, some are empty or have swapped corners."""
+    rng = torch.Generator().manual_seed(seed)
+    corner = torch.randint(0, 9, (120, 2), generator=rng)
+    boxes = torch.cat([corner, corner + torch.randint(-2, 9, (120, 2), generator=rng)], 1).float()
+    scores = torch.randint(1, 12, (120,), generator=rng) / 16
+    kept = person_boxes(Detections(boxes[None], scores[None]), threshold=0.1, nms=nms)[0]
+    rows = torch.cat([boxes, scores[:, None]], 1)
+    assert torch.equal(kept, suppressed_one_by_one(rows[scores > 0.1], nms))
+
+
+def test_scoring_is_imported_without_torchvision() -> None:
+    code = "import sys, cloak_core.detectors.scoring; sys.exit('torchvision' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
