@@ -1,28 +1,35 @@
-"""Confidence intervals for success rates over images that share bodies and backgrounds.
+"""Confidence intervals for success rates over images that share bodies, backgrounds and trainings.
 
-Images of one body, or on one background, succeed and fail together, so they are not independent draws and a binomial
-interval is far too narrow. The interval here is a pigeonhole bootstrap (Owen, "The pigeonhole bootstrap", Annals of
-Applied Statistics 1(2), 2007): bodies and backgrounds are each drawn again with replacement, and an image counts as
-often as its body times its background was drawn. Two corrections make it hold for the few bodies one has:
+Images of one body, on one background, or of one training succeed and fail together, so they are not independent draws
+and a binomial interval is far too narrow. The interval here is a pigeonhole bootstrap (Owen, "The pigeonhole
+bootstrap", Annals of Applied Statistics 1(2), 2007): bodies, backgrounds and seeds are each drawn again with
+replacement, and an image counts as often as its body times its background times its seed was drawn. Two corrections
+make it hold for the few bodies and seeds one has:
 
-- The bootstrap counts what is an image's own up to three times, sees the variance between n bodies too small by
+- The bootstrap counts what is an image's own several times, sees the variance between n bodies too small by
   (n - 1) / n, and knows nothing of that variance's own uncertainty. So its percentiles, which give the shape, are moved
-  from or to the estimate until their spread is the two-way clustered one: bodies' variance + backgrounds' - pairs' own
-  (Cameron, Gelbach and Miller, JBES 29(2), 2011), bodies and backgrounds each with n / (n - 1) and t(n - 1) / z.
+  from or to the estimate until their spread is the multiway clustered one (Cameron, Gelbach and Miller, JBES 29(2),
+  2011): the variances of bodies, backgrounds and seeds, each with n / (n - 1) and (t(n - 1) / z)^2, minus those of
+  their pairs, plus that of the triples; never less than the largest single one.
 - Where every image came out alike a bootstrap reports no doubt at all. The interval is therefore never narrower than
-  Wilson's for as many independent draws as there are distinct (body, background) pairs.
+  Wilson's for as many independent draws as there are distinct (body, background) pairs: another training on the same
+  pair is no new image.
 
-With one body (or one background) nothing can be said about others: the interval then speaks of that body alone.
+With one body (or one background, or one seed) nothing can be said about others: the interval then speaks of that one
+alone.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
 
 import numpy as np
+from jaxtyping import Bool, Integer
 
 RESAMPLES = 1000
 LEVEL = 0.95
@@ -38,25 +45,26 @@ class Rate:
     n: int
 
 
-def two_way_rate(
-    hits: np.ndarray,
-    bodies: np.ndarray,
-    backgrounds: np.ndarray,
+def clustered_rate(
+    hits: Bool[np.ndarray, " N"],
+    bodies: Integer[np.ndarray, " N"],
+    backgrounds: Integer[np.ndarray, " N"],
+    seeds: Integer[np.ndarray, " N"] | None = None,
     *,
     resamples: int = RESAMPLES,
     level: float = LEVEL,
     seed: int = 0,
 ) -> Rate:
-    """Share of `hits` (bool [N]) with its interval over bodies and backgrounds (integer labels [N] each)."""
+    """Share of `hits` with its interval over bodies, backgrounds and, where given, the seeds of trainings (labels)."""
     n = len(hits)
     if not n:
         return Rate(math.nan, math.nan, math.nan, 0)
-    hit, count = _cells(np.asarray(hits, bool), bodies, backgrounds)
+    hit, count = _cells(hits, [np.zeros(n, int) if seeds is None else seeds, bodies, backgrounds])
     value = float(hit.sum() / n)
     draws = _pigeonhole(hit, count, resamples, np.random.default_rng(seed))
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
-    stretch = _two_way_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)
-    wilson_low, wilson_high = wilson(value, int((count > 0).sum()), level)
+    stretch = _clustered_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)
+    wilson_low, wilson_high = wilson(value, int((count.sum(0) > 0).sum()), level)
     low = min(max(0.0, value - stretch * (value - low)), wilson_low)
     high = max(min(1.0, value + stretch * (high - value)), wilson_high)
     return Rate(value, float(low), float(high), n)
@@ -70,37 +78,44 @@ def wilson(value: float, n: int, level: float = LEVEL) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
-def _cells(hits: np.ndarray, bodies: np.ndarray, backgrounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Hits and images of every (body, background) pair, float [bodies, backgrounds] each."""
-    _, row = np.unique(bodies, return_inverse=True)
-    _, column = np.unique(backgrounds, return_inverse=True)
-    shape = (row.max() + 1, column.max() + 1)
-    flat = row * shape[1] + column
-    size = shape[0] * shape[1]
+def _cells(hits: np.ndarray, labels: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Hits and images of every cell, float [seeds, bodies, backgrounds] each."""
+    columns = [np.unique(way, return_inverse=True)[1].ravel() for way in labels]
+    shape = tuple(int(column.max()) + 1 for column in columns)
+    flat, size = np.ravel_multi_index(columns, shape), math.prod(shape)
     hit = np.bincount(flat, weights=hits, minlength=size).reshape(shape)
     return hit, np.bincount(flat, minlength=size).reshape(shape).astype(float)
 
 
 def _pigeonhole(hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.random.Generator) -> np.ndarray:
-    """Rates of resamples in which bodies and backgrounds are drawn anew; those that drew no image are left out."""
-    rows, columns = hit.shape
-    row_weight = rng.multinomial(rows, np.full(rows, 1 / rows), resamples)
-    column_weight = rng.multinomial(columns, np.full(columns, 1 / columns), resamples)
-    images = ((row_weight @ count) * column_weight).sum(1)
-    hits = ((row_weight @ hit) * column_weight).sum(1)
-    drawn = images > 0
-    return hits[drawn] / images[drawn] if drawn.any() else np.array([hit.sum() / count.sum()])
+    """Rates of resamples in which every way's clusters are drawn anew; those that drew no image are left out."""
+    seeds, bodies, backgrounds = hit.shape
+    weights = [rng.multinomial(n, np.full(n, 1 / n), resamples) for n in (bodies, backgrounds, seeds)]
+
+    def drawn(cells: np.ndarray) -> np.ndarray:
+        by_seed = [((weights[0] @ part) * weights[1]).sum(1) for part in cells]
+        return (weights[2] * np.stack(by_seed, 1)).sum(1)
+
+    images, hits = drawn(count), drawn(hit)
+    some = images > 0
+    return hits[some] / images[some] if some.any() else np.array([hit.sum() / count.sum()])
 
 
-def _two_way_deviation(residual: np.ndarray, level: float) -> float:
-    """Clustered standard deviation of the number of hits; `residual` [bodies, backgrounds] is each pair's excess."""
+def _clustered_deviation(residual: np.ndarray, level: float) -> float:
+    """Multiway clustered standard deviation of the number of hits; `residual` is each cell's excess."""
     z = NormalDist().inv_cdf((1 + level) / 2)
-    parts = []
-    for axis in (0, 1):
-        n = residual.shape[axis]
-        widen = n / (n - 1) * (student_t(n - 1, (1 + level) / 2) / z) ** 2 if n > 1 else 0.0
-        parts.append(widen * float((residual.sum(1 - axis) ** 2).sum()))
-    return math.sqrt(max(sum(parts) - float((residual**2).sum()), *parts))
+    ways = [way for way, n in enumerate(residual.shape) if n > 1]
+    variance, largest = 0.0, 0.0
+    for order in range(1, len(ways) + 1):
+        for kept in itertools.combinations(ways, order):
+            others = tuple(way for way in range(residual.ndim) if way not in kept)
+            part = float((residual.sum(others) ** 2).sum())
+            if order == 1:
+                n = residual.shape[kept[0]]
+                part *= n / (n - 1) * (student_t(n - 1, (1 + level) / 2) / z) ** 2
+                largest = max(largest, part)
+            variance += part if order % 2 else -part
+    return math.sqrt(max(variance, largest))
 
 
 @lru_cache

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Shaped
 
 from cloak_core.detectors.scoring import THRESHOLD
 from cloak_core.evaluate.controls import CLOTHING
-from cloak_core.evaluate.intervals import RESAMPLES, Rate, two_way_rate
+from cloak_core.evaluate.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.evaluate.measurement import Measurement
 
 THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
@@ -120,7 +120,7 @@ def group_rates(
 
 def _rate(measurement: Measurement, hits: np.ndarray, where: np.ndarray, resamples: int) -> Rate:
     trials = measurement.trials
-    return two_way_rate(hits[where], trials.pose[where], trials.background[where], resamples=resamples)
+    return clustered_rate(hits[where], trials.pose[where], trials.background[where], resamples=resamples)
 
 
 def _interval(rate: Rate) -> list[float | None]:

@@ -194,6 +194,10 @@ def test_repetitions_are_pooled_and_their_spread_is_shown() -> None:
     assert repeats.rate("builtin").value == pytest.approx(alone.value / 2)
     assert repeats.rate("builtin").n == 2 * alone.n
     assert repeats.spread("builtin") == [pytest.approx(alone.value, abs=1e-6), 0.0]
+    # One training hides, the other does not: how a third will do is not known.
+    pooled = repeats.rate("builtin")
+    assert pooled.high - pooled.low > 1.5 * (alone.high - alone.low)
+    assert repeats.rate("builtin", "clothing") == Repeats([one]).rate("builtin", "clothing")
     row = repeats.row("builtin")
     assert (row["worst_seed"], row["seeds"]) == (0.0, 2)
     assert row["clean_detection"] == pytest.approx(1 - row["clothing"], abs=1e-4)

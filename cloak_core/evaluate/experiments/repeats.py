@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from cloak_core.detectors.scoring import THRESHOLD
-from cloak_core.evaluate.controls import CLOTHING
-from cloak_core.evaluate.intervals import Rate, two_way_rate
+from cloak_core.evaluate.controls import CLOTHING, STANDARD
+from cloak_core.evaluate.intervals import Rate, clustered_rate
 from cloak_core.evaluate.measurement import Measurement
 from cloak_core.evaluate.rates import average_precision, threshold_curves
 
@@ -40,10 +40,16 @@ class Repeats:
         """Success, over all repetitions, of the images at this angle, distance and body (None: all of them)."""
         where = self._where(angle=angle, distance=distance, pose=pose)
         d, c = self.specs.index(spec), self.controls.index(control)
-        scores = [(m.score_on if on_body else m.score)[d, c, where] for m in self.measurements]
-        count = len(scores)
-        bodies, backgrounds = self.trials.pose[where], self.trials.background[where]
-        return two_way_rate(np.concatenate(scores) <= threshold, np.tile(bodies, count), np.tile(backgrounds, count))
+        # Standard controls look alike whatever was trained: repeating their images tells nothing new.
+        told = self.measurements[:1] if control in STANDARD else self.measurements
+        return self._pooled([(m.score_on if on_body else m.score)[d, c] <= threshold for m in told], where)
+
+    def _pooled(self, hits: Sequence[Bool[np.ndarray, N]], where: Bool[np.ndarray, N]) -> Rate:
+        """The share of hits of all repetitions among the images of `where`."""
+        count, images = len(hits), int(where.sum())
+        bodies, backgrounds = (np.tile(way[where], count) for way in (self.trials.pose, self.trials.background))
+        seeds = np.repeat(np.arange(count), images)
+        return clustered_rate(np.concatenate([hit[where] for hit in hits]), bodies, backgrounds, seeds)
 
     def _where(self, **values: float | int | None) -> Bool[np.ndarray, N]:
         where = np.ones(len(self.trials), bool)
@@ -71,10 +77,8 @@ class Repeats:
     def conditional(self, spec: str, threshold: float = THRESHOLD) -> Rate:
         """Success where the same image in own clothing is detected."""
         d, clean = self.specs.index(spec), self.controls.index(CLOTHING)
-        rows = [(m.score[d, 0] <= threshold, m.score[d, clean] > threshold) for m in self.measurements]
-        pick = lambda column: np.concatenate([column[found] for _, found in rows])
-        hits = np.concatenate([hit[found] for hit, found in rows])
-        return two_way_rate(hits, pick(self.trials.pose), pick(self.trials.background))
+        found = self.measurements[0].score[d, clean] > threshold
+        return self._pooled([m.score[d, 0] <= threshold for m in self.measurements], found)
 
     def row(self, spec: str) -> dict:
         """Everything a table says about these repetitions under one detector: plain numbers, ready for CSV."""
