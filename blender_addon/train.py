@@ -36,6 +36,7 @@ from .body import add_from_scene, require_body, subdivide
 from .exchange.scenes import read_scene
 from .faces import import_face_list, logo_names
 from .files.errors import InputError
+from .files.specs import split_spec
 from .poses import PoseChoice
 from .scene_export import export, read_export
 from .trainer import TrainRequest, find_python, sample_command, train_command
@@ -110,7 +111,7 @@ def request_of(options: argparse.Namespace) -> TrainRequest:
     backgrounds = options.backgrounds
     if backgrounds and Path(backgrounds).is_dir():
         backgrounds = str(Path(backgrounds).absolute())
-    detector = ":".join(_absolute_file(part) for part in options.detector.split(":"))
+    detector = ":".join(_absolute_file(part) for part in split_spec(options.detector))
     return TrainRequest(detector, backgrounds, options.angles, options.preset, options.steps, options.device, config)
 
 

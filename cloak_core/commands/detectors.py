@@ -66,9 +66,9 @@ class List(Command):
     """Say which detector families there are, what each needs, and how each was verified."""
 
     def run(self) -> dict:
-        from cloak_core.detectors.catalogue import list_detectors
+        from cloak_core.detectors.families import list_families
 
-        return list_detectors()
+        return list_families()
 
     def show(self, result: dict) -> None:
         for family in result["families"]:

@@ -4,6 +4,7 @@ import ast
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -14,8 +15,12 @@ from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import Placement, fit
+from cloak_core.detectors.specs import Request
 from cloak_core.detectors.transformers_family import IMAGENET
 from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    import onnxruntime
 
 GREY = 114 / 255
 """What the YOLO exports were trained to see around letterboxed pictures."""
@@ -114,20 +119,39 @@ class OnnxDetector(Detector):
         return (inputs.flip(1) * 255 if self.layout == "yolox" else inputs), placement  # YOLOX: BGR, 0..255
 
 
-def load_onnx(
-    file: Path,
-    layout: str | None,
-    *,
-    spec: str,
-    input_size: tuple[int, int] | None = None,
-    person_class: str = "person",
-) -> OnnxDetector:
-    """A detector from an ONNX file. `layout` is one of LAYOUTS; without one it is told from the outputs if possible.
+def load_onnx(request: Request) -> OnnxDetector:
+    """A detector from an ONNX file. The layout is one of LAYOUTS; without one it is told from the outputs if possible.
 
     Class names come from the file's own metadata ("names", as YOLOv8 exports have it) or as for Darknet; input size
-    from the file, else `input_size`, else 640. InputError names what is missing or ambiguous.
+    from the file, else the one asked for, else 640. InputError names what is missing or ambiguous.
     """
-    require("onnxruntime", spec)
+    require("onnxruntime", request.spec)
+    name, named = (*request.parts, "")[:2]
+    if named and request.layout:
+        raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
+    file = Path(name).expanduser()
+    session = _session(file)
+    shape = session.get_inputs()[0].shape
+    if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
+        raise InputError(f"{file}: its input {shape} is not a batch of RGB images")
+    layout = request.layout or named or _guess(session, file)
+    if layout not in LAYOUTS:
+        raise InputError(f"detector {request.spec!r}: unknown layout {layout!r}; known are {', '.join(LAYOUTS)}")
+    size = _size(shape, request.input_size, file)
+    detector = OnnxDetector(session, layout, size, file.stem, request.spec)
+    digest = hashlib.sha256(file.read_bytes()).digest()
+    detector.register_buffer("digest", torch.tensor(list(digest), dtype=torch.uint8))  # for `state_hash`
+    try:
+        count = detector.decode(torch.zeros(1, 3, *size))[1].shape[-1]
+    except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
+        shapes = [output.shape for output in session.get_outputs()]
+        raise InputError(f"{file}: its outputs {shapes} are not laid out as {layout}") from error
+    detector.person = _person(session, file, count, request.person)
+    detector.freeze()
+    return detector
+
+
+def _session(file: Path) -> "onnxruntime.InferenceSession":
     import onnxruntime
 
     if not file.is_file():
@@ -136,29 +160,11 @@ def load_onnx(
     options.log_severity_level = 3
     options.intra_op_num_threads = torch.get_num_threads()
     try:
-        session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime has a class of its own for each kind of broken file
         raise InputError(
             f"{file}: not an ONNX model that onnxruntime can run ({str(error).splitlines()[0][:160]})"
         ) from error
-    shape = session.get_inputs()[0].shape
-    if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
-        raise InputError(f"{file}: its input {shape} is not a batch of RGB images")
-    layout = layout or _guess(session, file)
-    if layout not in LAYOUTS:
-        raise InputError(f"detector {spec!r}: unknown layout {layout!r}; known are {', '.join(LAYOUTS)}")
-    size = _size(shape, input_size, file)
-    detector = OnnxDetector(session, layout, size, file.stem, spec)
-    digest = hashlib.sha256(file.read_bytes()).digest()
-    detector.register_buffer("digest", torch.tensor(list(digest), dtype=torch.uint8))  # for `state_hash`
-    try:
-        count = detector.decode(torch.zeros(1, 3, *size))[1].shape[-1]
-    except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
-        shapes = [output.shape for output in session.get_outputs()]
-        raise InputError(f"{file}: its outputs {shapes} are not laid out as {layout}") from error
-    detector.person = _person(session, file, count, person_class)
-    detector.freeze()
-    return detector
 
 
 def _guess(session, file: Path) -> str:

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import Placement, fit
+from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 
 
@@ -75,25 +76,21 @@ class PythonDetector(Detector):
         return found
 
 
-def load_python(
-    file: Path,
-    function: str,
-    *,
-    spec: str,
-    input_size: tuple[int, int] | None = None,
-    letterbox: bool = False,
-    fold: bool = True,
-) -> PythonDetector:
+def load_python(request: Request) -> PythonDetector:
     """Run FILE.py (it is trusted: it is the user's own code), call FUNCTION(), freeze what it returns.
 
-    `fold=False` leaves the memory layout alone; the module itself is never changed.
+    Told not to fold, the memory layout is left alone; the module itself is never changed.
     """
+    name, function = request.parts
+    file = Path(name).expanduser()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
     made = _function(file, function)()
     if not isinstance(made, nn.Module):
         raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")
-    detector = PythonDetector(made, file.stem, spec, input_size, letterbox, channels_last=fold)
+    detector = PythonDetector(
+        made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold
+    )
     detector.freeze()
     return detector
 

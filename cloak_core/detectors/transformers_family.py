@@ -2,9 +2,11 @@
 
 import copy
 import json
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import torch
 import torch.nn.functional as F
@@ -16,6 +18,7 @@ from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
+from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
@@ -81,46 +84,56 @@ class TransformersDetector(Detector):
         return Detections(boxes=corners * pixels, scores=probability[..., self.person])
 
 
-def load_transformers(
-    source: str,
-    *,
-    spec: str,
-    input_size: tuple[int, int] | None = None,
-    person_class: str = "person",
-    download: bool = False,
-    fold: bool = True,
-) -> TransformersDetector:
-    """A model from a directory, or by its name from the local cache, fetched there where `download` allows it.
+def load_transformers(request: Request) -> TransformersDetector:
+    """A model from a directory, or by its name from the local cache, fetched there where that is allowed.
 
     No remote code is run; batch norm is folded where that changes nothing, unless told not to.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
     """
-    require("transformers", spec)
-    import transformers
-
-    transformers.logging.set_verbosity_error()
-    folder = Path(source).expanduser()
-    where = str(folder) if folder.is_dir() else source
-    try:
-        model, info = transformers.AutoModelForObjectDetection.from_pretrained(
-            where, local_files_only=not download, output_loading_info=True, trust_remote_code=False
-        )
-    except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
-        raise InputError(f"detector {spec!r}: {_reason(error, source, folder)}") from error
-    if info["missing_keys"] or info["mismatched_keys"]:
-        keys = sorted(map(str, [*info["missing_keys"], *info["mismatched_keys"]]))
-        raise InputError(f"detector {spec!r}: its files lack {len(keys)} of the model's tensors ({keys[0]} ...)")
-    broken = [name for name, p in model.named_parameters() if not bool(p.isfinite().all())]
-    if broken:
-        raise InputError(f"detector {spec!r}: {broken[0]} holds numbers that are not finite")
+    require("transformers", request.spec)
+    folder = Path(request.what).expanduser()
+    where = str(folder) if folder.is_dir() else request.what
+    model = _read(where, request)
     labels = model.config.id2label
     names = tuple(str(labels.get(index, "")) for index in range(model.config.num_labels))
-    person = person_index(names, person_class, len(names), f"detector {spec!r}")
-    preprocessing = _preprocessing(where, model.config.model_type, input_size, download)
-    model = _folded(model.eval(), preprocessing) if fold else model
-    detector = TransformersDetector(model, preprocessing, person, folder.name, spec)
+    person = person_index(names, request.person, len(names), f"detector {request.spec!r}")
+    preprocessing = _preprocessing(where, model.config.model_type, request)
+    model = _folded(model.eval(), preprocessing) if request.fold else model
+    detector = TransformersDetector(model, preprocessing, person, folder.name, request.spec)
     detector.freeze()
     return detector
+
+
+def _read(where: str, request: Request) -> nn.Module:
+    import transformers
+
+    with _quiet(transformers.logging):
+        try:
+            model, info = transformers.AutoModelForObjectDetection.from_pretrained(
+                where, local_files_only=not request.download, output_loading_info=True, trust_remote_code=False
+            )
+        except Exception as error:  # transformers raises many kinds; each means that these files are not such a model
+            raise InputError(f"detector {request.spec!r}: {_reason(error, request.what)}") from error
+    if info["missing_keys"] or info["mismatched_keys"]:
+        keys = sorted(map(str, [*info["missing_keys"], *info["mismatched_keys"]]))
+        raise InputError(
+            f"detector {request.spec!r}: its files lack {len(keys)} of the model's tensors ({keys[0]} ...)"
+        )
+    broken = [name for name, p in model.named_parameters() if not bool(p.isfinite().all())]
+    if broken:
+        raise InputError(f"detector {request.spec!r}: {broken[0]} holds numbers that are not finite")
+    return model
+
+
+@contextmanager
+def _quiet(logging: ModuleType) -> Iterator[None]:
+    """No warnings of the library inside; how loud it is belongs to whoever else uses it in this process."""
+    before = logging.get_verbosity()
+    logging.set_verbosity_error()
+    try:
+        yield
+    finally:
+        logging.set_verbosity(before)
 
 
 @torch.no_grad()
@@ -134,13 +147,13 @@ def _folded(model: nn.Module, preprocessing: Preprocessing) -> nn.Module:
     return folded if torch.allclose(after, before, rtol=1e-3, atol=1e-3) else model
 
 
-def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | None, download: bool) -> Preprocessing:
+def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessing:
     """From the model's preprocessor_config.json; without one, what the family was trained with."""
     from transformers.utils import cached_file
 
     path = cached_file(
-        where, "preprocessor_config.json", local_files_only=not download, _raise_exceptions_for_missing_entries=False,
-        _raise_exceptions_for_connection_errors=False,
+        where, "preprocessor_config.json", local_files_only=not request.download,
+        _raise_exceptions_for_missing_entries=False, _raise_exceptions_for_connection_errors=False,
     )  # fmt: skip
     if path is None:
         square = model_type.startswith(("rt_detr", "d_fine"))
@@ -153,7 +166,7 @@ def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | No
     mean, std = (config.get("image_mean") or IMAGENET[0], config.get("image_std") or IMAGENET[1])
     plain = config.get("do_normalize") is False
     return Preprocessing(
-        size=input_size or exact,
+        size=request.input_size or exact,
         short_side=int(size.get("shortest_edge") or 800),
         long_side=int(size.get("longest_edge") or config.get("max_size") or 1333),
         mean=(0.0, 0.0, 0.0) if plain else tuple(map(float, mean)),
@@ -161,8 +174,8 @@ def _preprocessing(where: str, model_type: str, input_size: tuple[int, int] | No
     )
 
 
-def _reason(error: Exception, source: str, folder: Path) -> str:
-    if not folder.is_dir() and isinstance(error, OSError):
+def _reason(error: Exception, source: str) -> str:
+    if not Path(source).expanduser().is_dir() and isinstance(error, OSError):
         return f"no such folder, and not in the local cache (allow --download, or fetch it with: hf download {source})"
     first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
     return f"cannot be loaded: {first[:200]}"

@@ -7,6 +7,7 @@ from pathlib import Path
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.files.specs import split_spec
 from cloak_core.scene.selection import select, split_selection
 
 
@@ -39,7 +40,7 @@ def _open_whole(spec: str) -> Bodies:
 def _drawn(spec: str) -> Bodies:
     from cloak_core.scene.people.anny import anny_bodies
 
-    count, seed, poses = [*spec.split(":", 3)[1:], "", "", ""][:3]
+    count, seed, poses = [*split_spec(spec)[1:], "", "", ""][:3]
     if not count.isdigit() or not (seed or "0").isdigit():
         raise InputError(f"scene '{spec}': bodies are drawn by anny:COUNT[:SEED[:POSES]], such as anny:64:0:walk")
     return anny_bodies(int(count), int(seed or 0), poses or "natural")

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.detectors.catalogue import list_detectors
-from cloak_core.detectors.loading import FAMILIES, load_detector
+from cloak_core.detectors.families import FAMILIES, list_families
+from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.scoring import person_boxes
 from cloak_core.files.errors import InputError
@@ -114,7 +114,7 @@ def test_broken_files(tmp_path: Path) -> None:
 
 
 def test_the_list_names_every_family() -> None:
-    entries = list_detectors()["families"]
+    entries = list_families()["families"]
     assert {entry["family"] for entry in entries} == set(FAMILIES)
     assert [entry["family"] for entry in entries if not entry["trains"]] == ["onnx"]
     assert all(entry["installed"] == (entry["install"] is None) for entry in entries)

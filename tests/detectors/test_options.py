@@ -25,10 +25,10 @@ def spec(tmp_path: Path) -> str:
 
 def test_specs_are_taken_apart() -> None:
     parsed = parse_spec("darknet:C@t.cfg:b.weights@96x64,letterbox,person=tall pedestrian")
-    assert (parsed.family, parsed.rest, parsed.size) == ("darknet", "C@t.cfg:b.weights", (96, 64))
+    assert (parsed.family, parsed.what, parsed.input_size) == ("darknet", "C@t.cfg:b.weights", (96, 64))
     assert parsed.letterbox and parsed.person_class == "tall pedestrian"
     plain = parse_spec("transformers:org/model@main")
-    assert (plain.rest, plain.size, plain.letterbox, plain.person_class) == ("org/model@main", None, False, None)
+    assert (plain.what, plain.input_size, plain.letterbox, plain.person_class) == ("org/model@main", None, False, None)
 
 
 @pytest.mark.parametrize("suffix", ["", "@96", "@96,letterbox"])

@@ -5,12 +5,14 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.detectors.builtin import CFG, WEIGHTS, load_builtin
+from cloak_core.detectors.builtin import CFG, WEIGHTS
 from cloak_core.detectors.darknet.cfg import read_cfg_text
-from cloak_core.detectors.darknet.detector import load_darknet
+from cloak_core.detectors.darknet.detector import read_darknet
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import read_weights
+from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.scoring import is_detected_on, max_person_score
+from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
 from cloak_core.pretrain.builtin_training import train_builtin
 from cloak_core.render.compositing import compose, true_boxes
@@ -39,7 +41,7 @@ def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
     assert result["step"] == 3 and 0 <= result["recall"] <= 1 and 0 <= result["false_alarms"] <= 1
     assert events[-1]["type"] == "stored"
     pair = (tmp_path / "out" / "builtin.cfg", tmp_path / "out" / "builtin.weights")
-    detector = load_darknet(*pair, name="b", spec="b", class_names=("person",))
+    detector = read_darknet(*pair, parse_spec("b"), class_names=("person",))
     scores = detector(torch.rand(1, 3, 64, 64)).scores
     assert scores.shape == (1, 192) and torch.isfinite(scores).all()
 
@@ -71,7 +73,7 @@ def test_unknown_options_and_empty_folders_are_refused(tmp_path):
 @pytest.mark.slow
 def test_the_committed_weights_find_unseen_people_and_no_others():
     """A handful of renders of bodies never trained on, and of places never trained on (not the figures of record)."""
-    detector, bodies = load_builtin(), sample_bodies("unseen")
+    detector, bodies = load_detector("builtin"), sample_bodies("unseen")
     places = open_backgrounds("procedural:test:24").batch(range(24))
     assert WEIGHTS.stat().st_size < 6 << 20
     bank = ViewBank(bodies, samples=4)

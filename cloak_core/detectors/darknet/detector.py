@@ -12,6 +12,7 @@ from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
+from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 
 
@@ -46,17 +47,14 @@ class DarknetDetector(Detector):
         )
 
 
-def load_darknet(
-    cfg: Path,
-    weights: Path,
-    *,
-    name: str,
-    spec: str,
-    input_size: tuple[int, int] | None = None,
-    letterbox: bool = False,
-    person_class: str = "person",
-    class_names: tuple[str, ...] | None = None,
-    fold: bool = True,
+def load_darknet(request: Request) -> DarknetDetector:
+    """`darknet:CFG:WEIGHTS`; see `read_darknet`."""
+    cfg, weights = (Path(part).expanduser() for part in request.parts)
+    return read_darknet(cfg, weights, request)
+
+
+def read_darknet(
+    cfg: Path, weights: Path, request: Request, class_names: tuple[str, ...] | None = None
 ) -> DarknetDetector:
     """Read a .cfg/.weights pair as a frozen detector, batch norm folded (unless told not to), channels last.
 
@@ -66,15 +64,16 @@ def load_darknet(
     sections = read_cfg(cfg)
     # A cfg of a few lines can ask for any amount of memory: none is taken before the file of weights bears it out.
     with torch.device("meta"):
-        check_size(Network(sections, input_size), weights)
-    network = Network(sections, input_size)
+        check_size(Network(sections, request.input_size), weights)
+    network = Network(sections, request.input_size)
     counts = {head.classes for head in network.heads}
     if len(counts) != 1:
         raise InputError(f"{cfg}: its heads have different numbers of classes {sorted(counts)}")
     count = counts.pop()
-    person = person_index(class_names or names_beside(cfg, count), person_class, count, str(cfg))
+    person = person_index(class_names or names_beside(cfg, count), request.person, count, str(cfg))
     read_weights(network, weights)
     network.eval()
-    detector = DarknetDetector(network.fold() if fold else network, person, name, spec, letterbox, channels_last=fold)
+    network = network.fold() if request.fold else network
+    detector = DarknetDetector(network, person, cfg.stem, request.spec, request.letterbox, channels_last=request.fold)
     detector.freeze()
     return detector

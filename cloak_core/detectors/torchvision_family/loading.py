@@ -11,6 +11,7 @@ from cloak_core.detectors.checkpoints import load_state, read_state_dict
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.specs import Request
 from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
 from cloak_core.files.errors import InputError
@@ -38,49 +39,47 @@ def model_names() -> list[str]:
     return models.list_models(module=detection)
 
 
-def load_torchvision(
-    model_name: str,
-    checkpoint: str | None,
-    *,
-    spec: str,
-    input_size: tuple[int, int] | None = None,
-    person_class: str = "person",
-    fold: bool = True,
-    download: bool = False,
-) -> Detector:
+def load_torchvision(request: Request) -> Detector:
     """A torchvision detection model as a frozen detector, batch norm folded unless told not to.
 
-    `checkpoint` is a file, None for the official one in the torch cache (fetched there where `download` allows it), or
+    The checkpoint is a file, none for the official one in the torch cache (fetched there where that is allowed), or
     "random". An input size (one side) is the short side for the R-CNNs, RetinaNet and FCOS, the side of the square for
     SSD; a (height, width) that is not square is taken exactly. InputError names what is unknown, missing or does not
     fit.
     """
-    if model_name not in model_names():
-        raise InputError(f"detector {spec!r}: torchvision has no {model_name!r}; it has {', '.join(model_names())}")
-    meta = models.get_model_weights(model_name).DEFAULT
-    categories = tuple(meta.meta["categories"])
-    path = None
-    if checkpoint != RANDOM:
-        path = Path(checkpoint).expanduser() if checkpoint else _cached(meta, spec, download)
-    state = None if path is None else read_state_dict(path)
-    model = _build(model_name, len(categories))
-    count = len(categories)
-    if state is not None and path is not None:
-        count = _class_count(model, state, count, path)
-        model = model if count == len(categories) else _build(model_name, count)
-        load_state(model, state, path)
-        if model_name in EPS_ZERO and not any(key.endswith("num_batches_tracked") for key in state):
-            _set_eps(model, 0.0)
-    person = person_index(categories if count == len(categories) else None, person_class, count, spec)
-    if input_size is not None:
-        _set_input_size(model, input_size)
+    name, checkpoint = (*request.parts, "")[:2]
+    if name not in model_names():
+        raise InputError(f"detector {request.spec!r}: torchvision has no {name!r}; it has {', '.join(model_names())}")
+    weights = models.get_model_weights(name).DEFAULT
+    categories = tuple(weights.meta["categories"])
+    if checkpoint == RANDOM:
+        model, count = _build(name, len(categories)), len(categories)
+    else:
+        path = Path(checkpoint).expanduser() if checkpoint else _cached(weights, request)
+        model, count = _read(name, path, len(categories))
+    known = categories if count == len(categories) else None
+    person = person_index(known, request.person, count, request.spec)
+    if request.input_size is not None:
+        _set_input_size(model, request.input_size)
     model.eval()
-    if fold:
+    if request.fold:
         fold_batch_norm(model)
     kind = TwoStageDetector if isinstance(model, detection.generalized_rcnn.GeneralizedRCNN) else DenseDetector
-    detector = kind(model, person, model_name, spec, channels_last=fold)
+    detector = kind(model, person, name, request.spec, channels_last=request.fold)
     detector.freeze()
     return detector
+
+
+def _read(name: str, path: Path, classes: int) -> tuple[nn.Module, int]:
+    """The model with a checkpoint's weights, and how many classes those have, `classes` or their own number."""
+    state = read_state_dict(path)
+    model = _build(name, classes)
+    count = _class_count(model, state, classes, path)
+    model = model if count == classes else _build(name, count)
+    load_state(model, state, path)
+    if name in EPS_ZERO and not any(key.endswith("num_batches_tracked") for key in state):
+        _set_eps(model, 0.0)
+    return model, count
 
 
 def _build(name: str, classes: int) -> nn.Module:
@@ -89,21 +88,21 @@ def _build(name: str, classes: int) -> nn.Module:
         return models.get_model(name, weights=None, weights_backbone=None, num_classes=classes)
 
 
-def _cached(weights: models.WeightsEnum, spec: str, download: bool) -> Path:
+def _cached(weights: models.WeightsEnum, request: Request) -> Path:
     path = Path(torch.hub.get_dir()) / "checkpoints" / weights.url.rsplit("/", 1)[1]
     if path.is_file():
         return path
-    if not download:
+    if not request.download:
         raise InputError(
-            f"detector {spec!r}: no checkpoint at {path}; put {weights.url} there, give torchvision:NAME:CHECKPOINT, "
-            "or allow --download"
+            f"detector {request.spec!r}: no checkpoint at {path}; put {weights.url} there, give "
+            "torchvision:NAME:CHECKPOINT, or allow --download"
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         # The name ends in the first digits of the file's SHA-256, which torch checks.
         torch.hub.download_url_to_file(weights.url, str(path), path.stem.rsplit("-", 1)[1], progress=False)
     except (OSError, RuntimeError) as error:
-        raise InputError(f"detector {spec!r}: {weights.url} cannot be fetched ({error})") from error
+        raise InputError(f"detector {request.spec!r}: {weights.url} cannot be fetched ({error})") from error
     return path
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
+from pathlib import PureWindowsPath
 
 from cloak_core.evaluate.figures import SERIES
 from cloak_core.evaluate.report.history import History
+from cloak_core.files.specs import split_spec
 
 
 def percent(value: float | None) -> str:
@@ -40,9 +41,10 @@ def short_name(spec: str) -> str:
     family, _, rest = spec.partition(":")
     if not rest:
         return spec
-    first = rest.split(":")[0]
+    first = split_spec(rest)[0]
     size = spec.rpartition("@")[2] if "@" in spec.rpartition(":")[2] else ""
-    name = PurePath(first.partition("@")[0]).stem if "/" in first or "." in first else first.partition("@")[0]
+    name = first.partition("@")[0]
+    name = PureWindowsPath(name).stem if {"/", "\\", "."} & set(first) else name
     return f"{family} {name}" + (f" @{size}" if size else "")
 
 

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from cloak_core.files.caching import MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
+from cloak_core.files.specs import split_spec
 from cloak_core.scene.backdrops.decoded import DecodedImages
 from cloak_core.scene.backdrops.procedural import draw_scene
 from cloak_core.scene.meshes.pictures import MAX_PIXELS
@@ -115,7 +116,7 @@ def open_backgrounds(
 
 
 def _open_procedural(spec: str, memory_bytes: int) -> Backgrounds:
-    fields = spec.split(":")[1:]
+    fields = split_spec(spec)[1:]
     split = fields.pop(0) if fields and fields[0] in _SPLITS else "train"
     if len(fields) > 2 or not all(f.isdecimal() for f in fields):
         raise InputError(f"{spec}: expected procedural[:train|test][:COUNT][:SEED]")

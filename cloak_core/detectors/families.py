@@ -1,0 +1,133 @@
+"""The families of detectors: how each is written and loaded, what it needs, and how it was verified.
+
+A new family is a row of `FAMILIES` and a module with its loader, which takes a `Request` and returns a frozen detector.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from cloak_core.detectors.extras import install_command, installed
+from cloak_core.detectors.specs import PERSON, Request
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.detectors.protocol import Detector
+
+NO_LAYOUT = {"layout": "--layout is for onnx:FILE"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """One kind of detector."""
+
+    spec: str
+    """How its specs are written."""
+    loader: str
+    """MODULE:FUNCTION below cloak_core.detectors, imported when such a detector is asked for."""
+    parts: tuple[int, int | None]
+    """The least and the most parts after the family's name; None where colons belong to what is named."""
+    weights: str
+    """Where the weights come from."""
+    licence: str
+    """Of code and weights, as far as the project can say."""
+    verified: str
+    refuses: Mapping[str, str] = field(default_factory=lambda: NO_LAYOUT)
+    """Fields of `Request` that mean nothing here, and what is said to whoever sets them."""
+    trains: bool = True
+    evaluates: bool = True
+    needs: str | None = None
+    """The package beyond the project's own dependencies, None for none."""
+
+    def load(self, request: Request) -> Detector:
+        """The detector, frozen, on the CPU. InputError: a spec of another form, an option that means nothing here, and
+        whatever the loader cannot find, read or understand."""
+        (least, most), parts = self.parts, request.parts
+        if not least <= len(parts) <= (len(parts) if most is None else most) or not all(parts):
+            raise InputError(f"detector {request.spec!r}: expected {self.spec}, @OPTIONS at the end if wanted")
+        for name, why in self.refuses.items():
+            if getattr(request, name) not in (None, False, PERSON):
+                raise InputError(f"detector {request.spec!r}: {why}")
+        module, _, function = self.loader.partition(":")
+        return getattr(importlib.import_module(f"cloak_core.detectors.{module}"), function)(request)
+
+
+FAMILIES = {
+    "builtin": Family(
+        spec="builtin",
+        loader="builtin:load_builtin",
+        parts=(0, 0),
+        weights="embedded",
+        licence="Apache-2.0",
+        verified="clean recall and false alarms on held-out bodies and photographs",
+    ),
+    "darknet": Family(
+        spec="darknet:CFG:WEIGHTS",
+        loader="darknet.detector:load_darknet",
+        parts=(2, 2),
+        weights="your .cfg and .weights (YOLOv2, v3, v4, v7 and tiny ones)",
+        licence="Darknet: public domain; weights: their authors'",
+        verified="outputs of Darknet itself, the original and AlexeyAB's; real weights on photographs",
+    ),
+    "torchvision": Family(
+        spec="torchvision:NAME[:CHECKPOINT]",
+        loader="torchvision_family.loading:load_torchvision",
+        parts=(1, 2),
+        refuses=NO_LAYOUT | {"letterbox": "torchvision models resize by themselves; drop letterbox"},
+        weights="your file, or the official checkpoint in the torch cache",
+        licence="BSD-3-Clause; official weights: trained on COCO",
+        verified="detections and input gradients of torchvision's own models, every name",
+    ),
+    "transformers": Family(
+        spec="transformers:DIRECTORY_OR_CACHED_NAME",
+        loader="transformers_family:load_transformers",
+        parts=(1, None),
+        refuses=NO_LAYOUT | {"letterbox": "the model's own processor resizes; drop letterbox"},
+        needs="transformers",
+        weights="your folder, or the local cache",
+        licence="Apache-2.0; weights: see the model card",
+        verified="logits and post-processing of the library, small random models of each family",
+    ),
+    "onnx": Family(
+        spec="onnx:FILE[:yolov5|yolov8|yolox|detr]",
+        loader="onnx_model:load_onnx",
+        parts=(1, 2),
+        refuses={},
+        trains=False,
+        needs="onnxruntime",
+        weights="your file",
+        licence="MIT (onnxruntime); weights: their authors'",
+        verified="hand-made models of each output layout",
+    ),
+    "python": Family(
+        spec="python:FILE.py:FUNCTION",
+        loader="python_module:load_python",
+        parts=(2, 2),
+        refuses=NO_LAYOUT
+        | {
+            "person_class": "a python module returns the person's scores itself, it has no class to choose "
+            "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"
+        },
+        weights="your code",
+        licence="yours",
+        verified="a real Faster R-CNN brought this way",
+    ),
+}
+
+
+def list_families() -> dict[str, list[dict]]:
+    """{"families": [{family, spec, trains, evaluates, installed, install, needs, weights, licence, verified}, ...]}.
+
+    `installed` says whether it works here and now; where not, `install` is the command that changes it, else None.
+    """
+    told = ("spec", "trains", "evaluates", "needs", "weights", "licence", "verified")
+    families = []
+    for name, family in FAMILIES.items():
+        there = family.needs is None or installed(family.needs)
+        install = None if there or family.needs is None else install_command(family.needs)
+        row = {key: getattr(family, key) for key in told}
+        families.append({"family": name, **row, "installed": there, "install": install})
+    return {"families": families}

@@ -1,0 +1,96 @@
+"""Specs are taken apart alike on every system, and one table says what each family takes."""
+
+import pytest
+
+from cloak_core.detectors.families import FAMILIES
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.specs import parse_spec
+from cloak_core.evaluate.report.words import short_name
+from cloak_core.files.errors import InputError
+from cloak_core.files.specs import split_spec
+from cloak_core.scene.opening import open_scene
+from cloak_core.scene.people import anny
+from tests.attack.fakes import box_bodies
+
+
+@pytest.mark.parametrize(
+    ("spec", "parts"),
+    [
+        (r"C:\dir\a.cfg:C:\dir\a.weights", [r"C:\dir\a.cfg", r"C:\dir\a.weights"]),
+        ("d:/a.cfg:E:/b.weights", ["d:/a.cfg", "E:/b.weights"]),
+        (r"C:\x\a.cfg", [r"C:\x\a.cfg"]),
+        ("/x/a.cfg:b.weights", ["/x/a.cfg", "b.weights"]),
+        ("a.py:f", ["a.py", "f"]),
+        ("./a:/b", ["./a", "/b"]),
+        ("64:0:", ["64", "0", ""]),
+        ("C:x", ["C", "x"]),
+    ],
+)
+def test_a_drive_letter_parts_nothing(spec: str, parts: list[str]) -> None:
+    assert split_spec(spec) == parts
+
+
+@pytest.mark.parametrize(
+    ("spec", "parts"),
+    [
+        (r"darknet:C:\dir\a.cfg:C:\dir\a.weights@416,letterbox", [r"C:\dir\a.cfg", r"C:\dir\a.weights"]),
+        (r"python:C:\dir\mine.py:load", [r"C:\dir\mine.py", "load"]),
+        ("onnx:C:/dir/a.onnx:yolov8@person=0", ["C:/dir/a.onnx", "yolov8"]),
+        (r"torchvision:fcos_resnet50_fpn:C:\w.pth", ["fcos_resnet50_fpn", r"C:\w.pth"]),
+        ("builtin@224", []),
+    ],
+)
+def test_detectors_on_windows_drives(spec: str, parts: list[str]) -> None:
+    assert parse_spec(spec).parts == parts
+
+
+@pytest.mark.parametrize(
+    ("spec", "named"),
+    [
+        (r"darknet:C:\dir\a.cfg:C:\dir\a.weights", r"a.cfg: no such file"),
+        (r"python:C:\dir\mine.py:load", r"mine.py: no such file"),
+        (r"onnx:C:\dir\a.onnx:detr", r"a.onnx: no such file"),
+        (r"torchvision:fcos_resnet50_fpn:C:\w.pth", r"w.pth: no such file"),
+    ],
+)
+def test_files_on_windows_drives_are_looked_for_whole(spec: str, named: str) -> None:
+    with pytest.raises(InputError, match=rf"^[Cc]:\\(dir\\)?{named}"):
+        load_detector(spec)
+
+
+def test_poses_on_a_windows_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def drawn(*given):
+        asked.append(given)
+        return box_bodies()
+
+    monkeypatch.setattr(anny, "anny_bodies", drawn)
+    open_scene(r"anny:8:1:C:\poses\walk.npy")
+    assert asked == [(8, 1, r"C:\poses\walk.npy")]
+
+
+def test_short_names_leave_folders_out() -> None:
+    assert short_name(r"darknet:C:\dir\a.cfg:C:\dir\a.weights@224") == "darknet a @224"
+    assert short_name("darknet:/dir/a.cfg:/dir/a.weights") == "darknet a"
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("torchvision:fcos_resnet50_fpn:random@letterbox", "torchvision models resize by themselves; drop letterbox"),
+        ("transformers:x@letterbox", "drop letterbox"),
+        ("python:a.py:load@person=dog", "has no class to choose"),
+        ("transformers:", "expected transformers:DIRECTORY"),
+        ("darknet:a::b", "expected darknet:CFG:WEIGHTS"),
+    ],
+)
+def test_what_a_family_does_not_take_is_refused_before_anything_is_read(spec: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_detector(spec)
+
+
+def test_every_family_names_a_loader_and_its_form() -> None:
+    for name, family in FAMILIES.items():
+        least = family.spec.partition("[")[0].count(":")
+        assert family.spec.startswith(name) and family.parts[0] == least
