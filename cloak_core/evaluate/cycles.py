@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -154,16 +154,17 @@ def _triangle_colors(stage: Stage, control: str) -> Float32[np.ndarray, "T 3"]:
 
 def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
     """The vertex normals our renderer shades with."""
-    put = lambda array, dtype: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-    operator = NormalOperator(put(bodies.triangles.T, torch.int64), bodies.vertex_count)
-    return operator(put(bodies.vertices[pose].T, torch.float64)).T.contiguous().numpy()
+    triangles, vertices = bodies.triangles.T.astype(np.int64), bodies.vertices[pose].T.astype(np.float64)
+    operator = NormalOperator(torch.from_numpy(triangles), bodies.vertex_count)
+    return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
 
 
 class CyclesStage(Stage):
     """A stage whose bodies come from frames of `render_frames` under one light."""
 
     def __init__(self, stage: Stage, folder: Path, light: str) -> None:
-        self.__dict__.update(stage.__dict__)
+        parts = (stage.colors, stage.logo, stage.bodies, stage.backdrops, stage.trials)
+        super().__init__(*parts, camera=stage.viewpoint, seed=stage.seed, bank=stage.bank)
         self._folder, self._light = folder, light
         self._bodies: dict[tuple[int, float, str], Tensor] = {}
 
@@ -172,14 +173,16 @@ class CyclesStage(Stage):
         """What the frames' content is known by."""
         return self._folder.name
 
-    def compose(self, views: list[DressedView], indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
-        """The images of these trials; `views` are not looked at."""
-        images = []
-        for i, behind, shift in zip(indices, self.backgrounds(indices), self.shifts(indices).tolist(), strict=True):
-            body = _shifted(self.body(int(self.trials.pose[i]), float(self.trials.angle[i]), control), *shift)
-            alpha = body[3:]
-            images.append(body[:3] * alpha + behind * (1 - alpha))
-        return torch.stack(images)
+    def compose(
+        self, views: Sequence[DressedView], indices: Indices, controls: Sequence[str]
+    ) -> Iterator[Float[Tensor, "B 3 H W"]]:
+        """The images of these trials under each control; `views` are not looked at."""
+        behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
+        seen = [(int(self.trials.pose[i]), float(self.trials.angle[i])) for i in indices]
+        for control in controls:
+            bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
+            images = [b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)]
+            yield torch.stack(images)
 
     def body(self, pose: int, angle: float, control: str = LOGO) -> Float[Tensor, "4 H W"]:
         """One frame: RGBA in [0, 1], straight alpha."""

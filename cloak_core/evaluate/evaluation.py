@@ -61,24 +61,25 @@ def evaluate(
     for spec, detector in detectors.items():
         if state_hash(detector) != hashes[spec]:
             raise RuntimeError(f"detector {spec} changed while it was evaluated")
-    summary = summarize(measurement, settings.threshold, settings.resamples) | {
-        "n": len(measurement.trials),
-        "unseen": unseen,
-        "white_box": trained_against(training, hashes),
-        "warnings": warnings,
-        "settings": asdict(settings) | {"angles": [float(a) for a in angles]},
-        "inputs": {
-            "bodies": list(bodies.names),
-            "scene": bodies.name,
-            "topology": bodies.topology,
-            "backgrounds": len(backgrounds),
-            "logo_faces": len(logo.face_ids),
-            "detector_hashes": hashes,
-        },
-    }
+    seen = {"unseen": unseen, "white_box": trained_against(training, hashes), "warnings": warnings}
+    summary = summarize(measurement, settings.threshold, settings.resamples) | {"n": len(stage.trials)} | seen
+    summary |= _circumstances(stage, hashes, settings, angles)
     if out is not None:
         write_evaluation(out, summary, measurement, stage, detectors)
     return summary
+
+
+def _circumstances(stage: Stage, hashes: dict[str, str], settings: EvaluateSettings, angles: Sequence[float]) -> dict:
+    """The summary's `settings` and `inputs`: how, and of what, it was made."""
+    inputs = {
+        "bodies": list(stage.bodies.names),
+        "scene": stage.bodies.name,
+        "topology": stage.bodies.topology,
+        "backgrounds": len(stage.backdrops),
+        "logo_faces": len(stage.logo.face_ids),
+        "detector_hashes": hashes,
+    }
+    return {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
 
 
 def check_inputs(

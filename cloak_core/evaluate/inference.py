@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections, Detector
@@ -27,35 +28,10 @@ def measure(
 ) -> Measurement:
     """Render every trial under the trained colours and every control, and keep what each detector says."""
     controls = tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
-    count = len(stage.trials)
     bare = bare_indices(stage, settings)
-    total = count * len(controls) + len(bare)
-    score = np.zeros((len(detectors), len(controls), count), np.float32)
-    score_on = np.zeros_like(score)
-    kept = BoxList()
-    done = 0
-    for batch in batches(np.arange(count), settings.batch):
-        views = stage.views(batch)
-        true = stage.boxes(views, batch)
-        for c, control in enumerate(controls):
-            images = stage.compose(views, batch, control)
-            for d, detector in enumerate(detectors.values()):
-                detections = detector(images)
-                score[d, c, batch] = max_person_score(detections).cpu().numpy()
-                score_on[d, c, batch] = max_score_on(detections, true).cpu().numpy()
-                kept.add(d, c, batch, detections, true.cpu())
-            done += len(batch)
-            if on_progress:
-                on_progress(done, total)
-    bare_score = np.zeros((len(detectors), len(bare)), np.float32)
-    for first, batch in enumerate(batches(bare, settings.batch)):
-        images = stage.bare(batch)
-        for d, detector in enumerate(detectors.values()):
-            at = slice(first * settings.batch, first * settings.batch + len(batch))
-            bare_score[d, at] = max_person_score(detector(images)).cpu().numpy()
-        done += len(batch)
-        if on_progress:
-            on_progress(done, total)
+    progress = Progress(len(stage.trials) * len(controls) + len(bare), on_progress)
+    judges = list(detectors.values())
+    score, score_on, boxes = _judge_trials(stage, judges, controls, settings.batch, progress)
     return Measurement(
         specs=tuple(detectors),
         controls=controls,
@@ -64,9 +40,52 @@ def measure(
         trials=stage.trials,
         score=score,
         score_on=score_on,
-        bare=bare_score,
-        boxes=kept.boxes(),
+        bare=_judge_bare(stage, judges, bare, settings.batch, progress),
+        boxes=boxes,
     )
+
+
+class Progress:
+    """Counts images, and tells."""
+
+    def __init__(self, total: int, on_progress: OnProgress | None) -> None:
+        self.done, self.total, self.on_progress = 0, total, on_progress
+
+    def advance(self, images: int) -> None:
+        self.done += images
+        if self.on_progress:
+            self.on_progress(self.done, self.total)
+
+
+def _judge_trials(
+    stage: Stage, detectors: Sequence[Detector], controls: Sequence[str], size: int, progress: Progress
+) -> tuple[Float32[np.ndarray, "D C N"], Float32[np.ndarray, "D C N"], Boxes]:
+    """A measurement's `score`, `score_on` and `boxes`, `size` images at once."""
+    score = np.zeros((len(detectors), len(controls), len(stage.trials)), np.float32)
+    score_on, kept = np.zeros_like(score), BoxList()
+    for batch in batches(np.arange(len(stage.trials)), size):
+        views = stage.views(batch)
+        true = stage.boxes(views, batch)
+        for c, images in enumerate(stage.compose(views, batch, controls)):
+            for d, detector in enumerate(detectors):
+                detections = detector(images)
+                score[d, c, batch] = max_person_score(detections).cpu().numpy()
+                score_on[d, c, batch] = max_score_on(detections, true).cpu().numpy()
+                kept.add(d, c, batch, detections, true.cpu())
+            progress.advance(len(batch))
+    return score, score_on, kept.boxes()
+
+
+def _judge_bare(
+    stage: Stage, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
+) -> Float32[np.ndarray, "D M"]:
+    """A measurement's `bare`."""
+    score = []
+    for batch in batches(backgrounds, size):
+        images = stage.bare(batch)
+        score.append([max_person_score(detector(images)).cpu().numpy() for detector in detectors])
+        progress.advance(len(batch))
+    return np.concatenate(score, axis=1).astype(np.float32)
 
 
 def bare_indices(stage: Stage, settings: EvaluateSettings) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.measurement import Trials
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.compositing import Canvas, compose, true_boxes
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
@@ -47,29 +47,36 @@ class Stage:
         self.bodies = bodies
         self.colors = colors
         self.logo = logo
-        self._backgrounds = backgrounds
-        self._camera = camera
+        self.backdrops = backgrounds
+        self.viewpoint = camera
+        """The camera, but for azimuth and distance."""
         self.seed = seed
-        self._bank = bank
+        self.bank = bank
         self._device = torch.device(bank.device)
         self._controls: dict[str, Tensor] = {}
 
     def images(self, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
         """The images of these trials, in [0, 1], with the logo's faces coloured as `control` says."""
-        return self.compose(self.views(indices), indices, control)
+        return next(self.compose(self.views(indices), indices, (control,)))
 
-    def views(self, indices: Indices) -> list:
+    def views(self, indices: Indices) -> list[DressedView]:
         """The dressed view of each of these trials."""
-        dress = lambda i: self._bank.dress(
-            int(self.trials.pose[i]), self.camera(i), self.logo.face_ids, outfit=int(self.trials.outfit[i])
-        )
-        return [dress(int(i)) for i in indices]
+        faces, trials = self.logo.face_ids, self.trials
+        return [
+            self.bank.dress(int(trials.pose[i]), self.camera(i), faces, int(trials.outfit[i]))
+            for i in map(int, indices)
+        ]
 
-    def compose(self, views: list, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
-        """`images` on views that are there already."""
-        return compose(
-            views, self._logo_colors(indices, control), self.backgrounds(indices), self.shifts(indices), None
-        )
+    def compose(
+        self, views: Sequence[DressedView], indices: Indices, controls: Sequence[str]
+    ) -> Iterator[Float[Tensor, "B 3 H W"]]:
+        """`images` on views that are there already, under one control after the other.
+
+        What no control changes is composed once, so the next images are drawn into the memory of these.
+        """
+        canvas = Canvas.before(views, self.backgrounds(indices), self.shifts(indices))
+        for control in controls:
+            yield canvas.paint(self._logo_colors(indices, control))
 
     def boxes(self, views: list, indices: Indices) -> Float[Tensor, "B 4"]:
         """Where the rendered bodies are: xyxy pixels, clipped to the image."""
@@ -104,17 +111,17 @@ class Stage:
     def camera(self, index: int) -> Camera:
         """The camera of a trial."""
         distance, azimuth = float(self.trials.distance[index]), float(self.trials.angle[index])
-        return replace(self._camera, distance=distance, azimuth=azimuth)
+        return replace(self.viewpoint, distance=distance, azimuth=azimuth)
 
     @property
     def background_names(self) -> tuple[str, ...]:
         """Names of the backgrounds, by index."""
-        return tuple(self._backgrounds.names)
+        return tuple(self.backdrops.names)
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds by their own index, with nobody in front."""
         numbers = [int(i) for i in backgrounds]
-        return self._backgrounds.batch(numbers, self._camera.height, self._camera.width).to(self._device)
+        return self.backdrops.batch(numbers, self.viewpoint.height, self.viewpoint.width).to(self._device)
 
     def backgrounds(self, indices: Indices) -> Float[Tensor, "B 3 H W"]:
         """What is behind the bodies of these trials."""

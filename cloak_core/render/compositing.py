@@ -37,10 +37,7 @@ def compose(
     colors: the logo's, for all images [L, 3] or for each [B, L, 3]. shifts: (dx, dy) in whole pixels, right and down,
     by which the body moves; what leaves the image is lost. Returns images in [0, 1], never NaN for finite input.
     """
-    _check(views, (len(backgrounds), *backgrounds.shape[2:]))
-    canvas = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
-    pixels_of(canvas, backgrounds.shape).copy_(backgrounds)
-    return Canvas.of(views, canvas, shifts, photometric).paint(colors)
+    return Canvas.before(views, backgrounds, shifts, photometric).paint(colors)
 
 
 def blank(count: int, height: int, width: int, device: torch.device | str = "cpu") -> Float32[Tensor, "P 3"]:
@@ -74,6 +71,19 @@ class Canvas:
     """Of the logo's colours."""
     logo_count: int
     """L."""
+
+    @staticmethod
+    def before(
+        views: Sequence[DressedView],
+        backgrounds: Float32[Tensor, "B 3 H W"],
+        shifts: Integer[Tensor, "B 2"] | None = None,
+        photometric: Photometric | None = None,
+    ) -> Canvas:
+        """`of` on a copy of these backgrounds."""
+        _check(views, (len(backgrounds), *backgrounds.shape[2:]))
+        rows = blank(len(views), *backgrounds.shape[2:], backgrounds.device)
+        pixels_of(rows, backgrounds.shape).copy_(backgrounds)
+        return Canvas.of(views, rows, shifts, photometric)
 
     @staticmethod
     def of(

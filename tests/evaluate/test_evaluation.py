@@ -13,14 +13,17 @@ from torch import Tensor
 from cloak_core.commands.evaluate import show_success
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.evaluate.contact_sheet import contact_sheet
+from cloak_core.evaluate.controls import random_colors
 from cloak_core.evaluate.evaluation import evaluate, make_stage
 from cloak_core.evaluate.evaluation_folder import read_evaluation
 from cloak_core.evaluate.inference import max_score_on
 from cloak_core.evaluate.provenance import pose_hashes
 from cloak_core.evaluate.report import make_report
 from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.evaluate.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.render.compositing import compose
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo, select_region
 from cloak_core.scene.people.samples import sample_bodies
@@ -97,7 +100,8 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
     stage = make_stage(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
     every = list(range(len(stage.trials)))
     views = stage.views(every)
-    images = {c: stage.compose(views, every, c) for c in ("logo", "clothing", "grey", "random")}
+    controls = ("logo", "clothing", "grey", "random")
+    images = {c: shown.clone() for c, shown in zip(controls, stage.compose(views, every, controls), strict=True)}
     assert torch.equal(images["random"], stage.images(every, "random"))
     assert torch.equal(images["random"][3:5], stage.images(every[3:5], "random"))
     for i, view in enumerate(views):
@@ -114,6 +118,27 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
     one = make_logo(bodies, logo.face_ids[:1])
     plain = make_stage(green(one), one, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
     assert torch.allclose(plain.images(every, "clothing"), images["clothing"], atol=1e-5)
+
+
+def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch's bodies and backgrounds are composed once for all controls; the pixels are those composed anew."""
+    stage = make_stage(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    every, controls = list(range(len(stage.trials))), ("logo", "clothing", "grey", "random")
+    views = stage.views(every)
+    outfit, count = stage.trials.outfit, len(logo)
+    for control, images in zip(controls, stage.compose(views, every, controls), strict=True):
+        each = {
+            "logo": np.stack([green(logo)] * len(every)),
+            "clothing": bodies.face_colors[outfit][:, logo.face_ids],
+            "grey": np.full((len(every), count, 3), 0.5, np.float32),
+            "random": np.stack([random_colors(SMALL.seed, i, count) for i in every]),
+        }[control]
+        anew = compose(views, torch.from_numpy(each), stage.backgrounds(every), stage.shifts(every))
+        assert (images - anew).abs().max() <= 1e-6
+    drawn = []
+    monkeypatch.setattr(Stage, "backgrounds", lambda self, indices: drawn.append(len(indices)) or self.bare(indices))
+    evaluate(green(logo), logo, bodies, grey_rooms(8), {"spec": GreenBlind()}, ANGLES, SMALL)
+    assert drawn == [4, 4]  # of 8 images in batches of 4: once each, not once for each of 4 controls
 
 
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:

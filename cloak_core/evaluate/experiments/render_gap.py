@@ -75,7 +75,7 @@ def _sheet(stages: dict[str, Stage]) -> Image.Image:
     for pose in np.unique(trials.pose)[:2]:
         i = int(np.flatnonzero(trials.pose == pose)[0])
         for control in (LOGO, CLOTHING):
-            rows.append(torch.cat([s.compose(s.views([i]), [i], control)[0] for s in stages.values()], 2))
+            rows.append(torch.cat([s.images([i], control)[0] for s in stages.values()], 2))
     picture = to_pil(torch.cat(rows, 1))
     return picture.resize((1000, round(1000 * picture.height / picture.width)), Image.Resampling.LANCZOS)
 
