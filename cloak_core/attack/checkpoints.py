@@ -6,7 +6,6 @@ damaged one leaves its predecessor. Random numbers need no state: they derive fr
 """
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -20,8 +19,8 @@ from torch import Tensor
 
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_json
-from cloak_core.files.writing import new_folder, written
+from cloak_core.files.reading import read_bytes, read_json
+from cloak_core.files.writing import new_folder, write_bytes, write_json, written
 
 KEPT = 2
 MAX_BYTES = 1 << 30
@@ -54,8 +53,8 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         if target.exists():  # the same step again, after a resume that found it damaged
             shutil.rmtree(target)
         with new_folder(target) as temporary:
-            _write(temporary / "state.safetensors", data)
-            _write(temporary / "state.json", json.dumps(record, indent=2).encode())
+            write_bytes(temporary / "state.safetensors", data)
+            write_json(temporary / "state.json", record)
         _flush_folder(folder)
         for path in _checkpoints(folder)[:-KEPT]:
             shutil.rmtree(path)
@@ -113,12 +112,7 @@ def _read(path: Path) -> Checkpoint:
     if not isinstance(step, int) or not isinstance(time, (int, float)) or path.name != f"step-{step:08d}":
         raise InputError(f"{path}: its record does not fit its name")
     file = path / "state.safetensors"
-    try:
-        if file.stat().st_size > MAX_BYTES:
-            raise InputError(f"{file}: larger than any checkpoint")
-        data = file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: {error.strerror or error}") from None
+    data = read_bytes(file, MAX_BYTES)
     if hashlib.sha256(data).hexdigest() != record.get("sha256"):
         raise InputError(f"{file}: torn or changed (its SHA-256 is not the recorded one)")
     try:
@@ -129,13 +123,6 @@ def _read(path: Path) -> Checkpoint:
         if tensor.is_floating_point() and not torch.isfinite(tensor).all():
             raise InputError(f"{file}: '{name}' is not finite")
     return Checkpoint(step, float(time), tensors)
-
-
-def _write(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _flush_folder(folder: Path) -> None:

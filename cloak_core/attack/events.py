@@ -10,7 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import written
+from cloak_core.files.reading import open_regular, parse_json
+from cloak_core.files.writing import write_bytes, written
 
 MAX_LINE = 1 << 20
 """Bytes; no event is longer."""
@@ -43,16 +44,11 @@ class EventLog:
 def read_events(path: str | os.PathLike) -> list[Event]:
     """The events of a run; lines that are torn or no JSON objects are skipped, as a crash may leave one."""
     events = []
-    try:
-        with Path(path).open("rb") as file:
-            if os.fstat(file.fileno()).st_size > MAX_BYTES:
-                raise InputError(f"{path}: larger than any event log ({MAX_BYTES >> 20} MiB)")
-            while line := file.readline(MAX_LINE):
-                event = _parse(line)
-                if event is not None:
-                    events.append(event)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
+    with open_regular(path, MAX_BYTES) as file:
+        while line := file.readline(MAX_LINE):
+            event = _parse(line)
+            if event is not None:
+                events.append(event)
     return events
 
 
@@ -62,16 +58,12 @@ def rewind_events(path: Path, step: int) -> float:
         [e for e in read_events(path) if isinstance(e.get("step"), int) and e["step"] <= step] if path.exists() else []
     )
     kept = [e for e in kept if e.get("type") != "end"]
-    temporary = path.with_name(f".{path.name}.rewound")
-    with written(path):
-        temporary.write_bytes(b"".join(json.dumps(e).encode() + b"\n" for e in kept))
-        os.replace(temporary, path)
+    write_bytes(path, b"".join(json.dumps(e).encode() + b"\n" for e in kept))
     return max((e["time"] for e in kept if isinstance(e.get("time"), (int, float))), default=0.0)
 
 
 def _parse(line: bytes) -> Event | None:
     try:
-        event = json.loads(line)
-    except (ValueError, RecursionError):
+        return parse_json(line, "an event")
+    except InputError:
         return None
-    return event if isinstance(event, dict) else None

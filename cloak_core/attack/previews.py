@@ -1,7 +1,6 @@
 """Preview pictures of a run: what the detector was shown last, with what it still finds."""
 
 import math
-import os
 from pathlib import Path
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.files.writing import written
+from cloak_core.files.writing import replace_file
 
 MOST = 8
 """Images on one sheet."""
@@ -35,7 +34,4 @@ def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detec
             if right > left and bottom > top:
                 draw.rectangle((x + left, y + top, x + right, y + bottom), outline=FOUND, width=3)
                 draw.text((x + left + 5, y + top + 4), f"{score:.2f}", fill=FOUND)
-    temporary = path.with_name(f".{path.name}")
-    with written(path):
-        sheet.save(temporary, format="PNG")
-        os.replace(temporary, path)
+    replace_file(path, lambda file: sheet.save(file, format="PNG"))

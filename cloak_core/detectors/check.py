@@ -1,19 +1,19 @@
 """What a detector says about one photograph: numbers, and a picture with its boxes drawn."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image, ImageDraw, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import replace_file
+from cloak_core.scene.pictures import open_picture
 
-MAX_PIXELS = 64_000_000
 FRAME = (255, 60, 60)
 
 
@@ -39,15 +39,8 @@ def check_image(
 
 def read_image(path: Path) -> Float[Tensor, "3 H W"]:
     """An image file as RGB in [0, 1]; InputError when it is missing, no image, broken or huge."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        with Image.open(path) as file:
-            if file.width * file.height > MAX_PIXELS:
-                raise InputError(f"{path}: {file.width} x {file.height} pixels, at most {MAX_PIXELS:,} are read")
-            pixels = np.array(ImageOps.exif_transpose(file).convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: cannot be read as an image ({error})") from error
+    with open_picture(path) as file:
+        pixels = np.array(ImageOps.exif_transpose(file).convert("RGB"))
     return torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
 
 
@@ -69,6 +62,5 @@ def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Im
 
 
 def _save(picture: Image.Image, out: Path) -> None:
-    temporary = out.with_name(f".{os.getpid()}.{out.name}")
-    picture.save(temporary)
-    temporary.replace(out)
+    kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
+    replace_file(out, lambda file: picture.save(file, kind))

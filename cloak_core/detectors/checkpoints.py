@@ -6,7 +6,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.reading import open_regular
 
 WRAPPERS = ("model", "state_dict", "model_state_dict")
 """Keys under which training scripts keep the weights among other things."""
@@ -17,8 +18,6 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
 
     InputError when the file is missing, broken, holds pickled objects, or tensors that are not finite.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     state = _read(path)
     for key in WRAPPERS:
         if isinstance(state, dict) and isinstance(state.get(key), dict):
@@ -47,13 +46,15 @@ def load_state(module: nn.Module, state: dict[str, Tensor], path: Path) -> None:
 
 def _read(path: Path) -> object:
     try:
-        if path.suffix == ".safetensors":
-            from safetensors.torch import load_file
+        with open_regular(path) as file:
+            if path.suffix == ".safetensors":
+                from safetensors.torch import load
 
-            return load_file(path)
-        return torch.load(path, map_location="cpu", weights_only=True)
+                return load(file.read())
+            return torch.load(file, map_location="cpu", weights_only=True)
+    except InputError:
+        raise
     except pickle.UnpicklingError as error:
         raise InputError(f"{path}: refused, it holds pickled objects and not only a plain state dict") from error
     except Exception as error:  # torch and safetensors raise many kinds for broken files
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: cannot be read as a checkpoint ({reason[:200]})") from error
+        raise InputError(f"{path}: cannot be read as a checkpoint ({first_line(error)[:200]})") from error

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_text
 
 # fmt: off
 COCO = (
@@ -66,7 +67,5 @@ def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:
 
 def read_names(path: Path) -> tuple[str, ...]:
     """One class name per line, blank lines left out."""
-    if path.stat().st_size > 1 << 20:
-        raise InputError(f"{path}: too large for a list of class names")
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_text(path, 1 << 20, errors="replace").splitlines()
     return tuple(line.strip() for line in lines if line.strip())

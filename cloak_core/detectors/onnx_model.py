@@ -18,6 +18,7 @@ from cloak_core.detectors.resizing import Placement, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.transformers_family import IMAGENET
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_bytes
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -130,6 +131,7 @@ def load_onnx(request: Request) -> OnnxDetector:
     if named and request.layout:
         raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
     file = Path(name).expanduser()
+    digest = hashlib.sha256(read_bytes(file)).digest()
     session = _session(file)
     shape = session.get_inputs()[0].shape
     if len(shape) != 4 or (isinstance(shape[1], int) and shape[1] != 3):
@@ -139,7 +141,6 @@ def load_onnx(request: Request) -> OnnxDetector:
         raise InputError(f"detector {request.spec!r}: unknown layout {layout!r}; known are {', '.join(LAYOUTS)}")
     size = _size(shape, request.input_size, file)
     detector = OnnxDetector(session, layout, size, file.stem, request.spec)
-    digest = hashlib.sha256(file.read_bytes()).digest()
     detector.register_buffer("digest", torch.tensor(list(digest), dtype=torch.uint8))  # for `state_hash`
     try:
         count = detector.decode(torch.zeros(1, 3, *size))[1].shape[-1]
@@ -154,8 +155,6 @@ def load_onnx(request: Request) -> OnnxDetector:
 def _session(file: Path) -> "onnxruntime.InferenceSession":
     import onnxruntime
 
-    if not file.is_file():
-        raise InputError(f"{file}: no such file")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = torch.get_num_threads()

@@ -20,6 +20,7 @@ from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 
@@ -159,7 +160,7 @@ def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessi
         square = model_type.startswith(("rt_detr", "d_fine"))
         config = {"size": {"height": 640, "width": 640}, "do_normalize": False} if square else {}
     else:
-        config = json.loads(Path(path).read_text(encoding="utf-8"))
+        config = read_json(path)
     size = config.get("size") or {}
     size = {"shortest_edge": size} if isinstance(size, int) else size
     exact = (int(size["height"]), int(size["width"])) if "height" in size else None

@@ -11,6 +11,8 @@ from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.evaluation_folder import FOLDER, read_evaluation
 from cloak_core.evaluate.figures import SERIES
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import replace_file
+from cloak_core.scene.pictures import read_picture
 
 BOX, INK, SOFT, PAPER = (224, 52, 28), (31, 35, 40), (89, 99, 110), (255, 255, 255)
 GAP, MARGIN, HEAD, FOOT = 10, 24, 34, 30
@@ -35,7 +37,7 @@ def contact_sheet(run: Path, out: Path, *, body: int = 0, detector: str | None =
     heads = [f"{shot['angle']:g}°".replace("-", "\N{MINUS SIGN}") for shot in shots]
     sheet = draw_sheet(stored.folder / "pictures", spec, heads, rows, side)
     out.parent.mkdir(parents=True, exist_ok=True)
-    sheet.save(out, optimize=True)
+    replace_file(out, lambda file: sheet.save(file, "PNG", optimize=True))
     return out
 
 
@@ -66,11 +68,7 @@ def draw_sheet(folder: Path, spec: str, heads: list[str], rows: list[tuple[str, 
 def boxed(folder: Path, picture: dict, spec: str, side: int) -> Image.Image:
     """One picture, scaled to `side`, with the detector's boxes."""
     path = folder / Path(picture["file"]).name
-    try:
-        with Image.open(path, formats=("JPEG",)) as file:
-            image = file.convert("RGB")
-    except OSError as error:
-        raise InputError(f"{path}: not a readable picture ({error})") from None
+    image = Image.fromarray(read_picture(path))
     scale = side / image.width
     image = image.resize((side, round(image.height * scale)), Image.Resampling.LANCZOS)
     draw = ImageDraw.Draw(image)

@@ -20,6 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .reading import open_regular
+
 _CHECKSUM = 4
 _NEW = ".new-"
 _log = logging.getLogger("cloak")
@@ -53,11 +55,10 @@ class DiskCache:
             return None
         path = self._path(name)
         try:
-            if path.stat().st_size <= _CHECKSUM:
-                return None
-            # Mapped copy-on-write: torch takes no read-only arrays, and nothing reaches the file.
-            data = np.memmap(path, np.uint8, "c")
-        except (OSError, ValueError):
+            with open_regular(path) as file:
+                # Mapped copy-on-write: torch takes no read-only arrays, and nothing reaches the file.
+                data = np.memmap(file, np.uint8, "c")
+        except ValueError:  # not there (`InputError`), or empty
             return None
         if zlib.crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:].tobytes(), "little"):
             return None
@@ -114,12 +115,14 @@ class DiskCache:
 class MemoryCache:
     """Objects by key, the least recently used dropped first once what they hold exceeds a number of bytes.
 
-    Threads may share one. The newest object stays even if it is larger than the limit.
+    Threads may share one. The newest object stays even if it is larger than the limit. `bytes` is what the memory
+    behind all of them takes: what several objects share counts once, and a view holds all that it is a view of.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit, self.bytes = limit, 0
-        self._items: OrderedDict[Hashable, tuple[object, int]] = OrderedDict()
+        self._items: OrderedDict[Hashable, tuple[object, dict[int, int]]] = OrderedDict()
+        self._memory: dict[int, list[int]] = {}  # address -> how many items hold it, its bytes
         self._lock = threading.Lock()
 
     def get(self, key: Hashable) -> object | None:
@@ -132,26 +135,40 @@ class MemoryCache:
 
     def put(self, key: Hashable, item: object) -> object:
         """Keep an object in place of an earlier one of that key, and return it."""
-        size = held_bytes(item)
+        held = storages(item)
         with self._lock:
-            self.bytes += size - self._items.pop(key, (None, 0))[1]
-            self._items[key] = (item, size)
+            if key in self._items:
+                self._drop(key)
+            self._items[key] = (item, held)
+            for address, size in held.items():
+                if address not in self._memory:
+                    self._memory[address] = [0, size]
+                    self.bytes += size
+                self._memory[address][0] += 1
             while self.bytes > self.limit and len(self._items) > 1:
-                self.bytes -= self._items.popitem(last=False)[1][1]
+                self._drop(next(iter(self._items)))
         return item
 
+    def _drop(self, key: Hashable) -> None:
+        for address in self._items.pop(key)[1]:
+            memory = self._memory[address]
+            memory[0] -= 1
+            if not memory[0]:
+                self.bytes -= self._memory.pop(address)[1]
 
-def held_bytes(item: object) -> int:
-    """Bytes that an object keeps in memory: of an array, a tensor, or an object with some among its attributes.
 
-    A view holds all that it is a view of; what two attributes share counts once.
-    """
-    parts = [item, *vars(item).values()] if hasattr(item, "__dict__") else [item]
-    return sum(dict(filter(None, map(_storage, parts))).values())
+def storages(item: object) -> dict[int, int]:
+    """The memory behind arrays and (torch) tensors, address -> bytes: of one, of those in a list, tuple or dictionary,
+    or of those among an object's attributes."""
+    if isinstance(item, (list, tuple, dict)):
+        parts = list(item.values()) if isinstance(item, dict) else list(item)
+    else:
+        parts = [item, *getattr(item, "__dict__", {}).values()]
+    return dict(filter(None, map(_storage, parts)))
 
 
 def _storage(part: object) -> tuple[int, int] | None:
-    """Identity and bytes of the memory behind an array or a (torch) tensor."""
+    """Address and bytes of the memory behind an array or a tensor."""
     if hasattr(part, "untyped_storage"):
         storage = part.untyped_storage()
         return storage.data_ptr(), storage.nbytes()

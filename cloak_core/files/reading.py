@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import tokenize
 import tomllib
@@ -24,10 +25,19 @@ from .errors import InputError, first_line
 
 MAX_BYTES = 2 << 30
 """No file is read that would take more memory than this."""
+MAX_ARRAY_BYTES = 1 << 30
+"""Of all arrays of a file together: whoever checks and converts them needs some more."""
 MAX_JSON_BYTES = 16 << 20
+MAX_JSON_VALUES = 1 << 22
 MAX_TOML_BYTES = 1 << 20
 MAX_HEADER_BYTES = 64 << 10
 """Of a .npy file."""
+MAX_DIRECTORY_BYTES = 4 << 20
+"""Of an archive's list of members."""
+PIECE = 1 << 20
+"""Bytes that are read at once."""
+_NESTED_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
+"""A TOML key of 33 parts, a.a.a...: tomllib takes time and memory that grow with their square."""
 
 
 @contextlib.contextmanager
@@ -40,6 +50,8 @@ def open_regular(path: str | os.PathLike, limit: int = MAX_BYTES) -> Iterator[Bi
     try:
         # Opening a named pipe waits for somebody to write into it unless told not to.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or first_line(error)}") from None
     with os.fdopen(handle, "rb") as file:
@@ -70,23 +82,49 @@ def read_text(path: str | os.PathLike, limit: int, errors: str = "strict") -> st
 
 def read_json(path: str | os.PathLike) -> dict:
     """A JSON object from a file of bounded size."""
-    data = read_bytes(path, MAX_JSON_BYTES)
+    return parse_json(read_bytes(path, MAX_JSON_BYTES), str(path))
+
+
+def parse_json(data: bytes, name: str) -> dict:
+    """A JSON object, none of whose integers is beyond 64 bits. `name` tells where the data come from."""
+    if sum(map(data.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
+        raise InputError(f"{name}: more values than any record taken here ({MAX_JSON_VALUES:,})")
     try:
-        record = json.loads(data.decode("utf-8"))
+        record = json.loads(data.decode("utf-8"), parse_int=_integer)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not valid JSON ({first_line(error)})") from None
+        raise InputError(f"{name}: not valid JSON ({first_line(error)})") from None
     if not isinstance(record, dict):
-        raise InputError(f"{path}: not a JSON object")
+        raise InputError(f"{name}: not a JSON object")
     return record
 
 
 def read_toml(path: str | os.PathLike) -> dict:
-    """What a TOML file of settings says."""
+    """What a TOML file of settings says; no integer is beyond 64 bits, no key has more than 32 parts."""
     data = read_bytes(path, MAX_TOML_BYTES)
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        text = data.decode("utf-8")
+        if _NESTED_KEY.search(text):
+            raise ValueError("a key of more than 32 parts")
+        record = tomllib.loads(text)
+        _check_integers(record)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML ({first_line(error)})") from None
+    return record
+
+
+def _integer(digits: str) -> int:
+    """ValueError: an integer beyond 64 bits, which neither arrays nor messages can take."""
+    if len(digits) > 20 or not -(1 << 63) <= int(digits) < 1 << 64:
+        raise ValueError("an integer of more than 64 bits")
+    return int(digits)
+
+
+def _check_integers(value: object) -> None:
+    """The same for all integers in a record."""
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
+        raise ValueError("an integer of more than 64 bits")
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_integers(part)
 
 
 def read_npy(path: str | os.PathLike) -> np.ndarray:
@@ -99,7 +137,7 @@ def read_npy(path: str | os.PathLike) -> np.ndarray:
 
 
 def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """All arrays of a .npz file; never unpickles, and refuses what would unpack to more than `MAX_BYTES`."""
+    """All arrays of a .npz file; never unpickles, and refuses what would unpack to more than `MAX_ARRAY_BYTES`."""
     with open_regular(path) as file:
         try:
             return _read_archive(file)
@@ -114,10 +152,11 @@ def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
+    _check_directory(file)
     with zipfile.ZipFile(file) as archive:
         members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
-        if sum(m.file_size for m in members) > MAX_BYTES:
-            raise ValueError(f"it would unpack to more than {_size(MAX_BYTES)}")
+        if sum(m.file_size for m in members) > MAX_ARRAY_BYTES:
+            raise ValueError(f"it would unpack to more than {_size(MAX_ARRAY_BYTES)}")
         arrays = {}
         for member in members:
             with archive.open(member) as packed:
@@ -125,8 +164,40 @@ def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
         return arrays
 
 
-def _read_array(file: object, size: int) -> np.ndarray:
+def _check_directory(file: BinaryIO) -> None:
+    """ValueError: a zip archive whose list of members zipfile would need too much memory for."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(max(0, size - (1 << 16) - 64))
+    tail = file.read()
+    for found in re.finditer(b"PK\5\6", tail):
+        length = int.from_bytes(tail[found.start() + 12 : found.start() + 16], "little")
+        if length > MAX_DIRECTORY_BYTES or tail[max(0, found.start() - 20) :].startswith(b"PK\6\7"):
+            raise ValueError("too many members, or too large")
+
+
+def _read_array(file: io.BufferedIOBase, size: int) -> np.ndarray:
     """Like numpy.lib.format.read_array, but checks the declared shape against the bytes there are before allocating."""
+    shape, fortran, dtype = _read_header(file)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are never loaded")
+    count, spread = math.prod(shape), math.prod(extent for extent in shape if extent)
+    # An array without elements may still claim 2^40 rows, which nobody should count through.
+    if min(shape, default=0) < 0 or count * dtype.itemsize > min(size, MAX_ARRAY_BYTES) or spread > MAX_ARRAY_BYTES:
+        raise ValueError(f"it declares {dtype} of shape {shape}, more than the file holds")
+    if not dtype.itemsize:
+        raise ValueError("its elements take no bytes")
+    array = np.empty(count, dtype)
+    space = array.view(np.uint8)
+    for start in range(0, space.size, PIECE):
+        data = file.read(min(PIECE, space.size - start))
+        if len(data) < min(PIECE, space.size - start):
+            raise ValueError("it is truncated")
+        space[start : start + PIECE] = np.frombuffer(data, np.uint8)
+    return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
+
+
+def _read_header(file: io.BufferedIOBase) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether columns come first, and type of a .npy file's array."""
     version = np.lib.format.read_magic(file)
     reader = {
         (1, 0): np.lib.format.read_array_header_1_0,
@@ -141,20 +212,9 @@ def _read_array(file: object, size: int) -> np.ndarray:
         raise ValueError("its header is too long")
     header = file.read(int.from_bytes(length, "little"))
     try:
-        shape, fortran, dtype = reader(io.BytesIO(length + header))
+        return reader(io.BytesIO(length + header))
     except (SyntaxError, TypeError, tokenize.TokenError, RecursionError, MemoryError) as error:
         raise ValueError(f"its header is not one ({first_line(error)})") from None
-    if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never loaded")
-    count, spread = math.prod(shape), math.prod(extent for extent in shape if extent)
-    # An array without elements may still claim 2^40 rows, which nobody should count through.
-    if min(shape, default=0) < 0 or count * dtype.itemsize > min(size, MAX_BYTES) or spread > MAX_BYTES:
-        raise ValueError(f"it declares {dtype} of shape {shape}, more than the file holds")
-    data = file.read(count * dtype.itemsize)
-    if len(data) != count * dtype.itemsize:
-        raise ValueError("it is truncated")
-    array = np.frombuffer(bytearray(data), dtype)
-    return array.reshape(shape[::-1]).T if fortran else array.reshape(shape)
 
 
 def _size(count: int) -> str:

@@ -19,19 +19,33 @@ from .errors import InputError
 def write_json(path: str | os.PathLike, record: dict) -> None:
     """Replace a JSON file atomically."""
     text = json.dumps(record, indent=2, allow_nan=False) + "\n"
-    replace_file(Path(path), lambda file: file.write(text.encode()))
+    write_bytes(path, text.encode())
 
 
 def write_npy(path: str | os.PathLike, array: np.ndarray) -> None:
     """Replace a .npy file atomically."""
-    replace_file(
-        Path(path), lambda file: np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
-    )
+    replace_file(path, lambda file: np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False))
 
 
-def replace_file(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write beside the file and rename over it: after a crash there is the old file or the new one, never a half."""
+def write_bytes(path: str | os.PathLike, data: bytes) -> None:
+    """Replace a file atomically."""
+    replace_file(path, lambda file: file.write(data))
+
+
+def write_text(path: str | os.PathLike, text: str) -> None:
+    """Replace a UTF-8 file atomically."""
+    write_bytes(path, text.encode())
+
+
+def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -> None:
+    """Write beside the file and rename over it: after a crash there is the old file or the new one, never a half.
+
+    InputError: it cannot be written, or something other than a file (a folder, a device) has that name.
+    """
+    path = Path(path)
     with written(path):
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file, and is left alone")
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
             with os.fdopen(handle, "wb") as file:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_text
 
 MAX_BYTES = 1 << 20
 
@@ -85,11 +86,5 @@ def read_cfg(path: Path) -> list[Section]:
 
 
 def read_cfg_text(path: Path) -> str:
-    """A .cfg file's text; InputError where there is none or it is far too large for one."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    if path.stat().st_size > MAX_BYTES:
-        raise InputError(
-            f"{path}: {path.stat().st_size} bytes, too large for a Darknet cfg (were .cfg and .weights swapped?)"
-        )
-    return path.read_text(encoding="utf-8", errors="replace")
+    """A .cfg file's text; InputError where there is none or it is far too large for one (the weights, say)."""
+    return read_text(path, MAX_BYTES, errors="replace")

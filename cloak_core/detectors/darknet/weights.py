@@ -12,6 +12,8 @@ from cloak_core.detectors.darknet.cfg import parse_cfg
 from cloak_core.detectors.darknet.layers import BatchNorm, Convolution, WeightedShortcut
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import open_regular
+from cloak_core.files.writing import write_bytes, write_text
 
 WRITTEN_VERSION = (0, 2, 5)
 """AlexeyAB's Darknet writes this version. Its batch norm divides by sqrt(var + 1e-5); the original's (revision 0) by
@@ -47,8 +49,9 @@ def check_size(network: Network, path: Path) -> tuple[int, int]:
     expected = sum(tensor.numel() for _, _, tensor in stored_tensors(network))
     if not path.is_file():
         raise InputError(f"{path}: no such file (expected {expected:,} floats of weights)")
-    header, revision = _header(path)
-    found, odd = divmod(max(path.stat().st_size - header, 0), 4)
+    with open_regular(path) as file:
+        header, revision = _header(file.read(12))
+        found, odd = divmod(max(file.seek(0, os.SEEK_END) - header, 0), 4)
     if found != expected or odd:
         more = f" and {odd} odd bytes" if odd else ""
         raise InputError(
@@ -67,7 +70,9 @@ def read_weights(network: Network, path: Path) -> Network:
     """
     header, revision = check_size(network, path)
     stored = stored_tensors(network)
-    values = torch.from_numpy(np.fromfile(path, dtype="<f4", offset=header).astype(np.float32, copy=False))
+    with open_regular(path) as file:
+        numbers = np.fromfile(file, dtype="<f4", offset=header)
+    values = torch.from_numpy(numbers.astype(np.float32, copy=False))
     offset = 0
     for index, name, tensor in stored:
         part = values[offset : offset + tensor.numel()]
@@ -101,25 +106,17 @@ def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int =
     if not bool(values.isfinite().all()):
         raise ValueError("the network holds numbers that are not finite")
     header = struct.pack("<iiiq", *WRITTEN_VERSION, seen)
-    _replace(weights, header + values.numpy().astype("<f4").tobytes())
-    _replace(cfg, cfg_text.encode())
+    write_bytes(weights, header + values.numpy().astype("<f4").tobytes())
+    write_text(cfg, cfg_text)
     return cfg, weights
 
 
-def _header(path: Path) -> tuple[int, int]:
-    """Bytes of the header, and the revision.
+def _header(head: bytes) -> tuple[int, int]:
+    """Bytes of the header, and the revision, from a file's first 12.
 
     The header is major, minor, revision as int32; then `seen`, an int64 from version 0.2 on and an int32 before.
     """
-    with path.open("rb") as file:
-        head = file.read(12)
     if len(head) < 12:
         return len(head), 0
     major, minor, revision = struct.unpack("<iii", head)
     return 12 + (8 if major * 10 + minor >= 2 and major < 1000 and minor < 1000 else 4), revision
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(content)
-    temporary.replace(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 from pathlib import Path
 
 import jinja2
@@ -16,7 +15,8 @@ from cloak_core.evaluate.figures import inline_svg, style
 from cloak_core.evaluate.report import plots, words
 from cloak_core.evaluate.report.history import History, read_history
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_json
+from cloak_core.files.reading import read_bytes, read_json
+from cloak_core.files.writing import write_text
 
 HERE = Path(__file__).parent
 BLENDER = "blender.png"
@@ -50,18 +50,8 @@ def make_report(run: Path) -> Path:
             "evaluation": _evaluation(stored) if stored else None,
         }
     report = run / "report.html"
-    _replace(report, environment(HERE).get_template("report.html").render(page))
+    write_text(report, environment(HERE).get_template("report.html").render(page))
     return report
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write the file whole or not at all."""
-    temporary = path.with_name(f".{path.name}")
-    try:
-        temporary.write_text(text, "utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def environment(folder: Path) -> jinja2.Environment:
@@ -177,11 +167,6 @@ def svg(figure: Figure) -> Markup:
 
 def data_uri(path: Path) -> str:
     """A picture file as a data: address. InputError where it is missing or larger than a picture can be."""
-    try:
-        if path.stat().st_size > MAX_PICTURE:
-            raise InputError(f"{path}: too large for a picture")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
+    data = read_bytes(path, MAX_PICTURE)
     kind = {".jpg": "jpeg", ".png": "png"}.get(path.suffix, "png")
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

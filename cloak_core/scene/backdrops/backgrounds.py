@@ -7,7 +7,6 @@ Images are kept in memory as uint8 at the size they were asked for, up to a boun
 from __future__ import annotations
 
 import hashlib
-import io
 import logging
 import os
 from collections.abc import Callable, Sequence
@@ -22,16 +21,16 @@ from torch import Tensor
 
 from cloak_core.files.caching import MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_bytes
 from cloak_core.files.specs import split_spec
 from cloak_core.scene.backdrops.decoded import DecodedImages
 from cloak_core.scene.backdrops.procedural import draw_scene
-from cloak_core.scene.meshes.pictures import MAX_PIXELS
+from cloak_core.scene.pictures import MAX_FILE_BYTES, open_picture
 from cloak_core.scene.selection import select, split_selection
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MEMORY_BYTES = 1 << 30
 """Bound on the images that one set of backgrounds keeps in memory."""
-MAX_FILE_BYTES = 256 << 20
 PROCEDURAL_COUNT = 256
 _SPLITS = ("train", "test")
 _log = logging.getLogger("cloak")
@@ -188,12 +187,7 @@ def _read(
     image = None if digest is None else decoded.get(digest, height, width)
     if image is not None:
         return image, digest
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise InputError(f"{path}: larger than any image taken here ({MAX_FILE_BYTES >> 20} MiB)")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: not a readable image ({error})") from error
+    data = read_bytes(path, MAX_FILE_BYTES)
     digest = hashlib.sha256(data).hexdigest()
     image = decoded.get(digest, height, width)
     if image is None:
@@ -203,17 +197,10 @@ def _read(
 
 
 def _decode(path: Path, data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
-    try:
-        with Image.open(io.BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image:
-            image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
-            if image.width * image.height > MAX_PIXELS:
-                raise InputError(f"{path}: more than {MAX_PIXELS >> 20} million pixels")
-            upright = ImageOps.exif_transpose(image)
-            return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
-    except InputError:
-        raise
-    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: not a readable image ({error})") from error
+    with open_picture(path, data) as image:
+        image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
+        upright = ImageOps.exif_transpose(image)
+        return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
 
 
 def _rgb(image: Image.Image) -> Image.Image:

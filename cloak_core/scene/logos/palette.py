@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_text
 
 MAX_BYTES = 1 << 20
 MAX_COLORS = 4096
@@ -25,17 +26,7 @@ _HEX = re.compile(r"#([0-9a-fA-F]{6})\b")
 def read_palette(path: str | os.PathLike) -> Float[np.ndarray, "P 3"]:
     """The colours of a palette file, sRGB in [0, 1], float64. InputError names the file and line."""
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    if len(data) > MAX_BYTES:
-        raise InputError(f"{path}: larger than any palette ({MAX_BYTES >> 20} MiB)")
-    try:
-        lines = data.decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file") from None
+    lines = read_text(path, MAX_BYTES).removeprefix("\ufeff").splitlines()
     gimp = bool(lines) and lines[0].strip() == "GIMP Palette"
     colors = []
     for number, line in enumerate(lines[1:] if gimp else lines, 2 if gimp else 1):

@@ -15,11 +15,11 @@ from jaxtyping import Bool, Float, Int64
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.pictures import read_picture
 
 # Of the body's height: where a stamp's centre sits and how large it is at most, between collar and waistband.
 CENTRE_HEIGHT, STAMP_HEIGHT, STAMP_WIDTH = 0.705, 0.23, 0.19
 MAX_TEXT = 32
-MAX_PIXELS = 64 << 20
 INK_HEIGHT = 512
 
 
@@ -81,17 +81,7 @@ def draw_text(text: str) -> Bool[np.ndarray, "height width"]:
 
 
 def read_ink(path: Path) -> Bool[np.ndarray, "height width"]:
-    from PIL import Image
-
-    try:
-        with Image.open(path) as picture:
-            if picture.width * picture.height > MAX_PIXELS:
-                raise InputError(f"{path}: {picture.width} x {picture.height} pixels are too many")
-            rgba = np.asarray(picture.convert("RGBA"))
-    except OSError as error:  # PIL's error for files that are no picture is one of these
-        raise InputError(f"{path}: not a readable picture ({error.strerror or 'unknown or damaged format'})") from None
-    except (ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: not a readable picture ({error})") from None
+    rgba = read_picture(path, "RGBA")
     opaque = rgba[..., 3] >= 128
     if not opaque.all():
         return opaque

@@ -16,8 +16,12 @@ import numpy as np
 from cloak_core.files.errors import InputError
 from cloak_core.scene.meshes.gltf_animation import sample_animation
 from cloak_core.scene.meshes.gltf_document import Document
-from cloak_core.scene.meshes.mesh_file import MeshFile, to_srgb
+from cloak_core.scene.meshes.mesh_file import MeshFile, to_linear, to_srgb
 from cloak_core.scene.meshes.pictures import put_together
+
+MAX_PRIMITIVES = 1 << 15
+GREY = to_linear(np.full(3, 0.5))
+"""Scene-linear colour of what has no material."""
 
 
 def read_gltf(path: Path, frames: int = 0) -> MeshFile:
@@ -28,7 +32,11 @@ def read_gltf(path: Path, frames: int = 0) -> MeshFile:
     try:
         document = Document(path)
         times = document.frame_times(frames)
-        parts = [Part(document, node) for node in document.mesh_nodes()]
+        nodes = document.mesh_nodes()
+        meshes, of = document.list("meshes"), document.list("nodes")
+        if sum(len(meshes[of[node]["mesh"]]["primitives"]) for node in nodes) > MAX_PRIMITIVES:
+            raise InputError(f"{path}: more than {MAX_PRIMITIVES:,} primitives")
+        parts = [Part(document, node) for node in nodes]
         poses = [
             np.concatenate([part.posed(moment) for part in parts])
             for moment in (Moment(document, time) for time in times)
@@ -36,7 +44,16 @@ def read_gltf(path: Path, frames: int = 0) -> MeshFile:
         return mesh_of(document, parts, np.stack(poses))
     except InputError:
         raise
-    except (ValueError, IndexError, KeyError, TypeError, AttributeError, struct.error, RecursionError) as error:
+    except (
+        ValueError,
+        IndexError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        struct.error,
+        RecursionError,
+        OverflowError,
+    ) as error:
         raise InputError(f"{path}: not a readable glTF file ({type(error).__name__}: {error})") from None
 
 
@@ -105,7 +122,7 @@ class Part:
         triangles = [p.triangles + offset for p, offset in zip(primitives, offsets, strict=False)]
         loose = np.concatenate(triangles)
         self.triangles = rank[inverse.reshape(-1)][loose]
-        self.colors = join("colors")
+        self.colors = to_srgb(join("colors"))
         self.picture_of = np.concatenate([np.full(len(p.triangles), p.picture) for p in primitives])
         self.has_uv = all(p.uv is not None for p in primitives)
         self.corner_uv = np.concatenate([p.corner_uv() for p in primitives])
@@ -143,37 +160,45 @@ class Primitive:
     def __init__(self, document: Document, record: dict) -> None:
         if record.get("mode", 4) != 4:
             raise InputError(f"{document.path}: only triangle lists are read, not primitive mode {record['mode']}")
-        attributes = record["attributes"]
-        read = lambda name: document.accessor(attributes[name]) if name in attributes else None
-        self.positions = document.accessor(attributes["POSITION"]).astype(np.float64)
+        self.document, self.attributes = document, record["attributes"]
+        self.positions = document.geometry(self.attributes["POSITION"]).astype(np.float64)
         count = len(self.positions)
-        indices = document.accessor(record["indices"]) if "indices" in record else np.arange(count)
+        indices = document.geometry(record["indices"]) if "indices" in record else np.arange(count)
         if indices.size % 3 or (indices.size and int(indices.max()) >= count):
             raise ValueError("a primitive's indices do not fit its vertices")
         self.triangles = indices.astype(np.int64).reshape(-1, 3)
-        targets = [document.accessor(t["POSITION"]) for t in record.get("targets", []) if "POSITION" in t]
+        targets = [document.geometry(t["POSITION"]) for t in record.get("targets", []) if "POSITION" in t]
         self.morphs = np.stack(targets, axis=1) if targets else np.zeros((count, 0, 3))
-        sets = [i for i in range(8) if f"JOINTS_{i}" in attributes and f"WEIGHTS_{i}" in attributes]
-        empty = np.zeros((count, 0))
-        self.joints = np.concatenate([empty, *[read(f"JOINTS_{i}") for i in sets]], axis=1)
-        self.weights = np.concatenate([empty, *[read(f"WEIGHTS_{i}") for i in sets]], axis=1)
-        index = record.get("material")
-        material = {} if index is None else document.list("materials")[index].get("pbrMetallicRoughness", {})
+        sets = [i for i in range(8) if f"JOINTS_{i}" in self.attributes and f"WEIGHTS_{i}" in self.attributes]
+        self.joints = self.weights = np.zeros((count, 0))
+        if sets:
+            self.joints = np.concatenate([self.read(f"JOINTS_{i}") for i in sets], axis=1)
+            self.weights = np.concatenate([self.read(f"WEIGHTS_{i}") for i in sets], axis=1)
+        self.look(record.get("material"))
+
+    def read(self, name: str) -> np.ndarray | None:
+        """Values of an attribute for each vertex; None where there are none."""
+        return self.document.geometry(self.attributes[name]) if name in self.attributes else None
+
+    def look(self, index: int | None) -> None:
+        """Set colours (scene-linear, [T, 3]), texture coordinates and picture as a material has them."""
+        materials = self.document.list("materials")
+        material = {} if index is None else materials[index].get("pbrMetallicRoughness", {})
         factor = np.array(material.get("baseColorFactor", (1, 1, 1, 1)), float)[:3]
-        texture, vertex_colors = material.get("baseColorTexture"), read("COLOR_0")
-        self.uv = read(f"TEXCOORD_{(texture or {}).get('texCoord', 0)}")
-        if texture is not None and self.uv is None:
-            raise InputError(
-                f"{document.path}: material {index} has a texture, but its mesh no texture coordinates (UVs)"
-            )
+        texture, vertex_colors = material.get("baseColorTexture"), self.read("COLOR_0")
+        self.uv = self.read(f"TEXCOORD_{(texture or {}).get('texCoord', 0)}")
+        self.picture = -1
         if texture is not None:
+            if self.uv is None:
+                raise InputError(
+                    f"{self.document.path}: material {index} has a texture, but its mesh no texture coordinates (UVs)"
+                )
             self.uv = transformed(self.uv, texture.get("extensions", {}).get("KHR_texture_transform", {}))
-        self.picture = -1 if texture is None else document.base_picture(texture["index"], tuple(factor.tolist()))
-        self.colors = np.tile(to_srgb(factor), (len(self.triangles), 1))
+            self.picture = self.document.base_picture(texture["index"], tuple(factor.tolist()))
         if vertex_colors is not None:
-            self.colors = to_srgb(factor * vertex_colors[self.triangles][..., :3].mean(axis=1))
-        elif index is None:
-            self.colors[:] = 0.5
+            self.colors = factor * vertex_colors[self.triangles][..., :3].mean(axis=1)
+        else:
+            self.colors = np.zeros(self.triangles.shape) + (GREY if index is None else factor)
 
     def corner_uv(self) -> np.ndarray:
         """Texture coordinates of the triangles' corners [3 T, 2], v up (glTF counts it downwards)."""

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import base64
 import binascii
-import io
-import json
+import math
 import struct
 from pathlib import Path
 
 import numpy as np
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.meshes.mesh_file import file_beside, read_file, to_linear, to_srgb
-from cloak_core.scene.meshes.pictures import MAX_PIXELS
+from cloak_core.files.reading import parse_json, read_bytes
+from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, file_beside, to_linear, to_srgb
+from cloak_core.scene.pictures import MAX_PIXELS, read_picture
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
 WIDTHS = {"SCALAR": (1,), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT4": (4, 4)}
 KNOWN_EXTENSIONS = {"KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform"}
 MAX_NODES = 100_000
+MAX_VALUES = 1 << 25
+"""Of the accessors of all primitives together."""
 
 
 class Document:
@@ -26,14 +28,15 @@ class Document:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        data = read_file(path)
-        self.binary = b""
+        data = read_bytes(path, MAX_FILE_BYTES)
+        self.binary = memoryview(b"")
         if data[:4] == b"glTF":
-            chunks = dict(reversed(list(glb_chunks(data))))  # of two chunks of a kind the first counts
-            data, self.binary = chunks[b"JSON"], chunks.get(b"BIN\0", b"")
-        self.json = json.loads(data)
-        self.buffers: dict[int, bytes] = {}
+            chunks = glb_chunks(data)
+            data, self.binary = bytes(chunks[b"JSON"]), chunks.get(b"BIN\0", self.binary)
+        self.json = parse_json(data, str(path))
+        self.buffers: dict[int, memoryview] = {}
         self.base_pictures: list[np.ndarray] = []
+        self._values = 0
         self._base_numbers: dict[tuple, int] = {}
         for extension in self.json.get("extensionsRequired", []):
             if extension not in KNOWN_EXTENSIONS:
@@ -51,20 +54,28 @@ class Document:
         beside = file_beside(self.path, uri)
         if beside is None:
             raise InputError(f"{self.path}: {what} '{uri}' is not a file in its folder")
-        return read_file(beside)
+        return read_bytes(beside, MAX_FILE_BYTES)
 
-    def view(self, index: int) -> tuple[bytes, dict]:
+    def view(self, index: int) -> tuple[memoryview, dict]:
         """Bytes of a buffer view, and its record."""
         record = self.list("bufferViews")[index]
         number = record["buffer"]
         if number not in self.buffers:
             uri = self.list("buffers")[number].get("uri")
-            self.buffers[number] = self.binary if uri is None else self.uri(uri, f"buffer {number}")
+            self.buffers[number] = self.binary if uri is None else memoryview(self.uri(uri, f"buffer {number}"))
         start, length = record.get("byteOffset", 0), record["byteLength"]
         data = self.buffers[number]
         if start < 0 or length < 0 or start + length > len(data):
             raise ValueError(f"buffer view {index} reaches beyond its buffer")
         return data[start : start + length], record
+
+    def geometry(self, index: int) -> np.ndarray:
+        """Values of an accessor that become part of the mesh: a small file may say the same many times over."""
+        values = self.accessor(index)
+        self._values += values.size
+        if self._values > MAX_VALUES:
+            raise InputError(f"{self.path}: unfolds to more than {MAX_VALUES:,} numbers")
+        return values
 
     def accessor(self, index: int) -> np.ndarray:
         """Values of an accessor, [count, ...]; normalised integers as floats."""
@@ -72,7 +83,7 @@ class Document:
         dtype, shape, count = np.dtype(COMPONENTS[record["componentType"]]), WIDTHS[record["type"]], record["count"]
         if "bufferView" in record:
             values = self.strided(record["bufferView"], record.get("byteOffset", 0), dtype, shape, count)
-        elif count <= 1 << 26:
+        elif count * math.prod(shape) <= MAX_VALUES:
             values = np.zeros((count, *shape), dtype)
         else:
             raise ValueError(f"accessor {index} is too long")
@@ -88,7 +99,7 @@ class Document:
 
     def strided(self, view: int, offset: int, dtype: np.dtype, shape: tuple[int, ...], count: int) -> np.ndarray:
         data, record = self.view(view)
-        width = dtype.itemsize * int(np.prod(shape))
+        width = dtype.itemsize * math.prod(shape)
         stride = record.get("byteStride", width)
         if count < 0 or stride < width or (count and offset + (count - 1) * stride + width > len(data)):
             raise ValueError(f"an accessor reaches beyond buffer view {view}")
@@ -126,20 +137,12 @@ class Document:
 
     def picture(self, texture: int) -> np.ndarray | None:
         """Pixels [H, W, 3] uint8 of a texture, row 0 at v = 0 of glTF (the top); None where it cannot be read."""
-        from PIL import Image
-
         source = self.list("textures")[texture].get("source")
         if source is None:
             return None
         record = self.list("images")[source]
         data = self.view(record["bufferView"])[0] if "bufferView" in record else self.uri(record["uri"], "image")
-        try:
-            with Image.open(io.BytesIO(data)) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise InputError(f"{self.path}: image {source} has too many pixels")
-                return np.array(image.convert("RGB"))
-        except (OSError, Image.DecompressionBombError, SyntaxError):
-            raise InputError(f"{self.path}: image {source} is not a readable picture") from None
+        return read_picture(Path(f"{self.path}: image {source}"), data=data)
 
     def base_picture(self, texture: int, factor: tuple[float, ...]) -> int:
         """Number in `base_pictures` of a texture times a linear colour; -1 where there is no picture in it."""
@@ -152,19 +155,22 @@ class Document:
                 picture = np.stack([table[picture[..., c], c] for c in range(3)], axis=-1)
             self._base_numbers[key] = -1 if picture is None else len(self.base_pictures)
             self.base_pictures += [] if picture is None else [picture]
+            if sum(each.size for each in self.base_pictures) > 3 * MAX_PIXELS:
+                raise InputError(f"{self.path}: its pictures have more than {MAX_PIXELS:,} pixels")
         return self._base_numbers[key]
 
 
-def glb_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
-    """(kind, bytes) of every chunk of a binary glTF file."""
+def glb_chunks(data: bytes) -> dict[bytes, memoryview]:
+    """The JSON and the binary chunk of a binary glTF file, the first of each kind."""
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2 or length > len(data):
         raise ValueError("it is truncated" if version == 2 else f"version {version}")
-    chunks, at = [], 12
+    chunks, at = {}, 12
     while at + 8 <= length:
         size, kind = struct.unpack_from("<I4s", data, at)
         if at + 8 + size > length:
             raise ValueError("a chunk is truncated")
-        chunks.append((kind, data[at + 8 : at + 8 + size]))
+        if kind in (b"JSON", b"BIN\0"):
+            chunks.setdefault(kind, memoryview(data)[at + 8 : at + 8 + size])
         at += 8 + size
     return chunks

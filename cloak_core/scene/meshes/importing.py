@@ -11,9 +11,10 @@ import numpy as np
 from cloak_core.exchange.bodies import Bodies, topology_hash
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import open_regular
 from cloak_core.scene.blender.outside import SUFFIXES, read_through_blender
 from cloak_core.scene.meshes.gltf import read_gltf
-from cloak_core.scene.meshes.mesh_file import MeshFile
+from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, MeshFile
 from cloak_core.scene.meshes.polygons import triangulate
 from cloak_core.scene.meshes.stanford import read_ply
 from cloak_core.scene.meshes.textures import dress_in_textures
@@ -22,7 +23,6 @@ from cloak_core.scene.meshes.wavefront import read_obj
 READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 READERS |= dict.fromkeys(SUFFIXES, read_through_blender)
 ANIMATED = (".glb", ".gltf", *SUFFIXES)
-MAX_FILE_BYTES = 1 << 30
 HEIGHTS = (0.1, 20.0)
 """Heights in metres that a person's body may have; outside, the file's unit is something else."""
 
@@ -81,14 +81,9 @@ def read_bodies(path: Path, first: Bodies | None = None, frames: int = 0) -> Bod
         return read_scene(path)
     if suffix not in READERS:
         raise InputError(f"{path}: not a mesh that is read here ({', '.join([*READERS, '.npz'])})")
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
-    if not size:
-        raise InputError(f"{path}: the file is empty")
-    if size > MAX_FILE_BYTES:
-        raise InputError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB")
+    with open_regular(path, MAX_FILE_BYTES) as file:
+        if not file.read(1):
+            raise InputError(f"{path}: the file is empty")
     mesh = READERS[suffix](path, frames) if suffix in ANIMATED else READERS[suffix](path)
     check_mesh(path, mesh)
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.files.errors import InputError
+MAX_FILE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,6 @@ def mean_of_corners(values: np.ndarray, loop_total: np.ndarray, loop: np.ndarray
     """Per-vertex values [V, ...] averaged over each polygon's corners [F, ...]."""
     starts = np.cumsum(loop_total) - loop_total
     return np.add.reduceat(values[loop], starts, axis=0) / loop_total.reshape(-1, *[1] * (values.ndim - 1))
-
-
-def read_file(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from None
 
 
 def file_beside(path: Path, name: str) -> Path | None:

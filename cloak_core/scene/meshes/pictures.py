@@ -1,34 +1,17 @@
-"""Pictures as arrays: reading one, and putting several and plain colours together as one."""
+"""Several pictures and plain colours put together as one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from cloak_core.files.errors import InputError
+from cloak_core.scene.pictures import MAX_PIXELS
 
-MAX_PIXELS = 64 << 20
 CELL = 4
 """Side in pixels of a plain colour's square in a picture put together from several."""
-
-
-def read_texture(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """One picture, row 0 at the top; transparency is dropped."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise InputError(f"{path}: more than {MAX_PIXELS >> 20} million pixels")
-            return np.array(image.convert("RGB"))
-    except OSError as error:
-        reason = error.strerror or "not a readable picture"
-        raise InputError(f"{path}: {reason}") from None
-    except (Image.DecompressionBombError, SyntaxError, ValueError):
-        raise InputError(f"{path}: not a readable picture") from None
 
 
 def put_together(

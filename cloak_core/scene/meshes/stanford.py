@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.meshes.mesh_file import MeshFile, mean_of_corners, read_file
+from cloak_core.files.reading import read_bytes
+from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, MeshFile, mean_of_corners
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -40,7 +41,7 @@ class Element:
 
 def read_ply(path: Path) -> MeshFile:
     """Read a PLY file's vertices and faces in their order. Raises `InputError` for what is damaged or no mesh."""
-    data = read_file(path)
+    data = read_bytes(path, MAX_FILE_BYTES)
     try:
         order, elements, start = read_header(data)
         reader = AsciiReader(data[start:]) if not order else BinaryReader(data, start, order)

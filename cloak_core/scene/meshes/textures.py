@@ -17,8 +17,8 @@ from jaxtyping import Float32, Integer, UInt8
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_BYTES, read_npz
-from cloak_core.scene.meshes.pictures import read_texture
 from cloak_core.scene.meshes.wavefront import read_obj
+from cloak_core.scene.pictures import read_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
@@ -36,7 +36,7 @@ def read_textures(paths: Sequence[str | Path]) -> dict[str, UInt8[np.ndarray, "h
     textures: dict[str, np.ndarray] = {}
     for file in files:
         name = file.stem if file.stem not in textures else f"{file.stem} {len(textures)}"
-        textures[name] = read_texture(file)
+        textures[name] = read_picture(file)
         if sum(image.nbytes for image in textures.values()) > MAX_BYTES:
             raise InputError(f"{file}: these textures need more than {MAX_BYTES >> 30} GiB")
     return textures

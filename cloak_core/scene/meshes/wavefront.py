@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.meshes.mesh_file import MeshFile, file_beside, mean_of_corners, read_file, to_srgb
-from cloak_core.scene.meshes.pictures import put_together, read_texture
+from cloak_core.files.reading import read_text
+from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, MeshFile, file_beside, mean_of_corners, to_srgb
+from cloak_core.scene.meshes.pictures import put_together
+from cloak_core.scene.pictures import read_picture
 
 GREY = (0.5, 0.5, 0.5)
 MAX_MTL_BYTES = 4 << 20
@@ -76,7 +78,7 @@ class ObjLines:
 def resolve(word: str, count: int) -> int:
     """An index counted from 0; the file's count from 1, or backwards from the latest."""
     index = int(word)
-    if index == 0 or index < -count:
+    if index == 0 or not -count <= index < 1 << 31:
         raise ValueError(f"index {index} with {count} before it")
     return index - 1 if index > 0 else count + index
 
@@ -97,7 +99,7 @@ def read_obj(path: Path) -> MeshFile:
         "usemtl": lines.use_material,
         "mtllib": lines.library,
     }
-    text = read_file(path).decode("utf-8", "replace")
+    text = read_text(path, MAX_FILE_BYTES, errors="replace")
     joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
     for number, line in enumerate(joined.split("\n"), start=1):
         words = line.partition("#")[0].split()
@@ -143,7 +145,7 @@ def with_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshF
         file = lines.materials[name].picture if name in lines.materials else ""
         beside = file_beside(path, file) if file else None
         if beside is not None:
-            pictures[name] = read_texture(beside)
+            pictures[name] = read_picture(beside)
         elif file:
             warnings.warn(f"{path}: its picture '{file}' is not in its folder: plain colour instead", stacklevel=2)
     if not pictures:
@@ -170,11 +172,11 @@ MAP_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-clamp": 1, "-imfchan":
 def read_mtl(obj: Path, name: str) -> dict[str, Material]:
     """Materials by name, from a file that lies in the OBJ's own folder or below; else none."""
     path = file_beside(obj, name)
-    if path is None or path.stat().st_size > MAX_MTL_BYTES:
+    if path is None:
         return {}
     materials: dict[str, Material] = {}
     material = Material()
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in read_text(path, MAX_MTL_BYTES, errors="replace").splitlines():
         words = line.split()
         if words[:1] == ["newmtl"]:
             material = materials[" ".join(words[1:])] = Material()

@@ -132,7 +132,7 @@ def test_another_topology_is_refused_with_both_hashes(tmp_path: Path) -> None:
 
 def test_files_that_are_no_meshes(tmp_path: Path) -> None:
     (tmp_path / "a.stl").write_text("x")
-    for path, says in ((tmp_path / "a.stl", "not a mesh"), (tmp_path / "gone.obj", "No such file")):
+    for path, says in ((tmp_path / "a.stl", "not a mesh"), (tmp_path / "gone.obj", "no such file")):
         with pytest.raises(InputError, match=says):
             import_bodies([path])
     with pytest.raises(InputError, match="no mesh file"):

@@ -110,7 +110,7 @@ def test_a_picture_that_is_not_there_is_a_warning(tmp_path: Path) -> None:
 def test_pictures_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "no.png").write_bytes(b"nothing")
     (tmp_path / "empty").mkdir()
-    for path, says in (("no.png", "not a readable picture"), ("absent.png", "No such file"), ("empty", "no png")):
+    for path, says in (("no.png", "not a readable picture"), ("absent.png", "no such file"), ("empty", "no png")):
         with pytest.raises(InputError, match=f"{path}.*{says}"):
             read_textures([tmp_path / path])
 

@@ -1,0 +1,53 @@
+"""Opening pictures that anyone may have made: photographs, textures, stamps."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.reading import read_bytes
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+MAX_PIXELS = 64 << 20
+MAX_FILE_BYTES = 256 << 20
+FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "GIF", "PPM", "TGA", "TIFF")
+"""No other is tried: some of Pillow's formats start programs (PostScript)."""
+
+
+@contextlib.contextmanager
+def open_picture(path: Path, data: bytes | None = None) -> Iterator[Image.Image]:
+    """A picture that is decoded inside the block; `data`: the file's content, where it is read already.
+
+    InputError, also for what decoding it runs into: no regular file, larger than `MAX_FILE_BYTES`, more than
+    `MAX_PIXELS`, damaged, or no picture.
+    """
+    from PIL import Image
+
+    data = read_bytes(path, MAX_FILE_BYTES) if data is None else data
+    try:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            if picture.width * picture.height > MAX_PIXELS:
+                raise InputError(f"{path}: {picture.width} x {picture.height} pixels, more than any picture taken here")
+            yield picture
+    except InputError:
+        raise
+    except Image.UnidentifiedImageError:
+        raise InputError(f"{path}: not a readable picture (none of {', '.join(FORMATS)})") from None
+    except (OSError, ValueError, SyntaxError, EOFError, struct.error, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: not a readable picture ({first_line(error)})") from None
+
+
+def read_picture(path: Path, mode: str = "RGB", data: bytes | None = None) -> UInt8[np.ndarray, "h w channels"]:
+    """A picture's pixels in a mode of Pillow ("RGB": without its transparency; "RGBA"), row 0 at the top."""
+    with open_picture(path, data) as picture:
+        return np.array(picture.convert(mode))
