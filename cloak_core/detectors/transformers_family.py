@@ -1,7 +1,6 @@
 """The DETR family, and whatever else transformers' AutoModelForObjectDetection loads; local files only."""
 
 import copy
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass

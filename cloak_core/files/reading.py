@@ -54,12 +54,13 @@ def open_regular(path: str | os.PathLike, limit: int = MAX_BYTES) -> Iterator[Bi
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or first_line(error)}") from None
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode) or found.st_size > limit:
+        os.close(handle)
+        too_large = f"larger than any file of its kind taken here ({_size(limit)})"
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
+        raise InputError(f"{path}: {too_large if stat.S_ISREG(found.st_mode) else kind}")
     with os.fdopen(handle, "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            raise InputError(f"{path}: {'a folder' if stat.S_ISDIR(found.st_mode) else 'not a regular file'}")
-        if found.st_size > limit:
-            raise InputError(f"{path}: larger than any file of its kind taken here ({_size(limit)})")
         try:
             yield file
         except OSError as error:

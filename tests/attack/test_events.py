@@ -60,5 +60,5 @@ def test_no_such_file(tmp_path):
 def test_a_log_of_absurd_size_is_not_read(tmp_path):
     with (tmp_path / "events.jsonl").open("wb") as file:
         file.truncate(1 << 33)
-    with pytest.raises(InputError, match="larger than any event log"):
+    with pytest.raises(InputError, match="larger than any file"):
         read_events(tmp_path / "events.jsonl")

@@ -149,7 +149,7 @@ def test_pictures_that_cannot_be_stamped(tmp_path: Path, samples: Bodies) -> Non
         ("white", "no ink"),
         ("broken", "not a readable"),
         ("text", "not a readable"),
-        ("gone", "No such"),
+        ("gone", "no such"),
     ):
         with pytest.raises(InputError, match=rf"{name}\.png.*{says}"):
             project_mask(samples, tmp_path / f"{name}.png")

@@ -36,8 +36,8 @@ def test_gimp(tmp_path):
         ("0 0 0 0\n", ":1"),
         ("#ff80\n", ":1"),
         ("GIMP Palette\n0 0 256 too much\n", ":2"),
-        (b"\xff\xfe\x00", "not a text file"),
-        (b"0 " * (1 << 20), "larger than any palette"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
+        (b"0 " * (1 << 20), "larger than any file"),
         ("0 0 0\n" * 5000, "more than 4096"),
     ],
 )
