@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import open_regular, parse_json
-from cloak_core.files.writing import write_bytes, written
+from cloak_core.files.writing import open_to_append, write_bytes, written
 
 MAX_LINE = 1 << 20
 """Bytes; no event is longer."""
@@ -26,8 +26,7 @@ class EventLog:
 
     def __init__(self, path: Path, on_event: OnEvent | None = None) -> None:
         self._listener = on_event
-        with written(path):
-            self._file = path.open("ab", buffering=0)
+        self._file = open_to_append(path)
         self.path = path
 
     def write(self, event: Event) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.files.writing import replace_file
+from cloak_core.scene.pictures import save_picture
 
 MOST = 8
 """Images on one sheet."""
@@ -34,4 +34,4 @@ def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detec
             if right > left and bottom > top:
                 draw.rectangle((x + left, y + top, x + right, y + bottom), outline=FOUND, width=3)
                 draw.text((x + left + 5, y + top + 4), f"{score:.2f}", fill=FOUND)
-    replace_file(path, lambda file: sheet.save(file, format="PNG"))
+    save_picture(path, sheet)

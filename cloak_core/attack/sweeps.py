@@ -30,7 +30,7 @@ from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
-from cloak_core.files.writing import write_json, written
+from cloak_core.files.writing import write_json, write_text, written
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import open_scene
@@ -208,8 +208,7 @@ class Sweep:
             results = self.results()
             record = {"runs": len(self.runs), "done": sum("error" not in r for r in results), "results": results}
             write_json(self.out / "sweep.json", record)
-            (self.out / ".sweep.md").write_text("\n".join(table(results)) + "\n", encoding="utf-8")
-            (self.out / ".sweep.md").replace(self.out / "sweep.md")
+            write_text(self.out / "sweep.md", "\n".join(table(results)) + "\n")
         return record
 
     def _train(self, run: SweepRun, tell: Tell, on_event: OnEvent | None) -> str:

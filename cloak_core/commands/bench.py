@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction
 
 from cloak_core.commands.base import Command, open_scene, out, require_new
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_text
 
 
 @dataclass(kw_only=True)
@@ -90,10 +90,7 @@ class Step(Command):
             repeats=self.repeats,
         )
         if self.out is not None:
-            try:
-                self.out.write_text(step_table(result), "utf-8")
-            except OSError as error:
-                raise InputError(f"{self.out}: cannot be written ({error.strerror})") from None
+            write_text(self.out, step_table(result))
         return result
 
     def show(self, result: dict) -> None:

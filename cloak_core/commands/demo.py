@@ -12,7 +12,8 @@ from cloak_core.commands.blender import SCRIPT, train_in_blender
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
-from cloak_core.scene.blender.executable import find_blender
+from cloak_core.files.writing import write_text
+from cloak_core.scene.blender.executable import find_bpy
 
 REGION = "chest+thighs"
 ANGLES = "-10:10:5"
@@ -50,7 +51,7 @@ class Demo(Command):
 
     def _train(self, logo: Path, poses: int) -> None:
         """Through Blender where there is one, which also pictures the result; directly otherwise, and says so."""
-        blender = find_blender(SCRIPT.name)
+        blender = find_bpy() if SCRIPT.exists() else None
         if blender is None:
             warn("no Blender here (tools/setup_blender.sh brings one): training without, and no picture from it")
         started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()
@@ -59,8 +60,8 @@ class Demo(Command):
             Train(scene="sample:train", logo=logo, out=self.out, settings=settings, resume=self.out.exists()).run()
             return
         config = self.out.parent.absolute() / f"{self.out.name}-settings.toml"
-        config.write_text(
-            "".join(f"{key} = {json.dumps(value)}\n" for key, value in (HARDER | {"seed": self.seed}).items())
+        write_text(
+            config, "".join(f"{key} = {json.dumps(value)}\n" for key, value in (HARDER | {"seed": self.seed}).items())
         )
         words = [
             "--sample",

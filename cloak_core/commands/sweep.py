@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import RANK, Command, Stopped, err, out
 from cloak_core.commands.progress import TrainingProgress
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 
 @dataclass(kw_only=True)
@@ -39,7 +40,7 @@ class Sweep(Command):
 
     def show(self, result: dict) -> None:
         if not RANK:
-            out.print((self.out / "sweep.md").read_text(encoding="utf-8"), markup=False)
+            out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES), markup=False)
             out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done", markup=False)
         if result.get("stopped"):
             raise Stopped(result["stopped"])

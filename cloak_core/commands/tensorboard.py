@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 
 from cloak_core.files.errors import InputError
+from cloak_core.scene.pictures import read_picture
 
 SHOWN = {"step": "training", "held_out": "held out"}
 """Events whose numbers become scalars, and the group they stand in."""
@@ -45,8 +46,4 @@ class TensorBoardEvents:
             self._add_picture(self._run / event["path"], step)
 
     def _add_picture(self, path: Path, step: int) -> None:
-        import numpy as np
-        from PIL import Image
-
-        with Image.open(path) as picture:
-            self._writer.add_image("preview", np.asarray(picture.convert("RGB")), step, dataformats="HWC")
+        self._writer.add_image("preview", read_picture(path), step, dataformats="HWC")

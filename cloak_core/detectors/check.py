@@ -11,8 +11,7 @@ from torch import Tensor
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import replace_file
-from cloak_core.scene.pictures import open_picture
+from cloak_core.scene.pictures import open_picture, save_picture
 
 FRAME = (255, 60, 60)
 
@@ -33,7 +32,7 @@ def check_image(
         detections = detector(pixels[None].to(detector.device))
     boxes = person_boxes(detections, threshold)[0]
     if out is not None:
-        _save(draw_boxes(pixels, boxes), out)
+        save_picture(out, draw_boxes(pixels, boxes))
     return {"max_person": max_person_score(detections).item(), "boxes": boxes.tolist()}
 
 
@@ -59,8 +58,3 @@ def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Im
         draw.rectangle(draw.textbbox(corner, label, font_size=size), fill=FRAME)
         draw.text(corner, label, fill=(255, 255, 255), font_size=size)
     return picture
-
-
-def _save(picture: Image.Image, out: Path) -> None:
-    kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
-    replace_file(out, lambda file: picture.save(file, kind))

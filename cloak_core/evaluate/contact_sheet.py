@@ -11,8 +11,7 @@ from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.evaluation_folder import FOLDER, read_evaluation
 from cloak_core.evaluate.figures import SERIES
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import replace_file
-from cloak_core.scene.pictures import read_picture
+from cloak_core.scene.pictures import read_picture, save_picture
 
 BOX, INK, SOFT, PAPER = (224, 52, 28), (31, 35, 40), (89, 99, 110), (255, 255, 255)
 GAP, MARGIN, HEAD, FOOT = 10, 24, 34, 30
@@ -37,7 +36,7 @@ def contact_sheet(run: Path, out: Path, *, body: int = 0, detector: str | None =
     heads = [f"{shot['angle']:g}°".replace("-", "\N{MINUS SIGN}") for shot in shots]
     sheet = draw_sheet(stored.folder / "pictures", spec, heads, rows, side)
     out.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(out, lambda file: sheet.save(file, "PNG", optimize=True))
+    save_picture(out, sheet, optimize=True)
     return out
 
 

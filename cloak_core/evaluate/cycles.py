@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Float32
-from PIL import Image
 from torch import Tensor
 
 from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
@@ -26,10 +25,12 @@ from cloak_core.evaluate.stage import Indices, Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.writing import write_json
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
+from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import NormalOperator
-from cloak_core.scene.blender.executable import ADD_ON, find_blender
+from cloak_core.scene.blender.executable import ADD_ON, find_bpy
+from cloak_core.scene.pictures import read_picture
 
 SCRIPT = "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")
@@ -46,7 +47,7 @@ class NoBlender(InputError):
 
 def require_blender() -> str:
     """A Python with Blender; NoBlender says in one line how to come by one."""
-    python = find_blender(SCRIPT)
+    python = find_bpy() if (ADD_ON / SCRIPT).exists() else None
     if python is None:
         raise NoBlender("render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11)")
     return python
@@ -81,14 +82,14 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
     }
     bodies = stage.bodies
     content = sha256_arrays(bodies.vertices, bodies.triangles, colors) + json.dumps(job, sort_keys=True)
-    content += (ADD_ON / SCRIPT).read_text("utf-8")
+    content += read_text(ADD_ON / SCRIPT, MAX_TEXT_BYTES)
     folder = out / hashlib.sha256(content.encode()).hexdigest()[:16]
     folder.mkdir(parents=True, exist_ok=True)
     if all((folder / frame["file"]).exists() for frame in job["frames"]):
         return folder
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
     mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
-    np.savez(folder / "meshes.npz", **mesh)
+    write_npz(folder / "meshes.npz", **mesh)
     write_json(folder / "job.json", job)
     _run(python, folder, on_frame)
     return folder
@@ -97,7 +98,7 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
 def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
     log = folder / "blender.log"
-    with log.open("w") as said:
+    with open_to_append(log) as said:
         process = subprocess.Popen(
             [python, str(ADD_ON / SCRIPT), str(folder)],
             stdout=subprocess.PIPE,
@@ -107,16 +108,16 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         )
         try:
             for line in process.stdout:
-                said.write(line)
+                said.write(line.encode())
                 if line.startswith("frame "):
                     on_frame(line.strip())
         finally:
             process.terminate()  # only where we leave early: it has closed its output otherwise
             code = process.wait()
-    missing = [f["file"] for f in json.loads((folder / "job.json").read_text())["frames"]]
+    missing = [f["file"] for f in read_json(folder / "job.json")["frames"]]
     missing = [name for name in missing if not (folder / name).exists()]
     if missing:
-        tail = "\n".join(log.read_text(errors="replace").splitlines()[-20:])
+        tail = "\n".join(read_text(log, MAX_TEXT_BYTES, errors="replace").splitlines()[-20:])
         raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
 
 
@@ -189,8 +190,7 @@ class CyclesStage(Stage):
         key = (pose, angle, control)
         if key not in self._bodies:
             path = self._folder / file_name(FrameKey(*key, self._light))
-            with Image.open(path, formats=("PNG",)) as image:
-                pixels = torch.from_numpy(np.array(image.convert("RGBA"))).permute(2, 0, 1)
+            pixels = torch.from_numpy(read_picture(path, "RGBA")).permute(2, 0, 1)
             self._bodies[key] = pixels.contiguous()
         return self._bodies[key].to(self._device).float() / 255
 

@@ -7,12 +7,15 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import MultipleLocator
+
+from cloak_core.files.writing import replace_file
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,8 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     written = []
     for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
         target = path.with_name(f"{path.name}.{suffix}")
-        figure.savefig(target, metadata=metadata, facecolor="white")
+        draw = partial(figure.savefig, format=suffix, metadata=metadata, facecolor="white")
+        replace_file(target, draw)
         written.append(target)
     return written
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float32, Int64
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npz
+from cloak_core.files.writing import write_npz
 
 FORMAT = "cloak measurement 1"
 
@@ -101,7 +102,7 @@ class Measurement:
             arrays[name] = getattr(self, name)
         for name, part in (("trials", self.trials), ("boxes", self.boxes)):
             arrays |= {f"{name}_{f.name}": getattr(part, f.name) for f in fields(part)}
-        np.savez_compressed(path, **arrays)
+        write_npz(path, compressed=True, **arrays)
 
 
 def read_measurement(path: Path) -> Measurement:

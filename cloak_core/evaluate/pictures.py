@@ -15,6 +15,7 @@ from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.measurement import Measurement, Trials
 from cloak_core.evaluate.stage import Stage
+from cloak_core.scene.pictures import save_picture
 
 BODIES = 3
 ANGLES = 5
@@ -105,7 +106,7 @@ def _shoot(
     """Render one trial, write it, and record what each detector sees in it."""
     image = stage.images([trial], control)
     name = f"{trial:05d}-{control}.jpg"
-    to_pil(image[0]).save(folder / name, quality=92, subsampling=0)
+    save_picture(folder / name, to_pil(image[0]), quality=92, subsampling=0)
     boxes, scores = {}, {}
     for spec, detector in detectors.items():
         detections = detector(image)
@@ -118,7 +119,7 @@ def _flat(folder: Path, stage: Stage, side: str, azimuth: float) -> str:
     """The first body with the trained colours, evenly lit, cut out of its background."""
     rgba = stage.flat_view(azimuth)
     name = f"flat-{side}.png"
-    Image.fromarray((rgba * 255).round().byte().cpu().numpy(), "RGBA").save(folder / name, optimize=True)
+    save_picture(folder / name, Image.fromarray((rgba * 255).round().byte().cpu().numpy(), "RGBA"), optimize=True)
     return name
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from ..files.errors import InputError
 from ..files.reading import read_json, read_npz
-from ..files.writing import new_folder
+from ..files.writing import new_folder, write_json, write_npz
 from .bodies import Bodies, frozen
 from .versions import FORMAT_VERSION, check_version
 
@@ -89,6 +88,6 @@ def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak
         "creator": creator,
     }
     with new_folder(folder) as temporary:
-        np.savez(temporary / "bodies.npz", names=np.array(bodies.names, np.str_), **arrays)
-        (temporary / "scene.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        write_npz(temporary / "bodies.npz", names=np.array(bodies.names, np.str_), **arrays)
+        write_json(temporary / "scene.json", record)
     return folder

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from .writing import written
+from .writing import open_to_append, written
 
 
 @contextlib.contextmanager
@@ -17,9 +17,7 @@ def lock(path: Path, wait: bool = False) -> Iterator[None]:
 
     BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
     """
-    with written(path):
-        file = path.open("ab")
-    with file:
+    with open_to_append(path) as file:
         while not _lock(file.fileno(), path):
             if not wait:
                 raise BlockingIOError(f"{path}: held by another process")

@@ -27,6 +27,7 @@ MAX_BYTES = 2 << 30
 """No file is read that would take more memory than this."""
 MAX_ARRAY_BYTES = 1 << 30
 """Of all arrays of a file together: whoever checks and converts them needs some more."""
+MAX_TEXT_BYTES = 16 << 20
 MAX_JSON_BYTES = 16 << 20
 MAX_JSON_VALUES = 1 << 22
 MAX_TOML_BYTES = 1 << 20

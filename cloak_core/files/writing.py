@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -37,6 +38,12 @@ def write_text(path: str | os.PathLike, text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def write_npz(path: str | os.PathLike, compressed: bool = False, **arrays: np.ndarray) -> None:
+    """Replace a .npz file atomically."""
+    save = np.savez_compressed if compressed else np.savez
+    replace_file(path, lambda file: save(file, **arrays))
+
+
 def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -> None:
     """Write beside the file and rename over it: after a crash there is the old file or the new one, never a half.
 
@@ -57,6 +64,17 @@ def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -
         finally:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(temporary)
+
+
+def open_to_append(path: str | os.PathLike) -> BinaryIO:
+    """A regular file, made where there is none, to write at its end, unbuffered. InputError where that cannot be."""
+    with written(path):
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        handle = os.open(path, flags, 0o644)
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            os.close(handle)
+            raise InputError(f"{path}: not a regular file")
+        return os.fdopen(handle, "ab", buffering=0)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Integer
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import new_folder, write_json
+from cloak_core.files.writing import new_folder, write_bytes, write_json
 from cloak_core.output.baking import bake, dressed
 from cloak_core.output.layout import lay_out
 from cloak_core.output.print_sheets import PAGES, write_sheets
@@ -57,7 +57,7 @@ def print_logo(
     layout = lay_out(bodies, face_ids, pose)
     texture = bake(bodies, layout, dressed(bodies, face_ids, painted, outfit), dpi)
     with new_folder(out) as folder:
-        (folder / "cloak.png").write_bytes(png(texture.image))
+        write_bytes(folder / "cloak.png", png(texture.image))
         write_glb(folder / "body.glb", bodies, texture, pose)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png", pose)
         count = write_sheets(folder / "sheets.pdf", bodies, layout, texture, page, title)

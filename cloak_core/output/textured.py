@@ -10,6 +10,7 @@ import trimesh
 from PIL import Image
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.writing import write_text
 from cloak_core.output.baking import Texture
 from cloak_core.scene.meshes.polygons import polygon_loops
 
@@ -58,6 +59,6 @@ def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str, pose: 
     for count in loop_total.tolist():
         lines.append("f " + " ".join(words[at : at + count]))
         at += count
-    path.write_text("\n".join(lines) + "\n")
+    write_text(path, "\n".join(lines) + "\n")
     material = f"newmtl cloak\nKd 1 1 1\nKs 0 0 0\nNs 10\nd 1\nillum 1\nmap_Kd {picture}\n"
-    path.with_suffix(".mtl").write_text(material)
+    write_text(path.with_suffix(".mtl"), material)

@@ -14,6 +14,7 @@ from jaxtyping import UInt8
 
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes
+from cloak_core.files.writing import replace_file
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -51,3 +52,9 @@ def read_picture(path: Path, mode: str = "RGB", data: bytes | None = None) -> UI
     """A picture's pixels in a mode of Pillow ("RGB": without its transparency; "RGBA"), row 0 at the top."""
     with open_picture(path, data) as picture:
         return np.array(picture.convert(mode))
+
+
+def save_picture(path: Path, picture: Image.Image, **options: object) -> None:
+    """Replace a picture file atomically: a JPEG by its suffix .jpg or .jpeg, else a PNG; `options` are Pillow's."""
+    kind = "JPEG" if path.suffix.lower() in (".jpg", ".jpeg") else "PNG"
+    replace_file(path, lambda file: picture.save(file, kind, **options))

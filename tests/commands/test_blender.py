@@ -11,14 +11,14 @@ from cloak_core.evaluate.report import make_report
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.scene.blender.executable import ROOT, find_blender
+from cloak_core.scene.blender.executable import ROOT, find_bpy
 
 RED = ROOT / "tests" / "blender" / "inside" / "red_detector.py"
 
 
 @pytest.fixture(scope="module")
 def blender() -> str:
-    python = find_blender("train.py")
+    python = find_bpy()
     assert python, "no Python with bpy: run tools/setup_blender.sh"
     return python
 

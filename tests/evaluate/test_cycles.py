@@ -61,6 +61,6 @@ def test_shifted(shift: tuple[int, int]) -> None:
 
 
 def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cycles, "find_blender", lambda _: None)
+    monkeypatch.setattr(cycles, "find_bpy", lambda: None)
     with pytest.raises(NoBlender, match=r"^render-gap: needs Blender's Python package .*setup_blender"):
         require_blender()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from markupsafe import Markup
-from PIL import Image
 
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, finished
 from cloak_core.evaluate.report.page import HERE as REPORT
 from cloak_core.evaluate.report.page import data_uri, environment
 from cloak_core.evaluate.report.words import interval, percent, short_name
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
+from cloak_core.files.writing import write_text
+from cloak_core.scene.pictures import open_picture
 
 HERE = Path(__file__).parent
 SHOWN = 40
@@ -76,21 +77,19 @@ def make_page(out: Path) -> Path:
         environment(HERE)
         .get_template("experiments.html")
         .render(
-            css=Markup((REPORT / "style.css").read_text("utf-8")),
+            css=Markup(read_text(REPORT / "style.css", MAX_TEXT_BYTES)),
             experiments=experiments,
             missing=[name for name in EXPERIMENTS if name not in records],
         )
     )
     page = out / "index.html"
-    temporary = out / ".index.html"
-    temporary.write_text(text, "utf-8")
-    os.replace(temporary, page)
+    write_text(page, text)
     return page
 
 
 def figure(path: Path) -> dict:
     """A figure as data, and the width in CSS pixels at which its text has the page's size."""
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         width = round(image.width / 200 * 118) if path.suffix == ".png" else image.width
         return {"data": data_uri(path), "width": width}
 

@@ -13,6 +13,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_areas, face_centres
 from cloak_core.scene.logos.logo import area_share, project_mask, project_text, select_region
+from cloak_core.scene.pictures import save_picture
 
 FaceIds = Int64[np.ndarray, "_"]
 PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thighs": 4691 / 55152}
@@ -130,5 +131,5 @@ def _canvas(side: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
 
 def _save(image: Image.Image, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    image.save(path)
+    save_picture(path, image)
     return path

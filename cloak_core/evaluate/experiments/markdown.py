@@ -12,6 +12,8 @@ from cloak_core.evaluate.experiments.index_page import table
 from cloak_core.evaluate.experiments.registry import finished
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_text
+from cloak_core.scene.pictures import read_picture, save_picture
 
 SHOWN = 30
 """Rows of a table; the others stay in numbers.csv."""
@@ -34,7 +36,7 @@ def publish(out: Path, folder: Path) -> Path:
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
         parts.append(_section(name, record, config | {"command": command}, figures))
     path = folder / "tables.md"
-    path.write_text("\n".join(parts), "utf-8")
+    write_text(path, "\n".join(parts))
     return path
 
 
@@ -44,8 +46,8 @@ def _is_shown(file: str) -> bool:
 
 
 def _copy(source: Path, target: Path) -> str:
-    with Image.open(source) as image:
-        image.convert("RGB").quantize(COLORS, dither=Image.Dither.NONE).save(target, optimize=True)
+    image = Image.fromarray(read_picture(source)).quantize(COLORS, dither=Image.Dither.NONE)
+    save_picture(target, image, optimize=True)
     return target.name
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import platform
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +31,8 @@ from cloak_core.evaluate.figures import (
 )
 from cloak_core.evaluate.rates import THRESHOLDS
 from cloak_core.evaluate.report.words import short_name
-from cloak_core.files.writing import write_json
+from cloak_core.files.writing import write_json, write_text
+from cloak_core.scene.pictures import save_picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
     for key, figure in drawn.items():
         figures += [path.name for path in save_figure(figure, folder / key)]
     for key, picture in outcome.pictures.items():
-        picture.convert("RGB").save(folder / f"{key}.jpg", quality=85, optimize=True)
+        save_picture(folder / f"{key}.jpg", picture.convert("RGB"), quality=85, optimize=True)
         figures.append(f"{key}.jpg")
     rows = [{key: value for key, value in row.items() if key != CURVES} for row in outcome.rows]
     write_csv(folder / "numbers.csv", rows)
@@ -74,7 +76,7 @@ def write_outcome(name: str, outcome: Outcome, lab: Lab) -> dict:
         "figures": figures,
         "counts": lab.options.counts(),
     }
-    (folder / "words.md").write_text(f"# {outcome.title}\n\n" + "\n\n".join(outcome.words) + "\n", "utf-8")
+    write_text(folder / "words.md", f"# {outcome.title}\n\n" + "\n\n".join(outcome.words) + "\n")
     write_json(
         folder / "config.json",
         {"command": lab.options.command} | lab.options.counts() | lab.materials.record() | environment(),
@@ -155,7 +157,8 @@ def environment() -> dict:
 def write_csv(path: Path, rows: list[dict]) -> None:
     """All rows; columns in the order they first appear."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, columns)
-        writer.writeheader()
-        writer.writerows(rows)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, columns)
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from cloak_core.evaluate.experiments.attacks import SINGLE, narrow_angles, repeated
 from cloak_core.evaluate.experiments.lab import Lab, Trained
@@ -25,6 +24,7 @@ from cloak_core.evaluate.figures import (
 )
 from cloak_core.evaluate.intervals import Rate
 from cloak_core.evaluate.report.words import short_name
+from cloak_core.scene.pictures import read_picture
 
 PAPER_WEIGHTS = (0.0, 0.1, 2.5, 10.0)
 TV_WEIGHTS = (0.0, 0.1, 0.5, 1.0, 2.5, 10.0)
@@ -116,8 +116,7 @@ def _preview_figure(trained: dict[float, Trained]) -> object | None:
         near = slice(round(0.19 * size), round(0.76 * size))  # of the image's height and width: where the logo moves
         spaced = np.linspace(0, len(names) - 1, columns).round().astype(int)
         for axis, name in zip(row, (names[i] for i in spaced), strict=True):
-            with Image.open(name) as image:
-                axis.imshow(np.asarray(image.convert("RGB"))[near, near])
+            axis.imshow(read_picture(name)[near, near])
             axis.set_xticks([])
             axis.set_yticks([])
             axis.grid(visible=False)

@@ -15,7 +15,7 @@ from cloak_core.evaluate.figures import inline_svg, style
 from cloak_core.evaluate.report import plots, words
 from cloak_core.evaluate.report.history import History, read_history
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_bytes, read_json
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes, read_json, read_text
 from cloak_core.files.writing import write_text
 
 HERE = Path(__file__).parent
@@ -39,7 +39,7 @@ def make_report(run: Path) -> Path:
     with style(**{"svg.fonttype": "none"}):
         page = {
             "name": run.resolve().name,
-            "css": Markup((HERE / "style.css").read_text("utf-8")),  # our own file, nothing of the user's
+            "css": Markup(read_text(HERE / "style.css", MAX_TEXT_BYTES)),  # our own file, nothing of the user's
             "config": config,
             "config_text": json.dumps(config, indent=2),
             "settings": words.setting_rows(config),

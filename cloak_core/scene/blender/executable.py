@@ -1,8 +1,10 @@
-"""Finds a Python in which Blender can be imported, to run the add-on's scripts. Cloak itself never imports it."""
+"""Finds Blender, or a Python in which it can be imported, to run scripts in. Cloak itself never imports it."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,18 +13,30 @@ ROOT = Path(__file__).resolve().parents[3]
 ADD_ON = ROOT / "blender_addon"
 # The bpy package may wait for ever at a regular exit.
 PROBE = "import os, bpy; os._exit(0)"
+IN_BACKGROUND = ("-b", "--factory-startup", "-P")
 
 
-def find_blender(script: str) -> str | None:
-    """A Python that has the bpy package, where the add-on's `script` is there to run; else None."""
-    if not (ADD_ON / script).exists():
-        return None
+def find_blender() -> list[str] | None:
+    """A command line that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+    named = os.environ.get("CLOAK_BLENDER")
+    if named and Path(named).name.startswith("blender"):
+        return [named, *IN_BACKGROUND]
+    python = named if named and _has_bpy(named) else find_bpy()
+    if python:
+        return [python]
+    blender = shutil.which("blender")
+    return [blender, *IN_BACKGROUND] if blender else None
+
+
+def find_bpy() -> str | None:
+    """A Python that has the bpy package; None where there is none."""
     places = [sys.executable] if importlib.util.find_spec("bpy") else []
     places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
-    for python in places:
-        try:
-            if subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0:
-                return python
-        except (OSError, subprocess.TimeoutExpired):
-            continue
-    return None
+    return next(filter(_has_bpy, places), None)
+
+
+def _has_bpy(python: str) -> bool:
+    try:
+        return subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_npz
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
+from cloak_core.scene.blender.executable import find_blender
 from cloak_core.scene.meshes.mesh_file import MeshFile, to_srgb
 from cloak_core.scene.meshes.pictures import put_together
 
 SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")
 SCRIPT = Path(__file__).with_name("inside.py")
-ROOT = Path(__file__).resolve().parents[3]
-PROBE = "import os, bpy; os._exit(0)"
 
 
 def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
@@ -43,29 +39,11 @@ def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
         done = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
         reason = out.with_name("mesh.npz.error")
         if reason.exists():
-            raise InputError(f"{path}: {reason.read_text('utf-8')}")
+            raise InputError(f"{path}: {read_text(reason, MAX_TEXT_BYTES)}")
         if done.returncode or not out.exists():
             last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["it said nothing"]
             raise InputError(f"{path}: Blender could not read it ({last[0]})")
         return mesh_of(path, read_npz(out))
-
-
-def find_blender() -> list[str] | None:
-    """A command line that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
-    named = os.environ.get("CLOAK_BLENDER")
-    places = [named] if named else []
-    places += [sys.executable] if importlib.util.find_spec("bpy") else []
-    places += [str(python) for python in sorted(ROOT.glob(".venv-blender*/bin/python"))]
-    for place in places:
-        if Path(place).name.startswith("blender"):
-            return [place, "-b", "--factory-startup", "-P"]
-        try:
-            if subprocess.run([place, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0:
-                return [place]
-        except (OSError, subprocess.TimeoutExpired):
-            continue
-    blender = shutil.which("blender")
-    return [blender, "-b", "--factory-startup", "-P"] if blender else None
 
 
 def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
