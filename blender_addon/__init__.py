@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cloak in Blender: pick faces of a character, train their colours in a process outside, see them on the model.
 
-Registration only. The rooms: `body`, `faces`, `stamp`, `poses`, `scene_export`, `runs`, `colors`, `render_check` are
-plain functions over Blender's data; `trainer` and `training_job` talk to the process that trains; `operators`, `panel`,
-`overlay`, `preferences`, `properties` are what the user touches; `train.py` is the same without a window.
+Registration only. The rooms: `mesh_arrays`, `body`, `faces`, `stamp`, `poses`, `scene_export`, `runs`, `colors`,
+`render_check` are plain functions over Blender's data; `trainer_python`, `command_lines`, `jobs` and `progress` find,
+start and follow the process that trains; `operators`, `steps`, `panel`, `overlay`, `preferences`, `properties` are what
+the user touches; `train.py` is the script that does the same without a window.
 """
 
 from __future__ import annotations
 
 import bpy
 
-from . import operators, overlay, panel, preferences, properties, training_job
+from . import jobs, operators, overlay, panel, preferences, properties
 
 CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
@@ -25,7 +26,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Called by Blender when the extension is disabled, and when Blender closes."""
-    training_job.shut_down()
+    jobs.shut_down()
     overlay.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

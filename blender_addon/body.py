@@ -11,8 +11,10 @@ import bmesh
 import bpy
 import numpy as np
 
+from . import colors
 from .exchange.bodies import Bodies, topology_hash
 from .files.errors import InputError
+from .mesh_arrays import polygon_loops, sync
 
 ORIGINAL_FACE = "cloak_original_face"
 """Integer face attribute that subdivision leaves: the face each one came from."""
@@ -25,6 +27,11 @@ def active_body(context: bpy.types.Context) -> bpy.types.Object:
     return obj
 
 
+def object_of(uid: int) -> bpy.types.Object | None:
+    """The object with this `session_uid`, which stays when it is renamed; None when it is gone."""
+    return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+
+
 def require_body(obj: bpy.types.Object | None) -> None:
     """Raise `InputError` unless `obj` is a local, single-user mesh object with faces."""
     if obj is None:
@@ -34,15 +41,10 @@ def require_body(obj: bpy.types.Object | None) -> None:
         hint = f"click '{meshes[0]}' instead" if meshes else "click the character's mesh in the viewport"
         raise InputError(f"'{obj.name}' is not a mesh ({obj.type.lower()}): {hint}")
     mesh = obj.data
-    if obj.library or mesh.library:
-        source = (obj.library or mesh.library).name
-        raise InputError(
-            f"'{obj.name}' is linked from {source}: Object > Relations > Make Local > Selected Objects and Data"
-        )
-    if obj.override_library or mesh.override_library:
-        raise InputError(
-            f"'{obj.name}' is a library override: Object > Relations > Make Local > Selected Objects and Data"
-        )
+    library = obj.library or mesh.library
+    if library or obj.override_library or mesh.override_library:
+        what = f"linked from {library.name}" if library else "a library override"
+        raise InputError(f"'{obj.name}' is {what}: Object > Relations > Make Local > Selected Objects and Data")
     users = mesh.users - mesh.use_fake_user
     if users > 1:
         raise InputError(
@@ -64,32 +66,10 @@ def require_upright(obj: bpy.types.Object) -> None:
         )
 
 
-# --- topology --------------------------------------------------------------------------------------------------------
-
-
-def polygon_loops(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """The polygons' vertex loops: corner counts [F] int32 and vertex indices [sum] int32."""
-    loop_total = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", loop_total)
-    loop_vertices = np.empty(len(mesh.loops), np.int32)
-    corners = mesh.attributes.get(".corner_vert")
-    if corners is not None and len(corners.data) == len(loop_vertices):
-        corners.data.foreach_get("value", loop_vertices)  # ten times as fast as through the loops
-    else:
-        mesh.loops.foreach_get("vertex_index", loop_vertices)
-    return loop_total, loop_vertices
-
-
 def topology(obj: bpy.types.Object) -> str:
     """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
     sync(obj)
     return topology_hash(len(obj.data.vertices), *polygon_loops(obj.data))
-
-
-def sync(obj: bpy.types.Object) -> None:
-    """Bring the mesh up to date with Edit Mode: `foreach_get` reads stale data otherwise."""
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
 
 
 # --- subdivision -----------------------------------------------------------------------------------------------------
@@ -198,8 +178,6 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
         mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
     obj = bpy.data.objects.new(bodies.name, mesh)
     context.collection.objects.link(obj)
-    from . import colors
-
     colors.dress_in_outfits(obj, bodies.face_colors)
     colors.show_attribute(context, obj, colors.OUTFIT)
     if bodies.pose_count > 1:

@@ -11,14 +11,16 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .body import sync
 from .files.errors import InputError
+from .mesh_arrays import corner_counts, image_pixels, mean_of_corners, read, sync, write_attribute
 
 CLOAK = "Cloak"
 """Name of the colour attribute that holds the trained colours, and of the material that shows it."""
 OUTFIT = "Outfit"
 """The same for the plain clothing of bodies made from a scene package."""
 HEATMAP = "Cloak Heatmap"
+SLOTS = "material_index"
+"""Blender's own face attribute: the material slot of each face."""
 OWN_MATERIAL = "cloak_own_material"
 """Integer face attribute: the material slot each face had before it was dressed."""
 GREY = 0.5
@@ -51,27 +53,17 @@ def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> N
         attribute = mesh.color_attributes.new(name, "FLOAT_COLOR", "CORNER")
     rgba = np.ones((len(mesh.polygons), 4), np.float32)
     rgba[:, :3] = srgb_to_linear(colors)
-    loop_total = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", loop_total)
-    attribute.data.foreach_set("color", np.repeat(rgba, loop_total, axis=0).ravel())
+    attribute.data.foreach_set("color", np.repeat(rgba, corner_counts(mesh), axis=0).ravel())
     mesh.update_tag()
 
 
 def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
     """[F, 3] sRGB: the mean over each face's corners of a colour attribute, as written by `write_face_colors`."""
-    mesh = obj.data
-    attribute = mesh.color_attributes[name]
-    values = np.empty(4 * len(attribute.data), np.float32)
-    attribute.data.foreach_get("color", values)
-    values = values.reshape(-1, 4)[:, :3]
-    loop_total = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", loop_total)
+    attribute = obj.data.color_attributes[name]
+    values = read(attribute.data, "color", 4)[:, :3]
     if attribute.domain == "POINT":
-        vertices = np.empty(len(mesh.loops), np.int32)
-        mesh.loops.foreach_get("vertex_index", vertices)
-        values = values[vertices]
-    starts = np.concatenate(([0], np.cumsum(loop_total)[:-1]))
-    return linear_to_srgb(np.add.reduceat(values, starts, axis=0) / loop_total[:, None])
+        values = values[read(obj.data.loops, "vertex_index", dtype=np.int32)]
+    return linear_to_srgb(mean_of_corners(obj.data, values))
 
 
 def cloak_colors(obj: bpy.types.Object, face_ids: np.ndarray, colors: np.ndarray) -> np.ndarray:
@@ -127,19 +119,15 @@ def dress(obj: bpy.types.Object, face_ids: np.ndarray) -> None:
     mesh = obj.data
     slot = _slot_of(mesh, attribute_material(CLOAK))
     slots = _read_slots(mesh)
-    own = mesh.attributes.get(OWN_MATERIAL) or mesh.attributes.new(OWN_MATERIAL, "INT", "FACE")
-    own.data.foreach_set("value", slots)
+    write_attribute(mesh, OWN_MATERIAL, "INT", slots)
     slots[face_ids] = slot
-    _write_slots(mesh, slots)
+    write_attribute(mesh, SLOTS, "INT", slots)
 
 
 def undress(obj: bpy.types.Object) -> None:
     """Give faces that wear the cloak material their own material back."""
-    mesh = obj.data
-    slot, own = _cloak_slot(mesh), mesh.attributes.get(OWN_MATERIAL)
-    if slot is None or own is None:
-        return
-    _write_slots(mesh, own_material_slots(obj))
+    if _cloak_slot(obj.data) is not None and OWN_MATERIAL in obj.data.attributes:
+        write_attribute(obj.data, SLOTS, "INT", own_material_slots(obj))
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:
@@ -156,27 +144,18 @@ def own_material_slots(obj: bpy.types.Object) -> np.ndarray:
     slots = _read_slots(mesh)
     slot, own = _cloak_slot(mesh), mesh.attributes.get(OWN_MATERIAL)
     if slot is not None and own is not None and len(own.data) == len(slots):
-        before = np.empty(len(slots), np.int32)
-        own.data.foreach_get("value", before)
-        slots = np.where(slots == slot, before, slots).astype(np.int32)
+        slots = np.where(slots == slot, read(own.data, "value", dtype=np.int32), slots)
     return slots
 
 
 def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
     """[F] int32: material slot of each face; from the attribute, which is ten times as fast as from the polygons."""
-    slots = np.zeros(len(mesh.polygons), np.int32)
-    attribute = mesh.attributes.get("material_index")
-    if attribute is not None and len(attribute.data) == len(slots):
-        attribute.data.foreach_get("value", slots)
-    elif attribute is not None:
-        mesh.polygons.foreach_get("material_index", slots)
-    return slots
-
-
-def _write_slots(mesh: bpy.types.Mesh, slots: np.ndarray) -> None:
-    attribute = mesh.attributes.get("material_index") or mesh.attributes.new("material_index", "INT", "FACE")
-    attribute.data.foreach_set("value", slots)
-    mesh.update_tag()
+    attribute = mesh.attributes.get(SLOTS)
+    if attribute is None:
+        return np.zeros(len(mesh.polygons), np.int32)
+    if len(attribute.data) == len(mesh.polygons):
+        return read(attribute.data, "value", dtype=np.int32)
+    return read(mesh.polygons, SLOTS, dtype=np.int32)
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
@@ -266,16 +245,9 @@ def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | 
     width, height = image.size
     if not width or not height:
         return None
-    pixels = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(height, width, image.channels)
+    pixels = image_pixels(image)
     pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    uv = np.empty(2 * len(mesh.loops), np.float32)
-    mesh.uv_layers.active.uv.foreach_get("vector", uv)
-    loop_total = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_total", loop_total)
-    starts = np.concatenate(([0], np.cumsum(loop_total)[:-1]))
-    middle = np.nan_to_num(np.add.reduceat(uv.reshape(-1, 2), starts, axis=0) / loop_total[:, None]) % 1.0
+    middle = np.nan_to_num(mean_of_corners(mesh, read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
     x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
     y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
     texels = pixels[y, x]

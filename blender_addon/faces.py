@@ -17,9 +17,10 @@ import bpy
 import numpy as np
 from mathutils.kdtree import KDTree
 
-from .body import polygon_loops, sync, topology
+from .body import topology
 from .exchange.face_lists import read_face_list
 from .files.errors import InputError
+from .mesh_arrays import mesh_triangles, polygon_loops, read, sync, to_world, write_attribute
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
 """Boolean face attributes that Blender itself keeps."""
@@ -95,9 +96,7 @@ def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
         layer = bm.faces.layers.bool[name]
         return np.fromiter((face[layer] for face in bm.faces), bool, len(bm.faces))
     with _object_mode(obj):
-        mask = np.empty(len(mesh.polygons), bool)
-        mesh.attributes[name].data.foreach_get("value", mask)
-    return mask
+        return read(mesh.attributes[name].data, "value", dtype=bool)
 
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
@@ -111,25 +110,19 @@ def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
         bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
         return
     with _object_mode(obj):
-        attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "BOOLEAN", "FACE")
-        attribute.data.foreach_set("value", np.ascontiguousarray(mask, bool))
-        mesh.update_tag()
+        write_attribute(mesh, name, "BOOLEAN", mask)
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of the selected faces; in Edit Mode hidden faces are never selected."""
     sync(obj)
-    mask = np.empty(len(obj.data.polygons), bool)
-    obj.data.polygons.foreach_get("select", mask)
-    return mask & ~read_hidden(obj)
+    return read(obj.data.polygons, "select", dtype=bool) & ~read_hidden(obj)
 
 
 def read_hidden(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of faces hidden in Edit Mode."""
     sync(obj)
-    mask = np.empty(len(obj.data.polygons), bool)
-    obj.data.polygons.foreach_get("hide", mask)
-    return mask
+    return read(obj.data.polygons, "hide", dtype=bool)
 
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
@@ -157,8 +150,7 @@ def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
 def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Masks of the vertices and edges that border the faces of a mask."""
     loop_total, loop_vertices = polygon_loops(mesh)
-    loop_edges = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("edge_index", loop_edges)
+    loop_edges = read(mesh.loops, "edge_index", dtype=np.int32)
     corners = np.repeat(faces, loop_total)
     vertices, edges = np.zeros(len(mesh.vertices), bool), np.zeros(len(mesh.edges), bool)
     vertices[loop_vertices[corners]] = True
@@ -213,10 +205,7 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
     sync(obj)
-    mesh = obj.data
-    centers = face_vectors(mesh, "center")
-    areas = np.empty(len(centers), np.float32)
-    mesh.polygons.foreach_get("area", areas)
+    centers, areas = read(obj.data.polygons, "center", 3), read(obj.data.polygons, "area")
     tree = KDTree(len(centers))
     for index, center in enumerate(centers.tolist()):
         tree.insert(center, index)
@@ -270,46 +259,30 @@ class LogoStats:
     """Of the same figure for the whole body, 0 to 1."""
 
 
-def face_vectors(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
-    """Polygon centres or normals, [F, 3] float32 in the object's space."""
-    values = np.empty(3 * len(mesh.polygons), np.float32)
-    mesh.polygons.foreach_get(name, values)
-    return values.reshape(-1, 3)
-
-
 def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
     """Counts and areas of a logo."""
     sync(obj)
-    vectors = area_vectors(obj)
-    area = np.linalg.norm(vectors, axis=1)
-    frontal = np.maximum(-vectors[:, 1], 0)  # the front looks along +y, so front faces have normals along -y
+    areas = face_areas(obj)
+    vectors, polygon = _area_vectors(obj)
+    # The front looks along +y, so front faces have normals along -y.
+    frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(areas)), 0)
     return LogoStats(
         faces=int(mask.sum()),
         hidden=int((mask & read_hidden(obj)).sum()),
-        area_share=float(area[mask].sum() / max(area.sum(), 1e-12)),
+        area_share=float(areas[mask].sum() / max(areas.sum(), 1e-12)),
         projected_area=float(frontal[mask].sum()) * bpy.context.scene.unit_settings.scale_length**2,
         projected_share=float(frontal[mask].sum() / max(frontal.sum(), 1e-12)),
     )
 
 
-def area_vectors(obj: bpy.types.Object) -> np.ndarray:
-    """[F, 3]: each face's normal times its area, in world space."""
-    areas = np.empty(len(obj.data.polygons), np.float32)
-    obj.data.polygons.foreach_get("area", areas)
-    local = face_vectors(obj.data, "normal") * areas[:, None]
-    linear = np.array(obj.matrix_world.to_3x3(), np.float64)
-    return local @ np.linalg.inv(linear) * np.linalg.det(linear)  # area vectors go with the cofactor matrix
-
-
 def face_areas(obj: bpy.types.Object) -> np.ndarray:
-    """[F] areas in world space."""
-    return np.linalg.norm(area_vectors(obj), axis=1)
+    """[F] areas in world space: sums over triangles, as the trainer counts them."""
+    vectors, polygon = _area_vectors(obj)
+    return np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(obj.data.polygons))
 
 
-def pick(heat: np.ndarray, areas: np.ndarray, share: float) -> np.ndarray:
-    """Mask of the hottest faces that together have `share` of the area."""
-    order = np.argsort(-heat, kind="stable")
-    covered = np.cumsum(areas[order])
-    mask = np.zeros(len(heat), bool)
-    mask[order[: max(1, int(np.searchsorted(covered, share * covered[-1], side="right")))]] = True
-    return mask & (heat > 0)
+def _area_vectors(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
+    triangles, polygon = mesh_triangles(obj.data)
+    corners = to_world(read(obj.data.vertices, "co", 3), np.array(obj.matrix_world))[triangles]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2, polygon

@@ -10,8 +10,9 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import faces
+from . import colors, faces
 from .faces import LogoStats
+from .mesh_arrays import mesh_triangles, read
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 LIFT = 0.0008
@@ -78,16 +79,9 @@ def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.nd
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     if len(mesh.polygons) != len(mask):  # a modifier changes the topology: the rest shape is all there is to show
         mesh = obj.data
-    mesh.calc_loop_triangles()
-    vertices = np.empty(3 * len(mesh.loop_triangles), np.int32)
-    mesh.loop_triangles.foreach_get("vertices", vertices)
-    face = np.empty(len(mesh.loop_triangles), np.int32)
-    mesh.loop_triangles.foreach_get("polygon_index", face)
-    chosen = vertices.reshape(-1, 3)[mask[face]].ravel()
-    points, normals = (np.empty(3 * len(mesh.vertices), np.float32) for _ in range(2))
-    mesh.vertices.foreach_get("co", points)
-    mesh.vertex_normals.foreach_get("vector", normals)
-    return points.reshape(-1, 3)[chosen], normals.reshape(-1, 3)[chosen]
+    triangles, face = mesh_triangles(mesh)
+    chosen = triangles[mask[face]].ravel()
+    return read(mesh.vertices, "co", 3)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
 
 
 def _draw() -> None:
@@ -122,8 +116,6 @@ def _draw() -> None:
 
 def _wears_cloak(obj: bpy.types.Object) -> bool:
     """While trained colours or a heat map are shown, a tint over them would falsify them."""
-    from . import colors
-
     shading = bpy.context.space_data.shading
     shown = obj.data.color_attributes.active_color_name
     if shading.type == "SOLID":

@@ -7,9 +7,9 @@ import textwrap
 
 import bpy
 
-from . import colors, faces, overlay, steps, training_job
+from . import colors, faces, jobs, overlay, steps
 from .body import active_body
-from .operators.logo import HEAT
+from .operators.heat import HEAT
 from .properties import settings_of
 
 
@@ -23,6 +23,13 @@ def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, i
         column.label(text=line, icon=icon if index == 0 else "BLANK1")
 
 
+def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A column of settings: names on the left, values on the right."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    return column
+
+
 class CloakPanel:
     """Base of the five steps."""
 
@@ -34,22 +41,20 @@ class CloakPanel:
         """A column to draw into, greyed out below its reason when there is one."""
         if reason:
             wrapped(self.layout, context, reason)
-        column = self.layout.column()
+        column = settings_column(self.layout)
         column.enabled = not reason
-        column.use_property_split = True
-        column.use_property_decorate = False
         return column
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
         """The job that was started from this panel: its progress, or how it ended."""
-        job = training_job.current
+        job = jobs.current
         if job is None or job.label not in labels:
             return
         if job.running:
             row = self.layout.row(align=True)
             row.progress(factor=job.fraction, text=job.describe())
             row.operator("cloak.train_cancel", text="", icon="X")
-            if isinstance(job, training_job.TrainingJob) and job.progress.figures():
+            if isinstance(job, jobs.TrainingJob) and job.progress.figures():
                 self.layout.label(text=job.progress.figures().capitalize(), icon="BLANK1")
         elif job.message:
             wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
@@ -73,7 +78,7 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         row.operator("cloak.subdivide", text="Subdivide")
         row.prop(settings_of(context), "triangulate", toggle=True)
         sample = self.layout.column()
-        sample.enabled = not training_job.busy()
+        sample.enabled = not jobs.busy()
         sample.operator("cloak.add_sample_body", icon="ADD")
         self.progress(context, "Sample body")
 
@@ -97,7 +102,7 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
     bl_label = "2. Logo"
 
     def draw(self, context: bpy.types.Context) -> None:
-        reason = steps.body_reason(context) and "Choose a body first"
+        reason = steps.body_reason(context) and steps.NO_BODY
         column = self.gate(context, reason)
         settings = settings_of(context)
         if not reason:
@@ -106,7 +111,7 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
         self._stamp(column, settings)
         heat = column.box().column(align=True)
         row = heat.row(align=True)
-        row.enabled = not training_job.busy()
+        row.enabled = not jobs.busy()
         row.operator("cloak.heatmap", icon="SHADING_RENDERED")
         if not reason and active_body(context).data.attributes.get(HEAT):
             heat.prop(settings, "heat_share")
@@ -166,7 +171,7 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
     bl_label = "3. Poses"
 
     def draw(self, context: bpy.types.Context) -> None:
-        no_body = steps.body_reason(context) and "Choose a body first"
+        no_body = steps.body_reason(context) and steps.NO_BODY
         column = self.gate(context, no_body)
         settings = settings_of(context)
         column.prop(settings, "pose_source")
@@ -194,9 +199,8 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = settings_of(context)
-        reason, running = steps.train_reason(context), bool(training_job.busy())
-        column = self.layout.column()
-        column.use_property_split, column.use_property_decorate = True, False
+        reason, running = steps.train_reason(context), bool(jobs.busy())
+        column = settings_column(self.layout)
         column.enabled = not steps.logo_reason(context) and not running
         self._detector(column, settings)
         column.prop(settings, "backgrounds")
@@ -212,7 +216,7 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
         live = column.row(align=True, heading="Live Colours")
         live.prop(settings, "live", text="")
         live.prop(settings, "live_seconds", text="Seconds")
-        if reason and not (isinstance(training_job.current, training_job.TrainingJob) and running):
+        if reason and not (isinstance(jobs.current, jobs.TrainingJob) and running):
             wrapped(self.layout, context, reason)
         row = self.layout.row(align=True)
         start = row.row(align=True)
@@ -241,9 +245,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         if not steps.body_reason(context):
-            folder = self.layout.column()
-            folder.use_property_split, folder.use_property_decorate = True, False
-            folder.prop(active_body(context).cloak, "run")
+            settings_column(self.layout).prop(active_body(context).cloak, "run")
         reason = steps.result_reason(context)
         column = self.gate(context, reason)
         dressed = not reason and colors.is_dressed(active_body(context))
@@ -257,10 +259,10 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         check = row.row(align=True)
-        check.enabled = dressed and not training_job.busy()
+        check.enabled = dressed and not jobs.busy()
         check.operator("cloak.render_check", icon="RENDER_STILL")
         self.progress(context, "Render check", "Report")
-        shown = training_job.current is not None and training_job.current.label == "Render check"
+        shown = jobs.current is not None and jobs.current.label == "Render check"
         if not reason and active_body(context).cloak.verdict and not shown:
             wrapped(self.layout, context, active_body(context).cloak.verdict, icon="RENDER_RESULT")
 

@@ -8,11 +8,10 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
-from . import training_job
 from .files.errors import InputError
+from .jobs import Job, last_words, launch, require_idle
 from .operators.base import CloakOperator
-from .trainer import INSTALL_LINE, about_command, find_python, parse_about
-from .training_job import Job, launch, require_idle
+from .trainer_python import INSTALL_LINE, about_command, find_python, parse_about
 
 
 def preferences() -> CloakPreferences | None:
@@ -28,7 +27,7 @@ def user_folder(name: str) -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path=f"cloak/{name}", create=True))
 
 
-def trainer_python() -> str:
+def chosen_python() -> str:
     """The Python to train with; remembered once found. Raises `InputError` with what to do."""
     kept = preferences()
     python = find_python(kept.python if kept else "")
@@ -88,7 +87,7 @@ class CLOAK_OT_test_python(CloakOperator):
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
-        python = trainer_python()
+        python = chosen_python()
         kept = preferences()
         if kept:
             kept.answer = "Starting the trainer..."
@@ -97,16 +96,16 @@ class CLOAK_OT_test_python(CloakOperator):
         return "Testing the trainer: the answer appears in the preferences"
 
 
-def _show_answer(job: Job, python: str) -> None:
+def _show_answer(job: Job, python: str) -> str:
     try:
-        stderr = training_job.last_words(job.log)
-        facts = parse_about(python, 0 if job.state == "done" else 1, "".join(job.outputs), stderr)
-        job.message = f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
+        facts = parse_about(python, job.state == "done", "".join(job.outputs), last_words(job.log))
+        answer = f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
     except InputError as error:
-        job.message = str(error)
+        answer = str(error)
     kept = preferences()
     if kept:
-        kept.answer = job.message
+        kept.answer = answer
+    return answer
 
 
 class CLOAK_OT_copy_install_line(CloakOperator):

@@ -15,11 +15,19 @@ from bpy.props import (
     StringProperty,
 )
 
+from .command_lines import TrainRequest
 from .faces import is_logo, logo_names
 from .files.errors import InputError
 from .poses import PoseChoice
 from .preferences import user_folder
-from .trainer import TrainRequest
+
+
+def _share(name: str, description: str, default: float, least: float = 0.0, most: float = 1.0) -> object:
+    return FloatProperty(name=name, description=description, default=default, min=least, max=most, subtype="FACTOR")
+
+
+def _path(name: str, description: str, subtype: str = "FILE_PATH") -> object:
+    return StringProperty(name=name, description=description, subtype=subtype)
 
 
 def _logo_index(self: CloakObject) -> int:
@@ -46,11 +54,7 @@ class CloakObject(bpy.types.PropertyGroup):
         get=_logo_index,
         set=_set_logo_index,
     )
-    run: StringProperty(
-        name="Run Folder",
-        description="Folder of the training whose colours this object wears, or will wear",
-        subtype="DIR_PATH",
-    )
+    run: _path("Run Folder", "Folder of the training whose colours this object wears, or will wear", "DIR_PATH")
     verdict: StringProperty(name="Render Check", description="What the detector said about the Cycles renders")
 
 
@@ -85,37 +89,16 @@ class CloakSettings(bpy.types.PropertyGroup):
             ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
         ],
     )
-    stamp_size: FloatProperty(
-        name="Size",
-        description="Height of the stamp as a share of the body's height (or of the viewport's)",
-        default=0.2,
-        min=0.01,
-        max=1.0,
-        subtype="FACTOR",
+    stamp_size: _share("Size", "Height of the stamp as a share of the body's height (or of the viewport's)", 0.2, 0.01)
+    stamp_center: _share("Height", "Middle of the stamp above the ground, as a share of the body's height", 0.72)
+    stamp_offset: _share(
+        "Offset", "Middle of the stamp to the right of the body's middle, as a share of the body's height", 0, -0.5, 0.5
     )
-    stamp_center: FloatProperty(
-        name="Height",
-        description="Middle of the stamp above the ground, as a share of the body's height",
-        default=0.72,
-        min=0.0,
-        max=1.0,
-        subtype="FACTOR",
-    )
-    stamp_offset: FloatProperty(
-        name="Offset",
-        description="Middle of the stamp to the right of the body's middle, as a share of the body's height",
-        default=0.0,
-        min=-0.5,
-        max=0.5,
-        subtype="FACTOR",
-    )
-    heat_share: FloatProperty(
-        name="Share",
-        description="Share of the body's area that New from Heatmap takes, most sensitive faces first",
-        default=0.2,
-        min=0.001,
-        max=1.0,
-        subtype="FACTOR",
+    heat_share: _share(
+        "Share",
+        "Share of the body's area that New from Heatmap takes, most sensitive faces for their size first",
+        0.2,
+        0.001,
     )
 
     pose_source: EnumProperty(
@@ -145,25 +128,17 @@ class CloakSettings(bpy.types.PropertyGroup):
             ("PYTHON", "Python Module", "A function in a Python file that makes a detector"),
         ],
     )
-    darknet_cfg: StringProperty(name="Config", description="Darknet .cfg file", subtype="FILE_PATH")
-    darknet_weights: StringProperty(name="Weights", description="Darknet .weights file", subtype="FILE_PATH")
+    darknet_cfg: _path("Config", "Darknet .cfg file")
+    darknet_weights: _path("Weights", "Darknet .weights file")
     torchvision_name: StringProperty(
         name="Model", description="Name of a torchvision detector", default="fasterrcnn_mobilenet_v3_large_fpn"
     )
-    torchvision_checkpoint: StringProperty(
-        name="Checkpoint", description="File with the model's weights", subtype="FILE_PATH"
-    )
-    python_file: StringProperty(
-        name="File", description="Python file that makes the detector (it will be run)", subtype="FILE_PATH"
-    )
+    torchvision_checkpoint: _path("Checkpoint", "File with the model's weights")
+    python_file: _path("File", "Python file that makes the detector (it will be run)")
     python_function: StringProperty(
         name="Function", description="Function in that file that returns the detector", default="load"
     )
-    backgrounds: StringProperty(
-        name="Backgrounds",
-        description="Folder of photographs without people; empty for procedural scenes",
-        subtype="DIR_PATH",
-    )
+    backgrounds: _path("Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH")
     preset: EnumProperty(
         name="Preset",
         description="Which settings to train with",
@@ -173,11 +148,7 @@ class CloakSettings(bpy.types.PropertyGroup):
             ("reference", "Reference", "The settings of the paper's published code"),
         ],
     )
-    config: StringProperty(
-        name="Settings File",
-        description="TOML file with further settings of cloak train; empty for the preset's own",
-        subtype="FILE_PATH",
-    )
+    config: _path("Settings File", "TOML file with further settings of cloak train; empty for the preset's own")
     angle_first: IntProperty(
         name="From",
         description="First azimuth to train at, in degrees; 0 looks at the front",
@@ -197,11 +168,7 @@ class CloakSettings(bpy.types.PropertyGroup):
         description="What to train on",
         items=[("cpu", "CPU", "The processor"), ("cuda", "GPU", "An NVIDIA graphics card (CUDA)")],
     )
-    output: StringProperty(
-        name="Output",
-        description="Folder that run folders are made in; empty for the add-on's own folder",
-        subtype="DIR_PATH",
-    )
+    output: _path("Output", "Folder that run folders are made in; empty for the add-on's own folder", "DIR_PATH")
     live: BoolProperty(
         name="Live Colours", description="Show the colours on the model while they are being trained", default=True
     )
@@ -244,17 +211,16 @@ def detector_spec(settings: CloakSettings) -> str:
         cfg = _file(settings.darknet_cfg, "Detector > Config")
         return f"darknet:{cfg}:{_file(settings.darknet_weights, 'Detector > Weights')}"
     if settings.detector == "TORCHVISION":
-        if not settings.torchvision_name.strip():
-            raise InputError("Detector > Model is empty: name a torchvision detector")
-        checkpoint = settings.torchvision_checkpoint
         name = settings.torchvision_name.strip()
-        return (
-            f"torchvision:{name}:{_file(checkpoint, 'Detector > Checkpoint')}" if checkpoint else f"torchvision:{name}"
-        )
+        if not name:
+            raise InputError("Detector > Model is empty: name a torchvision detector")
+        checkpoint = settings.torchvision_checkpoint and _file(settings.torchvision_checkpoint, "Detector > Checkpoint")
+        return f"torchvision:{name}" + (f":{checkpoint}" if checkpoint else "")
     if settings.detector == "PYTHON":
-        if not settings.python_function.strip():
+        function = settings.python_function.strip()
+        if not function:
             raise InputError("Detector > Function is empty: name the function that makes the detector")
-        return f"python:{_file(settings.python_file, 'Detector > File')}:{settings.python_function.strip()}"
+        return f"python:{_file(settings.python_file, 'Detector > File')}:{function}"
     return "builtin"
 
 

@@ -22,6 +22,7 @@ from . import colors
 from .files.errors import InputError
 from .files.reading import read_json
 from .files.writing import write_json
+from .mesh_arrays import evaluated_mesh, image_pixels, read, to_world
 from .scene_export import clothing_of
 
 THRESHOLD = 0.6
@@ -168,16 +169,8 @@ def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World
 
 
 def _middle(scene: bpy.types.Scene, obj: bpy.types.Object) -> Vector:
-    graph = scene.view_layers[0].depsgraph
-    evaluated = obj.evaluated_get(graph)
-    mesh = evaluated.to_mesh()
-    try:
-        points = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", points)
-    finally:
-        evaluated.to_mesh_clear()
-    matrix = np.array(evaluated.matrix_world)
-    world = points.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
+        world = to_world(read(mesh.vertices, "co", 3), matrix)
     return Vector((world.min(0) + world.max(0)) / 2)
 
 
@@ -225,12 +218,9 @@ def _read_pixels(path: Path, cover: tuple[int, int] | None = None) -> np.ndarray
         if cover:
             scale = max(cover[0] / image.size[0], cover[1] / image.size[1])
             image.scale(math.ceil(image.size[0] * scale), math.ceil(image.size[1] * scale))
-        width, height = image.size
-        pixels = np.empty(width * height * 4, np.float32)
-        image.pixels.foreach_get(pixels)
-        pixels = pixels.reshape(height, width, 4)
+        pixels = image_pixels(image)
         if cover:
-            x, y = (width - cover[0]) // 2, (height - cover[1]) // 2
+            x, y = ((size - wanted) // 2 for size, wanted in zip(image.size, cover, strict=True))
             pixels = pixels[y : y + cover[1], x : x + cover[0]]
         return pixels
     finally:

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from . import colors
-from .body import require_body, topology
+from .body import object_of, require_body, topology
 from .exchange.colors import read_colors
 from .exchange.face_lists import read_face_list
 from .files.errors import InputError
@@ -116,7 +116,7 @@ class LiveColors:
     @property
     def object(self) -> bpy.types.Object | None:
         """The object, found by its identity: it may have been renamed."""
-        return next((o for o in bpy.data.objects if o.session_uid == self._uid), None)
+        return object_of(self._uid)
 
     def update(self, context: bpy.types.Context) -> bool:
         """Write new colours if there are any; False when there is nothing new or the object cannot take them now.

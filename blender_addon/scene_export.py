@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from . import colors
-from .body import polygon_loops, require_body, require_upright, scene_axes, topology
+from .body import require_body, require_upright, scene_axes, topology
 from .exchange.bodies import Bodies
 from .exchange.face_lists import write_face_list
 from .exchange.scenes import write_scene
@@ -22,6 +22,7 @@ from .faces import require_logo
 from .files.errors import InputError
 from .files.reading import read_json
 from .files.writing import new_folder, write_json
+from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
 from .poses import PoseChoice, armature_of, list_poses, visit
 
 RECORD = "export.json"
@@ -81,25 +82,10 @@ def export_bodies(
 
 
 def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, with_triangles: bool) -> Part:
-    evaluated = obj.evaluated_get(graph)
-    mesh = evaluated.to_mesh()
-    try:
-        vertices = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", vertices)
-        matrix = np.array(evaluated.matrix_world, np.float64)
-        world = vertices.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        world *= graph.scene.unit_settings.scale_length
-        part = Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh))
-        if not with_triangles:
-            return part
-        mesh.calc_loop_triangles()
-        triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", triangles)
-        faces = np.empty(len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("polygon_index", faces)
-        return Part(part.vertices, part.loop_total, part.loop_vertices, triangles.reshape(-1, 3), faces)
-    finally:
-        evaluated.to_mesh_clear()
+    with evaluated_mesh(obj, graph) as (mesh, matrix):
+        world = to_world(read(mesh.vertices, "co", 3), matrix) * graph.scene.unit_settings.scale_length
+        triangles = mesh_triangles(mesh) if with_triangles else ()
+        return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), *triangles)
 
 
 def _require_same_topology(obj: bpy.types.Object, objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
@@ -136,15 +122,18 @@ def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
 
 def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str) -> Bodies:
     first = frames[0]
-    vertex_offsets = np.cumsum([0] + [len(p.vertices) for p in first])
-    face_offsets = np.cumsum([0] + [len(p.loop_total) for p in first])
-    shifted = lambda key, offsets: np.concatenate([getattr(p, key) + o for p, o in zip(first, offsets, strict=False)])
+
+    def shifted(key: str, counted: str) -> np.ndarray:
+        """Indices of all parts, behind what was counted in the parts before."""
+        counts = np.cumsum([0] + [len(getattr(part, counted)) for part in first])
+        return np.concatenate([getattr(part, key) + count for part, count in zip(first, counts, strict=False)])
+
     return Bodies(
         vertices=np.stack([np.concatenate([p.vertices for p in parts]) for parts in frames]),
-        triangles=shifted("triangles", vertex_offsets),
-        triangle_face=shifted("triangle_face", face_offsets),
+        triangles=shifted("triangles", "vertices"),
+        triangle_face=shifted("triangle_face", "loop_total"),
         loop_total=np.concatenate([p.loop_total for p in first]),
-        loop_vertices=shifted("loop_vertices", vertex_offsets),
+        loop_vertices=shifted("loop_vertices", "vertices"),
         face_colors=outfits,
         names=tuple(names),
         name=name,

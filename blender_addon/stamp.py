@@ -13,8 +13,10 @@ import numpy as np
 from mathutils import Matrix, Vector
 from mathutils.bvhtree import BVHTree
 
-from .faces import face_vectors, read_hidden
+from .faces import read_hidden
 from .files.errors import InputError
+from .mesh_arrays import evaluated_mesh, image_pixels, mesh_triangles, read, to_world
+from .scene_export import topology_modifiers_reason
 
 RESOLUTION = 512
 
@@ -30,12 +32,7 @@ def text_stamp(text: str) -> np.ndarray:
         mesh = carrier.to_mesh()
         if mesh is None or not len(mesh.polygons):
             raise InputError(f"Nothing to see in the text '{text}': the font has no such letters")
-        mesh.calc_loop_triangles()
-        points = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", points)
-        triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", triangles)
-        return _fill(points.reshape(-1, 3)[:, :2], triangles.reshape(-1, 3))
+        return _fill(read(mesh.vertices, "co", 3)[:, :2], mesh_triangles(mesh)[0])
     finally:
         carrier.to_mesh_clear()
         bpy.data.objects.remove(carrier)
@@ -77,13 +74,10 @@ def image_stamp(image: bpy.types.Image | None) -> np.ndarray:
     """The dark, opaque pixels of an image."""
     if image is None:
         raise InputError("No picture chosen: open one under Stamp > Image")
-    width, height = image.size
-    if not width or not height:
+    if not image.size[0] or not image.size[1]:
         raise InputError(f"Picture '{image.name}' cannot be read: reload it or choose another")
-    pixels = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(height, width, image.channels)[::-1]
-    opaque = pixels[..., 3] > 0.5 if image.channels == 4 else np.ones((height, width), bool)
+    pixels = image_pixels(image)[::-1]
+    opaque = pixels[..., 3] > 0.5 if image.channels == 4 else np.ones(pixels.shape[:2], bool)
     ink = opaque & (pixels[..., : min(3, image.channels)].mean(-1) < 0.5)
     if not ink.any():
         raise InputError(f"Picture '{image.name}' has no dark, opaque pixels: those are the ink of a stamp")
@@ -127,23 +121,16 @@ def covered_faces(
     context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
 ) -> np.ndarray:
     """Mask [F] of the faces whose centre lies under ink, that look at the viewer and that nothing on the body hides."""
-    evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
-    mesh = evaluated.to_mesh()
-    try:
+    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
         if len(mesh.polygons) != len(obj.data.polygons):
-            from .scene_export import topology_modifiers_reason
-
             raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when evaluated")
-        matrix = np.array(evaluated.matrix_world, np.float64)
-        centers = face_vectors(mesh, "center") @ matrix[:3, :3].T + matrix[:3, 3]
-        normals = face_vectors(mesh, "normal") @ np.linalg.inv(matrix[:3, :3])
+        centers = to_world(read(mesh.polygons, "center", 3), matrix)
+        normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
         mask = _under_ink(centers, stamp, projection) & ~read_hidden(obj)
         rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
         mask &= (normals * rays).sum(1) < 0
-        world = [evaluated.matrix_world @ vertex.co for vertex in mesh.vertices]
-        tree = BVHTree.FromPolygons(world, [tuple(polygon.vertices) for polygon in mesh.polygons])
-    finally:
-        evaluated.to_mesh_clear()
+        corners = to_world(read(mesh.vertices, "co", 3), matrix).tolist()
+        tree = BVHTree.FromPolygons(corners, [tuple(polygon.vertices) for polygon in mesh.polygons])
     reach = float(np.ptp(centers, axis=0).max()) * 4 + 1
     for face in np.flatnonzero(mask):
         center = Vector(centers[face])

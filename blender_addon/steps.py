@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 
-from . import training_job
+from . import jobs
 from .body import active_body, require_upright
 from .faces import logo_names
 from .files.errors import InputError
@@ -15,21 +17,38 @@ from .poses import list_poses
 from .properties import absolute, pose_choice, settings_of, train_request
 from .scene_export import clothing_of, topology_modifiers_reason
 
+NO_BODY = "Choose a body first"
 
-def body_reason(context: bpy.types.Context) -> str:
-    """Why there is no usable body."""
+
+def refusal(check: Callable, *arguments: object) -> str:
+    """What `check` has against its arguments; "" when nothing."""
     try:
-        active_body(context)
+        check(*arguments)
     except InputError as error:
         return str(error)
     return ""
 
 
-def logo_reason(context: bpy.types.Context) -> str:
+def body_reason(context: bpy.types.Context) -> str:
+    """Why there is no usable body."""
+    return refusal(active_body, context)
+
+
+def of_the_body(
+    reason: Callable[[bpy.types.Context, bpy.types.Object], str],
+) -> Callable[[bpy.types.Context], str]:
+    """A reason that asks about the active body, and for one where there is none."""
+
+    @functools.wraps(reason)
+    def asked(context: bpy.types.Context) -> str:
+        return NO_BODY if body_reason(context) else reason(context, active_body(context))
+
+    return asked
+
+
+@of_the_body
+def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there is no logo to train."""
-    if body_reason(context):
-        return "Choose a body first"
-    obj = active_body(context)
     if logo_names(obj.data):
         return ""
     others = [o.name for o in context.view_layer.objects if o.type == "MESH" and o != obj and logo_names(o.data)]
@@ -38,51 +57,31 @@ def logo_reason(context: bpy.types.Context) -> str:
     return "Make a logo first"
 
 
-def poses_reason(context: bpy.types.Context) -> str:
+@of_the_body
+def poses_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the poses cannot be exported."""
-    if body_reason(context):
-        return "Choose a body first"
-    obj = active_body(context)
-    try:
-        require_upright(obj)
-        list_poses(obj, pose_choice(settings_of(context)))
-    except InputError as error:
-        return str(error)
-    return topology_modifiers_reason(obj)
+    choice = pose_choice(settings_of(context))
+    return refusal(require_upright, obj) or refusal(list_poses, obj, choice) or topology_modifiers_reason(obj)
 
 
 def train_reason(context: bpy.types.Context) -> str:
     """Why no training can start."""
-    for reason in (logo_reason(context), poses_reason(context)):
-        if reason:
-            return reason
-    try:
-        train_request(settings_of(context))
-    except InputError as error:
-        return str(error)
-    return training_job.busy()
+    reason = logo_reason(context) or poses_reason(context)
+    return reason or refusal(train_request, settings_of(context)) or jobs.busy()
 
 
-def resume_reason(context: bpy.types.Context) -> str:
+@of_the_body
+def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the object's training cannot be resumed."""
-    if body_reason(context):
-        return "Choose a body first"
-    run = active_body(context).cloak.run
-    if not run:
-        return "Nothing to resume"
-    return training_job.busy()
+    return jobs.busy() if obj.cloak.run else "Nothing to resume"
 
 
-def result_reason(context: bpy.types.Context) -> str:
+@of_the_body
+def result_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there are no colours to show."""
-    if body_reason(context):
-        return "Choose a body first"
-    run = active_body(context).cloak.run
-    if not run:
+    if not obj.cloak.run:
         return "Train first, or choose a run folder"
-    if not Path(absolute(run), "colors.npy").is_file():
-        return "No colours yet"
-    return ""
+    return "" if Path(absolute(obj.cloak.run), "colors.npy").is_file() else "No colours yet"
 
 
 def export_summary(context: bpy.types.Context) -> str:

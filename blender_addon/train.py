@@ -33,14 +33,14 @@ if not __package__:
 
 from . import properties, render_check, runs
 from .body import add_from_scene, require_body, subdivide
+from .command_lines import TrainRequest, absolute_detector, sample_command, train_command
 from .exchange.scenes import read_scene
 from .faces import import_face_list, logo_names
 from .files.errors import InputError
-from .files.specs import split_spec
+from .jobs import Job, TrainingJob
 from .poses import PoseChoice
 from .scene_export import export, read_export
-from .trainer import TrainRequest, find_python, sample_command, train_command
-from .training_job import Job, TrainingJob
+from .trainer_python import find_python
 
 PRINT_SECONDS = 2.0
 PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
@@ -111,14 +111,8 @@ def request_of(options: argparse.Namespace) -> TrainRequest:
     backgrounds = options.backgrounds
     if backgrounds and Path(backgrounds).is_dir():
         backgrounds = str(Path(backgrounds).absolute())
-    detector = ":".join(_absolute_file(part) for part in split_spec(options.detector))
+    detector = absolute_detector(options.detector)
     return TrainRequest(detector, backgrounds, options.angles, options.preset, options.steps, options.device, config)
-
-
-def _absolute_file(part: str) -> str:
-    """A part of a detector's name, absolute when it is a file (yolo.weights, yolo.weights@224)."""
-    path, at, size = part.partition("@")
-    return str(Path(path).absolute()) + at + size if Path(path).is_file() else part
 
 
 def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:

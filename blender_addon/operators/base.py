@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..body import active_body
 from ..files.errors import InputError
 
 PLAIN = {"REGISTER"}
@@ -29,6 +30,18 @@ class CloakOperator(bpy.types.Operator):
         if message:
             self.report({"INFO"}, message)
         return {"FINISHED"}
+
+
+class BodyOperator(CloakOperator):
+    """Base of operators that change the active body: `change` does the work and returns what to say."""
+
+    bl_options = WITH_UNDO
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        raise NotImplementedError
+
+    def run(self, context: bpy.types.Context) -> str:
+        return self.change(context, active_body(context))
 
 
 def push_undo(message: str) -> None:

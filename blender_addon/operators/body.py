@@ -8,23 +8,22 @@ from pathlib import Path
 
 import bpy
 
-from ..body import active_body, add_from_scene, subdivide
+from ..body import add_from_scene, subdivide
+from ..command_lines import sample_command
 from ..exchange.scenes import read_scene
-from ..files.errors import InputError
-from ..preferences import trainer_python, user_folder
+from ..jobs import Job, launch, require_idle
+from ..mesh_arrays import sync
+from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
-from ..trainer import sample_command
-from ..training_job import Job, launch, require_idle
-from .base import WITH_UNDO, CloakOperator, push_undo
+from .base import BodyOperator, CloakOperator, push_undo
 
 
-class CLOAK_OT_subdivide(CloakOperator):
+class CLOAK_OT_subdivide(BodyOperator):
     """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
 keys, weights, materials, UVs and logos are kept"""
 
     bl_idname = "cloak.subdivide"
     bl_label = "Subdivide Body"
-    bl_options = WITH_UNDO
 
     triangulate: bpy.props.BoolProperty(
         name="Triangulate", description="Also split every face into triangles", default=True
@@ -34,12 +33,10 @@ keys, weights, materials, UVs and logos are kept"""
         self.triangulate = settings_of(context).triangulate
         return self.execute(context)
 
-    def run(self, context: bpy.types.Context) -> str:
-        obj = active_body(context)
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         before = len(obj.data.polygons)
         subdivide(obj, self.triangulate)
-        if obj.mode == "EDIT":
-            obj.update_from_editmode()
+        sync(obj)
         return f"'{obj.name}': {before:,} faces became {len(obj.data.polygons):,}"
 
 
@@ -54,27 +51,23 @@ class CLOAK_OT_add_sample_body(CloakOperator):
         folder = user_folder("sample")
         scene = folder / "scene"
         shutil.rmtree(scene, ignore_errors=True)
-        command = sample_command(trainer_python(), scene)
+        command = sample_command(chosen_python(), scene)
         launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene)))
         return "Fetching the sample body from the trainer"
 
 
-def _add(job: Job, scene: Path) -> None:
+def _add(job: Job, scene: Path) -> str | None:
     if job.state != "done":
-        return
-    try:
-        bodies = read_scene(scene)
-        obj = add_from_scene(bpy.context, bodies)
-    except InputError as error:
-        job.state, job.message = "failed", str(error)
-        return
+        return None
+    bodies = read_scene(scene)
+    obj = add_from_scene(bpy.context, bodies)
     settings = settings_of(bpy.context)
     settings.pose_source, settings.frame_step = "RANGE", 1
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
     if "chest" in bodies.regions:
         obj.cloak.logo = "chest"
     push_undo("Add Sample Body")
-    job.message = f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
+    return f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
 
 
 CLASSES = (CLOAK_OT_subdivide, CLOAK_OT_add_sample_body)

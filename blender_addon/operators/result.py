@@ -8,13 +8,13 @@ from pathlib import Path
 import bpy
 
 from .. import colors, render_check, runs
-from ..body import active_body
+from ..body import active_body, object_of
+from ..command_lines import check_command, report_command
 from ..files.errors import InputError
-from ..preferences import trainer_python
+from ..jobs import Job, launch, require_idle
+from ..preferences import chosen_python
 from ..properties import absolute, settings_of, train_request
-from ..trainer import check_command, report_command
-from ..training_job import Job, launch, require_idle
-from .base import WITH_UNDO, CloakOperator
+from .base import WITH_UNDO, BodyOperator, CloakOperator
 
 
 def run_of(obj: bpy.types.Object) -> Path:
@@ -24,28 +24,24 @@ def run_of(obj: bpy.types.Object) -> Path:
     return Path(absolute(obj.cloak.run))
 
 
-class CLOAK_OT_result_load(CloakOperator):
+class CLOAK_OT_result_load(BodyOperator):
     """Bring the colours of the run folder onto the model"""
 
     bl_idname = "cloak.result_load"
     bl_label = "Load Colours"
-    bl_options = WITH_UNDO
 
-    def run(self, context: bpy.types.Context) -> str:
-        obj = active_body(context)
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         result = runs.import_colors(context, obj, run_of(obj))
         return f"{len(result.face_ids):,} faces of '{obj.name}' wear the trained colours"
 
 
-class CLOAK_OT_result_toggle(CloakOperator):
+class CLOAK_OT_result_toggle(BodyOperator):
     """Switch between the cloak and the body's own materials"""
 
     bl_idname = "cloak.result_toggle"
     bl_label = "Toggle Cloak"
-    bl_options = WITH_UNDO
 
-    def run(self, context: bpy.types.Context) -> str:
-        obj = active_body(context)
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if obj.mode == "EDIT":
             raise InputError("Leave Edit Mode (Tab) to switch the cloak on or off")
         if colors.is_dressed(obj):
@@ -78,25 +74,23 @@ class CLOAK_OT_open_report(CloakOperator):
         run = run_of(active_body(context))
         report = run / "report.html"
         if report.exists():
-            _open(report)
-            return f"Opened {report}"
+            return _open(report)
         if not run.is_dir():
             raise InputError(f"{run}: no such run folder")
         require_idle()
-        command = report_command(trainer_python(), run)
+        command = report_command(chosen_python(), run)
         launch(Job("Report", [command], runs.input_folder(run), "report", lambda job: _opened(job, report)))
         return "Making the report"
 
 
-def _opened(job: Job, report: Path) -> None:
-    if job.state == "done" and report.exists():
-        _open(report)
-        job.message = f"Opened {report}"
+def _opened(job: Job, report: Path) -> str | None:
+    return _open(report) if job.state == "done" and report.exists() else None
 
 
-def _open(report: Path) -> None:
+def _open(report: Path) -> str:
     if not bpy.app.background:
         bpy.ops.wm.url_open(url=report.as_uri())
+    return f"Opened {report}"
 
 
 class CLOAK_OT_render_check(CloakOperator):
@@ -112,7 +106,7 @@ class CLOAK_OT_render_check(CloakOperator):
             raise InputError(f"'{obj.name}' shows its own materials: switch the cloak on first")
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.input_folder(run))
-        request, python = train_request(settings), trainer_python()
+        request, python = train_request(settings), chosen_python()
         angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
         plan = render_check.Plan(obj.name, folder, angles, request.backgrounds)
         images = render_check.image_paths(plan)
@@ -122,17 +116,13 @@ class CLOAK_OT_render_check(CloakOperator):
         return f"Rendering {len(images)} images into {folder}"
 
 
-def _judge(job: Job, plan: render_check.Plan, uid: int) -> None:
+def _judge(job: Job, plan: render_check.Plan, uid: int) -> str | None:
     if job.state != "done":
-        return
-    try:
-        job.message = render_check.verdict(plan, job.outputs[1:])
-    except InputError as error:
-        job.state, job.message = "failed", str(error)
-        return
-    obj = next((o for o in bpy.data.objects if o.session_uid == uid), None)
+        return None
+    verdict, obj = render_check.verdict(plan, job.outputs[1:]), object_of(uid)
     if obj is not None:
-        obj.cloak.verdict = job.message
+        obj.cloak.verdict = verdict
+    return verdict
 
 
 CLASSES = (

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
@@ -14,7 +14,6 @@ from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import face_areas
 
 IMAGES = 4
 """Images a detector is asked about at a time."""
@@ -60,23 +59,3 @@ def heatmap(
     if not torch.isfinite(total).all():
         raise InputError(f"--detector {detector.spec}: the gradient of its score is not finite")
     return (total / max(count, 1)).cpu().numpy()
-
-
-def pick(heat: Float[np.ndarray, "F"], bodies: Bodies, share: float) -> Int[np.ndarray, "L"]:
-    """[L] int64 sorted ids of the faces with the most heat per area that make up `share` of the body's area.
-
-    Per area, because a large face gathers gradient from more pixels: what counts is the gain of each square metre.
-    """
-    if not 0 < share <= 1:
-        raise InputError(f"--pick {share}: a share of the area in (0, 1] is needed")
-    if len(heat) != bodies.face_count:
-        raise InputError(f"a heat map of {len(heat)} faces for a body of {bodies.face_count}")
-    areas = np.asarray(face_areas(bodies), np.float64)
-    density = np.divide(heat, areas, out=np.zeros(len(heat)), where=areas > 0)
-    order = np.argsort(-density, kind="stable")
-    order = order[heat[order] > 0]
-    if not len(order):
-        raise InputError("the heat map is zero everywhere: no face moves the detector's score")
-    # The last face that still fits by half: the area taken is the nearest to what was asked.
-    taken = np.searchsorted(np.cumsum(areas[order]) - areas[order] / 2, share * areas.sum())
-    return np.sort(order[: max(1, taken)]).astype(np.int64)

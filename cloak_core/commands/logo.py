@@ -128,10 +128,12 @@ class Heatmap(Command):
     options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
-        from cloak_core.attack.heatmap import heatmap, pick
+        from cloak_core.attack.heatmap import heatmap
         from cloak_core.attack.parsing import parse_angles
+        from cloak_core.exchange.heat import hottest_faces
         from cloak_core.files.writing import write_npy
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.scene.geometry import face_areas
 
         logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
         if self.pick is not None and not 0 < self.pick <= 1:
@@ -144,7 +146,7 @@ class Heatmap(Command):
         write_npy(self.out, np.asarray(heat, np.float32))
         result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}
         if self.pick is not None:
-            result |= write_logo(logo, bodies, pick(heat, bodies, self.pick))
+            result |= write_logo(logo, bodies, hottest_faces(heat, face_areas(bodies), self.pick))
         return result
 
     def show(self, result: dict) -> None:

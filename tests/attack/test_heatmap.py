@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.heatmap import heatmap, pick
+from cloak_core.attack.heatmap import heatmap
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
-from cloak_core.scene.geometry import face_areas
 from tests.attack.fakes import SIDE, BrokenDetector, TinyDetector, box_bodies, noise_backgrounds
 
 FACES = 6 * SIDE * SIDE
@@ -42,35 +41,8 @@ def test_heat_is_the_mean_over_views():
     assert np.allclose(both, np.mean(apart, axis=0), atol=1e-7)
 
 
-def test_pick_takes_the_asked_share_of_the_area():
-    bodies = box_bodies(1)
-    heat = np.random.default_rng(0).uniform(0.1, 1, FACES).astype(np.float32)
-    areas = face_areas(bodies)
-    for share in (0.05, 0.2, 0.7, 1.0):
-        ids = pick(heat, bodies, share)
-        assert ids.dtype == np.int64 and (np.diff(ids) > 0).all()
-        assert areas[ids].sum() / areas.sum() == pytest.approx(share, abs=areas.max() / areas.sum())
-        others = np.setdiff1d(np.arange(FACES), ids)
-        density = heat / areas
-        assert not len(others) or density[ids].min() >= density[others].max()
-
-
-def test_pick_leaves_out_what_was_never_seen():
-    heat = np.zeros(FACES, np.float32)
-    heat[:5] = 1
-    assert list(pick(heat, box_bodies(1), 1.0)) == [0, 1, 2, 3, 4]
-
-
 def test_bad_input():
     bodies = box_bodies(1)
-    with pytest.raises(InputError, match="--pick"):
-        pick(np.ones(FACES, np.float32), bodies, 0.0)
-    with pytest.raises(InputError, match="--pick"):
-        pick(np.ones(FACES, np.float32), bodies, float("nan"))
-    with pytest.raises(InputError, match="3 faces"):
-        pick(np.ones(3, np.float32), bodies, 0.5)
-    with pytest.raises(InputError, match="zero everywhere"):
-        pick(np.zeros(FACES, np.float32), bodies, 0.5)
     with pytest.raises(InputError, match="not finite"):
         heatmap(bodies, BrokenDetector(0), noise_backgrounds(), [0.0], size=64)
     black_box = TinyDetector()

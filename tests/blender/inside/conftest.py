@@ -3,6 +3,7 @@
 import importlib
 import importlib.abc
 import os
+import pkgutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -48,24 +49,19 @@ def pytest_configure() -> None:
     sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != ROOT]
     bpy.ops.extensions.package_install_files(filepath=str(EXTENSION), repo="user_default", enable_on_install=True)
     sys.modules["cloak"] = importlib.import_module(MODULE)
-    for room in ("body", "faces", "colors", "runs", "stamp", "poses", "steps", "trainer", "training_job"):
-        sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
-    for room in ("scene_export", "render_check", "preferences", "properties", "overlay"):
-        sys.modules[f"cloak.{room}"] = importlib.import_module(f"{MODULE}.{room}")
-    for room in ("errors", "reading", "writing"):
-        sys.modules[f"cloak.files.{room}"] = importlib.import_module(f"{MODULE}.files.{room}")
-    for room in ("bodies", "scenes", "face_lists", "colors"):
-        sys.modules[f"cloak.exchange.{room}"] = importlib.import_module(f"{MODULE}.exchange.{room}")
+    # Every module, so that one that needs what was not shipped fails here.
+    for found in pkgutil.walk_packages(sys.modules["cloak"].__path__, f"{MODULE}."):
+        sys.modules[found.name.replace(MODULE, "cloak", 1)] = importlib.import_module(found.name)
 
 
 @pytest.fixture(autouse=True)
 def fresh_file():
     """An empty scene before each test, no torch and no running job after it."""
-    from cloak import training_job
+    from cloak import jobs
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     yield
-    training_job.shut_down()
+    jobs.shut_down()
     assert not NoTorch.asked
     assert not [name for name in sys.modules if name.split(".")[0] == "torch"]
 
@@ -101,25 +97,25 @@ def run_job(seconds: float = 60):
     """Let the current job end, as Blender's timer would."""
     import time
 
-    from cloak import training_job
+    from cloak import jobs
 
     until = time.monotonic() + seconds
-    while training_job.tick() is not None:
-        assert time.monotonic() < until, training_job.current.describe()
+    while jobs.tick() is not None:
+        assert time.monotonic() < until, jobs.current.describe()
         time.sleep(0.02)
-    return training_job.current
+    return jobs.current
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 20) -> None:
     """Let time pass, as Blender's timer would, until the condition holds."""
     import time
 
-    from cloak import training_job
+    from cloak import jobs
 
     until = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < until
-        training_job.tick()
+        jobs.tick()
         time.sleep(0.01)
 
 

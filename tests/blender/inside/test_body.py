@@ -6,6 +6,7 @@ import pytest
 from cloak import body, faces, steps
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
+from cloak.mesh_arrays import read
 from conftest import run_job
 from made import add_ngons, link, make_egg, set_mode
 
@@ -128,7 +129,7 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     hidden = np.zeros(count, bool)
     hidden[:5] = True
     mesh.polygons.foreach_set("hide", hidden)
-    areas = faces.face_areas(obj)
+    areas = read(mesh.polygons, "area")
     corners = np.array([len(polygon.vertices) for polygon in mesh.polygons])
     if mode == "EDIT":
         set_mode("EDIT")
@@ -136,13 +137,9 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     if mode == "EDIT":
         set_mode("OBJECT")
     mesh = obj.data
-    parent = np.empty(len(mesh.polygons), np.int32)
-    mesh.attributes[body.ORIGINAL_FACE].data.foreach_get("value", parent)
-    now, now_hidden = np.empty(len(parent), np.int32), np.empty(len(parent), bool)
-    mesh.polygons.foreach_get("material_index", now)
-    mesh.polygons.foreach_get("hide", now_hidden)
-    assert np.array_equal(now, slots[parent])
-    assert np.array_equal(now_hidden, hidden[parent])
+    parent = read(mesh.attributes[body.ORIGINAL_FACE].data, "value", dtype=np.int32)
+    assert np.array_equal(read(mesh.polygons, "material_index", dtype=np.int32), slots[parent])
+    assert np.array_equal(read(mesh.polygons, "hide", dtype=bool), hidden[parent])
     assert np.array_equal(faces.read_faces(obj, "chest"), logo[parent])
     assert len(mesh.uv_layers) == 1 and {m.name for m in mesh.materials} == {"skin", "cloth"}
     assert [key.name for key in mesh.shape_keys.key_blocks] == ["Basis", "Raised"]
@@ -152,7 +149,7 @@ def test_everything_on_the_mesh_carries_over(mode, triangulate):
     assert np.allclose(weights, 0.75, atol=1e-6)
     assert "cloak_hidden" not in mesh.attributes
     # Subdivision is simple: a face's pieces together have its area. The n-gons here are folded, so about.
-    pieces = np.bincount(parent, faces.face_areas(obj), count)
+    pieces = np.bincount(parent, read(mesh.polygons, "area"), count)
     assert np.allclose(pieces[corners <= 4], areas[corners <= 4], rtol=1e-4)
     assert np.allclose(pieces, areas, rtol=0.1)
 
@@ -209,6 +206,5 @@ def test_add_sample_body(stub):
     settings = bpy.context.scene.cloak
     assert (settings.pose_source, settings.frame_start, settings.frame_end) == ("RANGE", 1, 2)
     bpy.context.scene.frame_set(2)
-    top = lambda: max((obj.matrix_world @ v.co).z for v in obj.evaluated_get(graph()).data.vertices)
-    graph = bpy.context.evaluated_depsgraph_get
-    assert top() == pytest.approx(2.2, abs=1e-5)
+    posed = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    assert max((obj.matrix_world @ v.co).z for v in posed.data.vertices) == pytest.approx(2.2, abs=1e-5)

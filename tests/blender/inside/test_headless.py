@@ -1,5 +1,6 @@
 """`train.py` without a window, as users run it: exit codes, files, and the round trip with the real trainer."""
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak import body, colors, faces, stamp
+from cloak.operators.heat import show_heat
 from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
 
@@ -143,28 +145,36 @@ def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_pa
 
 def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     """The add-on's command lines are those the trainer understands."""
-    from cloak import trainer
-    from cloak.exchange.scenes import read_scene
+    from cloak import command_lines, trainer_python
+    from cloak.exchange.scenes import read_scene, write_scene
     from cloak.files.reading import read_npy
-    from cloak.training_job import Job
+    from cloak.jobs import Job
+    from cloak.poses import PoseChoice
+    from cloak.scene_export import export_bodies
 
-    facts = trainer.about(str(real_trainer))
+    python = str(real_trainer)
+
+    def answer(label: str, command: list[str]) -> str:
+        job = Job(label, [command], tmp_path, label).wait(120)
+        assert job.state == "done", job.message
+        return job.outputs[0]
+
+    facts = trainer_python.parse_about(python, True, answer("Test", trainer_python.about_command(python)), "")
     assert facts["torch"][0].isdigit() and facts["device"]
-    job = Job("Sample", [trainer.sample_command(str(real_trainer), tmp_path / "sample")], tmp_path, "sample").wait(120)
-    assert job.state == "done", job.message
+    answer("Sample", command_lines.sample_command(python, tmp_path / "sample"))
     obj = body.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
-    small = read_scene(tmp_path / "sample").select_poses([0])
-    from cloak.exchange.scenes import write_scene
-
-    write_scene(tmp_path / "one", small)
-    request = trainer.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")
-    command = trainer.heatmap_command(str(real_trainer), request, tmp_path / "one", tmp_path / "heat.npy")
-    job = Job("Heatmap", [command], tmp_path, "heatmap").wait(120)
-    assert job.state == "done", job.message
-    assert read_npy(tmp_path / "heat.npy").shape == (len(obj.data.polygons),)
+    write_scene(tmp_path / "one", export_bodies(bpy.context, obj, PoseChoice()))
+    request = command_lines.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")
+    command = command_lines.heatmap_command(python, request, tmp_path / "one", tmp_path / "heat.npy")
+    answer("Heatmap", [*command, "--pick", "0.1"])
+    show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
+    bpy.context.scene.cloak.heat_share = 0.1
+    bpy.ops.cloak.logo_from_heat()
+    picked = np.flatnonzero(faces.read_faces(obj, "Heat"))
+    assert picked.tolist() == read_npy(tmp_path / "heat-pick.npy").tolist()  # the command line and Blender agree
     image = bpy.data.images.new("grey", 32, 32)
     image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
     image.save()
-    job = Job("Check", [trainer.check_command(str(real_trainer), request, tmp_path / "grey.png")], tmp_path, "check")
-    assert 0 <= job.wait(120).json_outputs()[0]["max_person"] <= 1
+    said = answer("Check", command_lines.check_command(python, request, tmp_path / "grey.png"))
+    assert 0 <= json.loads(said)["max_person"] <= 1

@@ -7,7 +7,7 @@ import zipfile
 import bpy
 import cloak
 import pytest
-from cloak import training_job
+from cloak import jobs
 from conftest import EXTENSION, MODULE, ROOT
 
 ADD_ON = ROOT / "blender_addon"
@@ -66,15 +66,19 @@ def leftovers() -> dict:
         "object": [p.identifier for p in bpy.types.Object.bl_rna.properties if "cloak" in p.identifier],
         "scene": [p.identifier for p in bpy.types.Scene.bl_rna.properties if "cloak" in p.identifier],
         "handlers": handlers,
-        "timer": bpy.app.timers.is_registered(training_job.tick),
+        "timer": bpy.app.timers.is_registered(jobs.tick),
         "threads": [thread.name for thread in threading.enumerate()],
-        "ticks": list(training_job.on_tick),
+        "ticks": list(jobs.on_tick),
     }
 
 
 def test_ten_cycles_of_register_and_unregister_leave_nothing():
-    disable = lambda: bpy.ops.preferences.addon_disable(module=MODULE)
-    enable = lambda: bpy.ops.preferences.addon_enable(module=MODULE)
+    def disable() -> None:
+        bpy.ops.preferences.addon_disable(module=MODULE)
+
+    def enable() -> None:
+        bpy.ops.preferences.addon_enable(module=MODULE)
+
     enabled = leftovers()
     assert enabled["types"] and enabled["object"] == ["cloak"]
     disable()

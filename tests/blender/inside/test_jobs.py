@@ -5,7 +5,8 @@ import json
 import pytest
 from cloak import runs
 from cloak.files.errors import InputError
-from cloak.training_job import Job, Progress, TrainingJob, take_event
+from cloak.jobs import Job, TrainingJob
+from cloak.progress import Progress, take_event
 
 
 @pytest.mark.parametrize(
@@ -29,10 +30,12 @@ def test_time_left_follows_the_pace():
 def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_path):
     import sys
 
-    say = lambda text: [sys.executable, "-c", f"print({text!r})"]
+    def say(text: str) -> list[str]:
+        return [sys.executable, "-c", f"print({text!r})"]
+
     ended = []
-    job = Job("Two", [say("{}"), say('{"a": 1}')], tmp_path, "two", ended.append).wait()
-    assert job.json_outputs() == [{}, {"a": 1}] and ended == [job] and job.fraction == 1
+    job = Job("Two", [say("one"), say("two")], tmp_path, "two", ended.append).wait()
+    assert job.outputs == ["one\n", "two\n"] and ended == [job] and job.fraction == 1 and job.message == "Two done"
     job = Job("Bad", [[sys.executable, "-c", "import sys; sys.exit('boom')"], say("no")], tmp_path, "bad").wait()
     assert (job.state, job.outputs) == ("failed", [""]) and "boom" in job.message
     with pytest.raises(InputError, match="cannot be started"):
@@ -40,6 +43,16 @@ def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_
     job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long")
     job.cancel()
     assert job.wait(10).state == "stopped"
+
+
+def test_what_follows_a_job_may_fail_it_or_have_the_last_word(tmp_path, stub):
+    def refuse(job: Job) -> None:
+        raise InputError("the object is gone")
+
+    job = Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", refuse).wait()
+    assert (job.state, job.message) == ("failed", "the object is gone")
+    job = Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", lambda job: "Opened it").wait()
+    assert (job.state, job.message) == ("done", "Opened it")
 
 
 def test_run_folders_never_collide(tmp_path):

@@ -21,7 +21,10 @@ def test_a_letter_has_its_shape():
 def test_the_smiley_is_a_smiley():
     ink = stamp.smiley_stamp()
     assert np.array_equal(ink, ink[:, ::-1])
-    at = lambda x, y: ink[int((1 - y) / 2 * len(ink)), int((x + 1) / 2 * len(ink))]
+
+    def at(x: float, y: float) -> bool:
+        return ink[int((1 - y) / 2 * len(ink)), int((x + 1) / 2 * len(ink))]
+
     assert at(0.32, 0.25) and at(0, -0.5) and at(0, 0.9) and not at(0, 0) and not at(0.95, 0.95)
 
 

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from cloak import steps
-from cloak.files.errors import InputError
+from cloak import command_lines, steps, trainer_python
 from cloak.preferences import preferences
 from conftest import run_job
 
@@ -26,20 +25,16 @@ def test_missing_or_wrong_python(ready, python, words, tmp_path):
 
 
 def test_no_python_anywhere(ready, monkeypatch):
-    from cloak import trainer
-
     preferences().python = ""
-    trainer._first_found.cache_clear()
-    monkeypatch.setattr(trainer, "candidates", lambda: [])
+    trainer_python._first_found.cache_clear()
+    monkeypatch.setattr(trainer_python, "candidates", lambda: [])
     with pytest.raises(RuntimeError, match="choose it in the add-on's preferences"):
         bpy.ops.cloak.train_start()
 
 
 def test_python_is_found_and_remembered(ready, stub, monkeypatch):
-    from cloak import trainer
-
     preferences().python = ""
-    trainer._first_found.cache_clear()
+    trainer_python._first_found.cache_clear()
     monkeypatch.setenv("CLOAK_PYTHON", str(stub))
     bpy.ops.cloak.find_python()
     assert preferences().python == str(stub)
@@ -48,12 +43,10 @@ def test_python_is_found_and_remembered(ready, stub, monkeypatch):
     assert preferences().answer.startswith("Cloak 0.stub, torch 0.stub, Python 3") and "CPU" in job.message
     preferences().python = str(stub)
     bpy.ops.cloak.copy_install_line()
-    assert "pip install" in trainer.INSTALL_LINE
+    assert "pip install" in trainer_python.INSTALL_LINE
 
 
 def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
-    from cloak import trainer
-
     bad = tmp_path / "half"
     bad.write_text(
         '#!/bin/sh\ncase "$2" in *find_spec*) exit 0;; esac\necho "ImportError: no libtorch.so" >&2; exit 1\n'
@@ -63,16 +56,12 @@ def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
     bpy.ops.cloak.test_python()
     run_job()
     assert "no working cloak_core: ImportError: no libtorch.so" in preferences().answer
-    with pytest.raises(InputError, match="no libtorch"):
-        trainer.about(str(bad))
 
 
 def test_blenders_own_python_settings_do_not_reach_the_trainer(monkeypatch):
-    from cloak.trainer import clean_environment
-
     monkeypatch.setenv("PYTHONPATH", "/blender/scripts")
     monkeypatch.setenv("PYTHONHOME", "/blender")
-    assert not {"PYTHONPATH", "PYTHONHOME"} & set(clean_environment())
+    assert not {"PYTHONPATH", "PYTHONHOME"} & set(trainer_python.clean_environment())
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------
@@ -114,3 +103,27 @@ def test_detector_specs(tmp_path):
     assert detector_spec(settings) == f"python:{tmp_path / 'd.py'}:load"
     settings.detector = "TORCHVISION"
     assert detector_spec(settings) == "torchvision:fasterrcnn_mobilenet_v3_large_fpn"
+
+
+@pytest.mark.parametrize(
+    ("spec", "parts"),
+    [
+        ("builtin", ["builtin"]),
+        (r"darknet:C:\nets\a.cfg:D:/a.weights@224", ["darknet", r"C:\nets\a.cfg", "D:/a.weights@224"]),
+        ("python:/home/d.py:load", ["python", "/home/d.py", "load"]),
+        (r"python:d:\d.py:load", ["python", r"d:\d.py", "load"]),
+    ],
+)
+def test_the_colon_of_a_drive_separates_nothing(monkeypatch, spec, parts):
+    asked = []
+    monkeypatch.setattr(command_lines, "_absolute_file", lambda part: asked.append(part) or part)
+    assert command_lines.absolute_detector(spec) == spec and asked == parts
+
+
+def test_files_in_a_detectors_name_become_absolute(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.cfg", "me@home.weights"):
+        Path(name).touch()
+    made = command_lines.absolute_detector("darknet:a.cfg:me@home.weights@416,letterbox")
+    assert made == f"darknet:{tmp_path}/a.cfg:{tmp_path}/me@home.weights@416,letterbox"
+    assert command_lines.absolute_detector("torchvision:ssd:none.pth") == "torchvision:ssd:none.pth"

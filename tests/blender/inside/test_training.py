@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from cloak import body, steps, training_job
+from cloak import body, jobs, steps
 from cloak.preferences import preferences
 from conftest import LOGO_FACES, MODULE, blender_command, red_faces, run_job, wait_for
 from made import set_mode
@@ -35,7 +35,7 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.context.scene.cloak.live_seconds = 0.5
     bpy.ops.cloak.train_start()
-    job = training_job.current
+    job = jobs.current
     with pytest.raises(RuntimeError, match="Training is running: wait for it, or cancel it"):
         bpy.ops.cloak.train_start()
     with pytest.raises(RuntimeError, match="Training is running"):
@@ -134,7 +134,7 @@ def test_read_only_output(ready):
     bpy.context.scene.cloak.output = "/proc/cloak"
     with pytest.raises(RuntimeError, match="cannot be written"):
         bpy.ops.cloak.train_start()
-    assert training_job.current is None and not ready.cloak.run
+    assert jobs.current is None and not ready.cloak.run
 
 
 def test_output_beside_an_unsaved_file_is_refused(ready):
@@ -165,7 +165,7 @@ def test_resume_without_its_input_is_refused(ready):
 def test_disabling_the_add_on_ends_the_training_in_order(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.train_start()
-    job, run = training_job.current, Path(ready.cloak.run)
+    job, run = jobs.current, Path(ready.cloak.run)
     wait_for(lambda: job.progress.step >= 2)
     bpy.ops.preferences.addon_disable(module=MODULE)
     try:
@@ -190,12 +190,12 @@ import bpy, os, sys, time
 bpy.ops.preferences.addon_enable(module={MODULE!r})
 bpy.ops.wm.open_mainfile(filepath={str(file)!r})
 bpy.context.preferences.addons[{MODULE!r}].preferences.python = {preferences().python!r}
-from {MODULE} import training_job
+from {MODULE} import jobs
 bpy.ops.cloak.train_start()
-while training_job.current.progress.step < 2:
-    training_job.tick(); time.sleep(0.01)
+while jobs.current.progress.step < 2:
+    jobs.tick(); time.sleep(0.01)
 bpy.ops.wm.save_mainfile()
-print("trainer is process", training_job.current._process.pid, flush=True)
+print("trainer is process", jobs.current._process.pid, flush=True)
 import addon_utils
 if "quit" in {how!r}:
     addon_utils.disable_all()  # what Blender does when it closes

@@ -30,7 +30,7 @@ def press(operator, **options):
 def steps():
     bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
     bpy.context.preferences.addons["bl_ext.user_default.cloak"].preferences.python = PYTHON
-    from bl_ext.user_default.cloak import colors, faces, overlay, training_job
+    from bl_ext.user_default.cloak import colors, faces, jobs, overlay
 
     sys.modules["cloak"], sys.modules["cloak.faces"] = sys.modules["bl_ext.user_default.cloak"], faces
     subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
@@ -77,9 +77,9 @@ def steps():
     obj = bpy.data.objects["Body"]
     bpy.context.view_layer.objects.active = obj
     press(bpy.ops.cloak.train_start)
-    while training_job.current.running:
+    while jobs.current.running:
         yield 0.2
-    assert training_job.current.state == "done", training_job.current.message
+    assert jobs.current.state == "done", jobs.current.message
     obj = bpy.data.objects["Body"]
     assert colors.is_dressed(obj)
     press(bpy.ops.cloak.logo_grow)
@@ -108,9 +108,9 @@ def steps():
         set_mode("OBJECT")
     bpy.context.scene.cloak.steps = 500  # fetched again: undo has replaced what Python held
     press(bpy.ops.cloak.train_start)
-    while training_job.current.progress.step < 2:
+    while jobs.current.progress.step < 2:
         yield 0.2
-    print("closing with process", training_job.current._process.pid, "in", obj.cloak.run, flush=True)
+    print("closing with process", jobs.current._process.pid, "in", obj.cloak.run, flush=True)
 
 
 def run():

@@ -83,11 +83,11 @@ def show_tab():
 
 
 def wait_job():
-    from bl_ext.user_default.cloak import training_job
+    from bl_ext.user_default.cloak import jobs
 
-    while training_job.current.running:
+    while jobs.current.running:
         yield 0.2
-    assert training_job.current.state == "done", training_job.current.message
+    assert jobs.current.state == "done", jobs.current.message
 
 
 def steps():
@@ -115,11 +115,11 @@ def steps():
         settings.frame_end = 3
         settings.steps = 400 if STATE == "train" else 25
         bpy.ops.cloak.train_start()
-        from bl_ext.user_default.cloak import training_job
+        from bl_ext.user_default.cloak import jobs
 
         if STATE == "train":
-            while training_job.current.progress.step < 30:
-                assert training_job.current.running, training_job.current.message
+            while jobs.current.progress.step < 30:
+                assert jobs.current.running, jobs.current.message
                 yield 0.2
         else:
             yield from wait_job()
@@ -131,9 +131,9 @@ def steps():
         bpy.utils.register_class(cls)
     if STATE == "train":
         bpy.ops.cloak.train_cancel()
-        while training_job.current.running:
+        while jobs.current.running:
             yield 0.2
-        assert training_job.current.state == "stopped", training_job.current.message
+        assert jobs.current.state == "stopped", jobs.current.message
 
 
 def run():

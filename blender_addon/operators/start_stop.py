@@ -8,15 +8,15 @@ from pathlib import Path
 
 import bpy
 
-from .. import runs, training_job
+from .. import jobs, runs
 from ..body import active_body
+from ..command_lines import train_command
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from ..preferences import trainer_python
+from ..jobs import Job, TrainingJob, launch, require_idle
+from ..preferences import chosen_python
 from ..properties import absolute, output_folder, pose_choice, settings_of, train_request
 from ..scene_export import Export, export, read_export
-from ..trainer import train_command
-from ..training_job import Job, TrainingJob, launch, require_idle
 from .base import CloakOperator, push_undo
 from .logo import active_logo
 
@@ -31,7 +31,7 @@ class CLOAK_OT_train_start(CloakOperator):
         require_idle()
         obj, settings = active_body(context), settings_of(context)
         logo = active_logo(obj)
-        request, python = train_request(settings), trainer_python()
+        request, python = train_request(settings), chosen_python()
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         run = runs.new_run(output_folder(settings), obj.name, logo)
@@ -48,7 +48,7 @@ class CLOAK_OT_train_cancel(CloakOperator):
     bl_label = "Cancel"
 
     def run(self, context: bpy.types.Context) -> str:
-        job = training_job.current
+        job = jobs.current
         if job is None or not job.running:
             raise InputError("Nothing is running")
         job.cancel()
@@ -68,7 +68,7 @@ class CLOAK_OT_train_resume(CloakOperator):
         done = read_export(runs.input_folder(run))
         runs.require_same_topology(obj, done.topology)
         options = runs.remembered_options(run)
-        command = train_command(trainer_python(), options, done.scene, done.face_list, run)
+        command = train_command(chosen_python(), options, done.scene, done.face_list, run)
         begin(context, obj, run, [*command, "--resume"])
         return f"Resuming {run}"
 
@@ -89,7 +89,7 @@ def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command:
     watch = Watch(obj, run, read_export(folder))
     job = TrainingJob(command, run, folder, watch.finish)
     obj.cloak.run, obj.cloak.verdict = str(run), ""
-    training_job.on_tick[:] = [watch.tick]
+    jobs.on_tick[:] = [watch.tick]
     launch(job)
     return job
 
@@ -117,10 +117,10 @@ class Watch:
             self._refused = str(error)
         self._last = time.monotonic()
 
-    def finish(self, job: Job) -> None:
+    def finish(self, job: Job) -> str | None:
         """Called at the end: whatever colours there are come onto the model."""
         if not (self._run / "colors.npy").exists():
-            return
+            return None
         obj = self._live.object
         try:
             if obj is None:
@@ -130,7 +130,8 @@ class Watch:
             runs.import_colors(bpy.context, obj, self._run)
             push_undo("Cloak Colours")
         except InputError as error:
-            job.message += f"; no colours imported: {error}"
+            return f"{job.message}; no colours imported: {error}"
+        return None
 
 
 def redraw() -> None:

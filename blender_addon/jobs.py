@@ -8,20 +8,19 @@ Standard output and error go to files, so a trainer never blocks on a full pipe 
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 
 from .files.errors import InputError
-from .trainer import clean_environment, no_window
+from .progress import Progress, take_event
+from .trainer_python import clean_environment, no_window
 
 TICK_SECONDS = 0.25
 READ_SECONDS = 0.1
@@ -33,8 +32,12 @@ STOPPED = 3
 # --- one or several commands, one after the other ---------------------------------------------------------------------
 
 
+OnEnd = Callable[["Job"], str | None]
+"""Called when a job has ended, in whatever way. It may return another message; an `InputError` fails the job."""
+
+
 class Job:
-    """Commands that run one after the other outside Blender. `poll` moves it on; `on_done(job)` is called at its end.
+    """Commands that run one after the other outside Blender; `poll` moves it on.
 
     `state` is "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
     """
@@ -45,14 +48,14 @@ class Job:
         commands: Sequence[list[str]],
         folder: Path,
         name: str,
-        on_done: Callable[[Job], None] = lambda job: None,
+        on_end: OnEnd | None = None,
     ) -> None:
         self.label = label
         self.state = "running"
         self.message = ""
         self.code: int | None = None
         self.outputs: list[str] = []
-        self.on_done = on_done
+        self._on_end = on_end
         self._commands = list(commands)
         self._files = (folder / f"{name}.out", folder / f"{name}.log")
         self._cancelled = False
@@ -127,13 +130,20 @@ class Job:
 
     def _finish(self, state: str, message: str) -> None:
         self.state, self.message = state, message
-        self.on_done(self)
+        if self._on_end is not None:
+            try:
+                self.message = self._on_end(self) or message
+            except InputError as error:
+                self.state, self.message = "failed", str(error)
 
     def cancel(self) -> None:
         """Ask the process to end; it may take a moment."""
         self._cancelled = True
         if self.running:
-            self._terminate()
+            self._ask_to_stop()
+
+    def _ask_to_stop(self) -> None:
+        self._terminate()
 
     def _terminate(self) -> None:
         with contextlib.suppress(OSError):
@@ -141,7 +151,7 @@ class Job:
 
     def abandon(self) -> None:
         """Blender is closing: ask the process to end, and wait no longer than a blink."""
-        self.on_done = lambda job: None
+        self._on_end = None
         self.cancel()
 
     def wait(self, seconds: float = math.inf) -> Job:
@@ -150,19 +160,6 @@ class Job:
         while self.poll() and time.monotonic() < until:
             time.sleep(0.02)
         return self
-
-    def json_outputs(self) -> list[dict]:
-        """The object each finished command printed under --json."""
-        records = []
-        for text in self.outputs:
-            try:
-                record = json.loads(text)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict):
-                raise InputError(f"{self.label}: the trainer's answer is not a JSON object; see {self.log}")
-            records.append(record)
-        return records
 
 
 def last_words(log: Path) -> str:
@@ -179,98 +176,14 @@ def last_words(log: Path) -> str:
 # --- training --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Progress:
-    """What a run's events have told so far."""
-
-    step: int = 0
-    steps: int = 0
-    loss: float | None = None
-    success: float | None = None
-    """Share of the last images without a detection, a running mean, 0 to 1."""
-    seconds: float = 0.0
-    """Of training, as the trainer counts them."""
-    seconds_per_step: float | None = None
-    broken_lines: int = 0
-
-    @property
-    def fraction(self) -> float:
-        return min(1.0, self.step / self.steps) if self.steps else 0.0
-
-    @property
-    def seconds_left(self) -> float | None:
-        if self.seconds_per_step is None or not self.steps:
-            return None
-        return max(0, self.steps - self.step) * self.seconds_per_step
-
-    def describe(self) -> str:
-        """Steps and time left, as far as they are known."""
-        text = f"{self.step}/{self.steps or '?'}"
-        if self.seconds_left is not None and self.step < self.steps:
-            text += f", {duration(self.seconds_left)} left"
-        return text
-
-    def figures(self) -> str:
-        """Loss and success, as far as they are known."""
-        parts = [] if self.loss is None else [f"loss {self.loss:.3f}"]
-        if self.success is not None:
-            parts.append(f"success {self.success:.0%}")
-        return ", ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """1 h 05 min, 3 min, 40 s."""
-    if seconds >= 3600:
-        return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
-    return f"{math.ceil(seconds / 60)} min" if seconds >= 90 else f"{math.ceil(seconds)} s"
-
-
-def take_event(progress: Progress, line: bytes) -> Progress:
-    """Progress after one more line of events.jsonl; a line that is no event is counted and passed over."""
-    try:
-        event = json.loads(line)
-        kind = event["type"]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return replace(progress, broken_lines=progress.broken_lines + 1)
-    step, seconds = _number(event.get("step")), _number(event.get("time"))
-    if kind in ("start", "resume") and _number(event.get("steps")) is not None:
-        progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
-    if kind != "step" or step is None:
-        return progress
-    if step < progress.step:
-        return replace(progress, broken_lines=progress.broken_lines + 1)
-    success = _number(event.get("success"))
-    if success is not None and progress.success is not None:
-        success = 0.95 * progress.success + 0.05 * success  # one batch says little
-    pace = progress.seconds_per_step
-    if seconds is not None and step > progress.step:
-        latest = max(0.0, seconds - progress.seconds) / (step - progress.step)
-        pace = latest if pace is None else 0.9 * pace + 0.1 * latest
-    return replace(
-        progress,
-        step=int(step),
-        loss=_number(event.get("loss")),
-        success=progress.success if success is None else success,
-        seconds=progress.seconds if seconds is None else seconds,
-        seconds_per_step=pace,
-    )
-
-
-def _number(value: object) -> float | None:
-    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if usable else None
-
-
 class TrainingJob(Job):
     """One `cloak train` and its run folder."""
 
-    def __init__(
-        self, command: list[str], run: Path, folder: Path, on_done: Callable[[Job], None] = lambda job: None
-    ) -> None:
+    def __init__(self, command: list[str], run: Path, folder: Path, on_end: OnEnd | None = None) -> None:
         self.run = run
         self.progress = Progress()
         self._ended = threading.Event()
-        super().__init__("Training", [command], folder, "train", on_done)
+        super().__init__("Training", [command], folder, "train", on_end)
         self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
         self._reader.start()
 
@@ -289,11 +202,6 @@ class TrainingJob(Job):
         if self.running and self._cancelled:
             self._ask_to_stop()  # again: a trainer that is just opening its run folder sweeps old requests away
         return super().poll()
-
-    def cancel(self) -> None:
-        self._cancelled = True
-        if self.running:
-            self._ask_to_stop()
 
     def abandon(self) -> None:
         super().abandon()

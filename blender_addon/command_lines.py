@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The `cloak` command lines that the add-on gives the trainer.
+
+Nothing here imports `cloak_core`; the two sides share files and exit codes only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from .files.specs import split_spec
+
+
+@dataclass(frozen=True)
+class TrainRequest:
+    """Options of `cloak train` by their names; empty strings and None leave the trainer's own default."""
+
+    detector: str = "builtin"
+    backgrounds: str = ""
+    angles: str = "-10:10:5"
+    preset: str = ""
+    steps: int | None = None
+    device: str = ""
+    config: str = ""
+    """TOML file with further settings of the trainer."""
+
+    def options(self, *names: str) -> list[str]:
+        """Those of the named options (all, where none is named) that are set, as words of a command line."""
+        given = {name: value for name, value in asdict(self).items() if value not in ("", None)}
+        # In one word: a value that starts with a minus looks like an option otherwise.
+        return [f"--{name}={value}" for name, value in given.items() if not names or name in names]
+
+
+def absolute_detector(spec: str) -> str:
+    """A detector's name with the files in it as absolute paths: the trainer works in a folder of its own."""
+    return ":".join(_absolute_file(part) for part in split_spec(spec))
+
+
+def _absolute_file(part: str) -> str:
+    for path in (part, part.rpartition("@")[0]):  # what follows the @ are options
+        if path and Path(path).is_file():
+            return str(Path(path).absolute()) + part[len(path) :]
+    return part
+
+
+def train_command(python: str, options: list[str], scene: Path, logo: Path, run: Path) -> list[str]:
+    """`cloak train` on an export; `--resume` may be appended."""
+    return _cloak(python, "train", "--scene", scene, "--logo", logo, *options, "--out", run)
+
+
+def heatmap_command(python: str, request: TrainRequest, scene: Path, out: Path) -> list[str]:
+    """`cloak logo heatmap`."""
+    options = request.options("detector", "backgrounds", "angles", "device")
+    return _cloak(python, "logo", "heatmap", "--scene", scene, *options, "--out", out)
+
+
+def sample_command(python: str, out: Path) -> list[str]:
+    """`cloak scene sample`."""
+    return _cloak(python, "scene", "sample", "--out", out, "--split", "train")
+
+
+def check_command(python: str, request: TrainRequest, image: Path) -> list[str]:
+    """`cloak detectors check` on one image."""
+    return _cloak(python, "detectors", "check", request.detector, "--image", image)
+
+
+def report_command(python: str, run: Path) -> list[str]:
+    """`cloak report`."""
+    return _cloak(python, "report", run)
+
+
+def _cloak(python: str, *words: object) -> list[str]:
+    return [python, "-m", "cloak_core", *map(str, words), "--json"]

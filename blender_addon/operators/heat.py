@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 2 that ask the detector which faces a logo should take."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import colors, faces
+from ..body import active_body, object_of, topology
+from ..command_lines import heatmap_command
+from ..exchange.heat import hottest_faces
+from ..exchange.scenes import write_scene
+from ..files.errors import InputError
+from ..files.reading import read_npy
+from ..jobs import Job, launch, require_idle
+from ..mesh_arrays import read, write_attribute
+from ..preferences import chosen_python, user_folder
+from ..properties import pose_choice, settings_of, train_request
+from ..scene_export import export_bodies
+from .base import BodyOperator, CloakOperator, push_undo
+
+HEAT = "cloak_heat"
+"""Float face attribute: the last heat map."""
+
+
+class CLOAK_OT_heatmap(CloakOperator):
+    """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
+
+    bl_idname = "cloak.heatmap"
+    bl_label = "Heatmap"
+
+    def run(self, context: bpy.types.Context) -> str:
+        require_idle()
+        obj, settings = active_body(context), settings_of(context)
+        if obj.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        python, request = chosen_python(), train_request(settings)
+        places = (user_folder("heatmap") / str(number) for number in itertools.count(1))
+        folder = next(place for place in places if not place.exists())
+        write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
+        heat, uid, expected = folder / "heat.npy", obj.session_uid, topology(obj)
+        command = heatmap_command(python, request, folder / "scene", heat)
+        launch(Job("Heatmap", [command], folder, "heatmap", lambda job: _show_heat(job, heat, uid, expected)))
+        return "Measuring which faces move the detector"
+
+
+def _show_heat(job: Job, path: Path, uid: int, expected: str) -> str | None:
+    if job.state != "done":
+        return None
+    obj = object_of(uid)
+    if obj is None or topology(obj) != expected:
+        raise InputError("The body changed while its heat map was made: press Heatmap again")
+    show_heat(bpy.context, obj, read_npy(path))
+    push_undo("Heatmap")
+    shutil.rmtree(path.parent, ignore_errors=True)
+    return "Heatmap: bright faces move the detector most"
+
+
+def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarray) -> None:
+    """Keep heat [F] on the mesh and show it in the viewports."""
+    heat = np.asarray(heat, np.float32)[: len(obj.data.polygons)]
+    if heat.shape != (len(obj.data.polygons),):
+        raise InputError(f"The heat map has {len(heat)} values for {len(obj.data.polygons)} faces: press Heatmap again")
+    write_attribute(obj.data, HEAT, "FLOAT", heat)
+    colors.write_face_colors(obj, colors.HEATMAP, colors.heat_colors(heat))
+    colors.show_attribute(context, obj, colors.HEATMAP)
+
+
+class CLOAK_OT_logo_from_heat(BodyOperator):
+    """Make a logo of the faces that move the detector most for their size"""
+
+    bl_idname = "cloak.logo_from_heat"
+    bl_label = "New from Heatmap"
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        attribute = obj.data.attributes.get(HEAT)
+        if attribute is None:
+            raise InputError(f"'{obj.name}' has no heat map: press Heatmap first")
+        if obj.mode == "EDIT":
+            raise InputError("Leave Edit Mode (Tab) to take faces from the heat map")
+        heat = read(attribute.data, "value")
+        ids = hottest_faces(heat, faces.face_areas(obj), settings_of(context).heat_share)
+        obj.cloak.logo = faces.new_logo(obj, "Heat", np.isin(np.arange(len(heat)), ids))
+        return f"Logo '{obj.cloak.logo}': {len(ids):,} faces"
+
+
+CLASSES = (CLOAK_OT_heatmap, CLOAK_OT_logo_from_heat)

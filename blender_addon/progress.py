@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far a training is, from the events that it writes."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a run's events have told so far."""
+
+    step: int = 0
+    steps: int = 0
+    loss: float | None = None
+    success: float | None = None
+    """Share of the last images without a detection, a running mean, 0 to 1."""
+    seconds: float = 0.0
+    """Of training, as the trainer counts them."""
+    seconds_per_step: float | None = None
+    broken_lines: int = 0
+
+    @property
+    def fraction(self) -> float:
+        return min(1.0, self.step / self.steps) if self.steps else 0.0
+
+    @property
+    def seconds_left(self) -> float | None:
+        if self.seconds_per_step is None or not self.steps:
+            return None
+        return max(0, self.steps - self.step) * self.seconds_per_step
+
+    def describe(self) -> str:
+        """Steps and time left, as far as they are known."""
+        text = f"{self.step}/{self.steps or '?'}"
+        if self.seconds_left is not None and self.step < self.steps:
+            text += f", {duration(self.seconds_left)} left"
+        return text
+
+    def figures(self) -> str:
+        """Loss and success, as far as they are known."""
+        parts = [] if self.loss is None else [f"loss {self.loss:.3f}"]
+        if self.success is not None:
+            parts.append(f"success {self.success:.0%}")
+        return ", ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """1 h 05 min, 3 min, 40 s."""
+    if seconds >= 3600:
+        return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
+    return f"{math.ceil(seconds / 60)} min" if seconds >= 90 else f"{math.ceil(seconds)} s"
+
+
+def take_event(progress: Progress, line: bytes) -> Progress:
+    """Progress after one more line of events.jsonl; a line that is no event is counted and passed over."""
+    try:
+        event = json.loads(line)
+        kind = event["type"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return replace(progress, broken_lines=progress.broken_lines + 1)
+    step, seconds = _number(event.get("step")), _number(event.get("time"))
+    if kind in ("start", "resume") and _number(event.get("steps")) is not None:
+        progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
+    if kind != "step" or step is None:
+        return progress
+    if step < progress.step:
+        return replace(progress, broken_lines=progress.broken_lines + 1)
+    success = _number(event.get("success"))
+    if success is not None and progress.success is not None:
+        success = 0.95 * progress.success + 0.05 * success  # one batch says little
+    pace = progress.seconds_per_step
+    if seconds is not None and step > progress.step:
+        latest = max(0.0, seconds - progress.seconds) / (step - progress.step)
+        pace = latest if pace is None else 0.9 * pace + 0.1 * latest
+    return replace(
+        progress,
+        step=int(step),
+        loss=_number(event.get("loss")),
+        success=progress.success if success is None else success,
+        seconds=progress.seconds if seconds is None else seconds,
+        seconds_per_step=pace,
+    )
+
+
+def _number(value: object) -> float | None:
+    usable = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if usable else None

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trainer is another program: finding a Python that has `cloak_core`, and asking it about itself."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from .files.errors import InputError
+
+INSTALL_LINE = "python3.11 -m venv .venv && .venv/bin/python -m pip install ."
+"""Run in the folder of Cloak's sources."""
+
+_PROBE = (
+    "import importlib.util as u, sys; "
+    "sys.exit(0 if all(u.find_spec(m) for m in ('cloak_core', 'torch', 'numpy')) else 9)"
+)
+NO_TRAINER = 9
+_ABOUT = """
+import json, platform
+import cloak_core, torch
+device = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "CPU, %d threads" % torch.get_num_threads()
+print(json.dumps({"cloak": cloak_core.__version__, "torch": torch.__version__, "python": platform.python_version(),
+                  "device": device}))
+"""
+
+
+def clean_environment() -> dict[str, str]:
+    """The environment for the trainer: without what would point its Python at Blender's libraries.
+
+    PYTHONSAFEPATH: nothing that happens to lie in the current folder is imported.
+    """
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")}
+    return environment | {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
+
+
+def candidates() -> list[str]:
+    """Where a Python with `cloak_core` may be: $CLOAK_PYTHON, the checkout's .venv, an active environment, the path.
+
+    `host-python` is the usual name of a wrapper that leaves a container.
+    """
+    folder = Path(__file__).resolve().parents[1]
+    scripts, suffix = ("Scripts", ".exe") if os.name == "nt" else ("bin", "")
+    places = [os.environ.get("CLOAK_PYTHON", "")]
+    for root in (str(folder / ".venv"), os.environ.get("VIRTUAL_ENV", ""), os.environ.get("CONDA_PREFIX", "")):
+        places.append(str(Path(root, scripts, f"python{suffix}")) if root else "")
+    if Path(sys.executable).name.startswith("python"):
+        places.append(sys.executable)
+    places += [shutil.which(name) or "" for name in ("host-python", "python3", "python", "python3.11")]
+    return list(dict.fromkeys(place for place in places if place and os.access(place, os.X_OK)))
+
+
+def trainer_reason(python: str) -> str:
+    """Why this Python cannot train; "" when it has everything. Takes a tenth of a second."""
+    try:
+        answer = subprocess.run(
+            [python, "-c", _PROBE],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=20,
+            env=clean_environment(),
+            stdin=subprocess.DEVNULL,
+            check=False,
+            **no_window(),
+        )
+    except OSError as error:
+        return f"cannot be run ({error.strerror})"
+    except subprocess.TimeoutExpired:
+        return "does not answer"
+    if answer.returncode == 0:
+        return ""
+    said = answer.stderr.strip().splitlines()
+    return "has no cloak_core" if answer.returncode == NO_TRAINER or not said else f"does not work: {said[-1][:200]}"
+
+
+@functools.lru_cache(maxsize=1)
+def _first_found() -> str:
+    return next((python for python in candidates() if not trainer_reason(python)), "")
+
+
+def find_python(chosen: str = "") -> str:
+    """The Python to train with: the chosen one, checked to exist, or the first that is found.
+
+    Raises `InputError` with what to do when there is none.
+    """
+    if chosen:
+        path = shutil.which(os.path.expanduser(chosen))
+        if path is None:
+            raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
+        reason = trainer_reason(path)
+        if reason:
+            raise InputError(f"Python '{chosen}' {reason}: install it there, or choose another in the preferences")
+        return path
+    python = _first_found()
+    if not python:
+        _first_found.cache_clear()
+        raise InputError("No Python with cloak_core found: install it, then choose it in the add-on's preferences")
+    return python
+
+
+def about_command(python: str) -> list[str]:
+    """Asks a trainer for its versions and device; it imports torch, so the answer takes seconds."""
+    return [python, "-c", _ABOUT]
+
+
+def parse_about(python: str, done: bool, stdout: str, last_line: str) -> dict[str, str]:
+    """What `about_command` printed, or `InputError` with the last line of its log."""
+    try:
+        record = json.loads(stdout.strip().splitlines()[-1]) if done else {}
+        return {key: str(record[key]) for key in ("cloak", "torch", "python", "device")}
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise InputError(f"'{python}' has no working cloak_core: {last_line or 'no answer'}") from None
+
+
+def no_window() -> dict:
+    """Keyword arguments of subprocess that keep Windows from opening a console."""
+    return {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
