@@ -22,7 +22,7 @@ RANK = """
 import json, os, sys
 from pathlib import Path
 from safetensors.torch import save_file
-from cloak_core.errors import InputError
+from cloak_core.files.errors import InputError
 from cloak_core.attack import hard_views, trainer
 from tests.attack.test_training import run
 plan = json.loads(sys.argv[1])
