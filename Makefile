@@ -1,13 +1,23 @@
 # Two commands do all set-up: `make demo` and `make test`.
 BIN := .venv/bin
+# A process for every core (up to eight: each takes a gigabyte), each with one thread.
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
-.PHONY: demo test lint extension
+.PHONY: demo check test test-all lint extension
 
 demo: .venv/.installed
 	$(BIN)/cloak demo --out runs/demo
 
+# The inner loop: what takes under a second.
+check: .venv/.installed-test
+	$(PYTEST) -m "not slow and not long" --ignore tests/blender
+
 test: .venv/.installed-test .venv-blender/.installed
-	$(BIN)/python -m pytest
+	$(PYTEST) -m "not long"
+
+# Everything, also what is slow by nature; continuous integration runs it.
+test-all: .venv/.installed-test .venv-blender/.installed
+	$(PYTEST)
 
 lint: .venv/.installed-test
 	$(BIN)/ruff format --check .

@@ -54,7 +54,7 @@ def many_poses() -> Bodies:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_five_hundred_poses_stay_within_the_budget() -> None:
     """Twice as many views, nearly all of them new, need no more memory once the budget is full."""
     done = subprocess.run([sys.executable, "-c", CHILD], capture_output=True, text=True, check=False)
