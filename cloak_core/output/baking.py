@@ -102,20 +102,10 @@ def spread(image: UInt8[np.ndarray, "h w 3"], painted: Bool[np.ndarray, "h w"], 
         y, x = (np.concatenate(side) for side in zip(*front, strict=True))
 
 
-def look_up(texture: Texture, uv: Float[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colour of the pixel that each texture coordinate falls in."""
-    height, width = texture.image.shape[:2]
-    x = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
-    y = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
-    return texture.image[y, x]
-
-
 def dressed(
-    bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"], outfit: int = 0
+    bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"]
 ) -> Float32[np.ndarray, "faces 3"]:
-    """All faces' colours: an outfit with the logo on it."""
-    if not 0 <= outfit < bodies.outfit_count:
-        raise InputError(f"outfit {outfit}: scene '{bodies.name}' has {bodies.outfit_count}")
-    all_colors = bodies.face_colors[outfit].copy()
+    """All faces' colours: the first outfit with the logo on it."""
+    all_colors = bodies.face_colors[0].copy()
     all_colors[face_ids] = colors
     return all_colors

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xatlas
 from jaxtyping import Bool, Float, Integer
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import area_vectors
+
+if TYPE_CHECKING:
+    import xatlas
 
 PACKING_DPI = 36
 """Charts are packed by their pixels; finer ones only cost time."""
@@ -41,13 +44,13 @@ class Layout:
         return int(self.chart.max()) + 1
 
 
-def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], pose: int = 0) -> Layout:
-    """Unwrap the faces of a logo as they are in one pose."""
+def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"]) -> Layout:
+    """Unwrap the faces of a logo as they are in the first pose."""
     chosen = np.flatnonzero(np.isin(bodies.triangle_face, face_ids))
     used, index = np.unique(bodies.triangles[chosen], return_inverse=True)
-    points = bodies.vertices[pose][used]
+    points = bodies.vertices[0][used]
     corners, chart = unwrap(points, index.reshape(-1, 3))
-    areas = np.linalg.norm(area_vectors(bodies, pose)[0][chosen], axis=1)
+    areas = np.linalg.norm(area_vectors(bodies, 0)[0][chosen], axis=1)
     stretch = stretches(points[index.reshape(-1, 3)].astype(np.float64), corners)
     order = np.argsort(stretch)
     below = np.cumsum(areas[order]) / areas.sum()
@@ -68,6 +71,8 @@ def unwrap(
     points: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]
 ) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
     """Flat corners in metres and the chart of every triangle."""
+    import xatlas
+
     atlas = xatlas.Atlas()
     atlas.add_mesh(points.astype(np.float32), triangles.astype(np.uint32))
     atlas.generate(xatlas.ChartOptions(), pack_options())
@@ -98,6 +103,8 @@ def stand_up(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -
 
 
 def pack_options() -> xatlas.PackOptions:
+    import xatlas
+
     options = xatlas.PackOptions()
     options.texels_per_unit = PACKING_DPI / 0.0254
     options.padding = int(np.ceil(GAP * options.texels_per_unit))

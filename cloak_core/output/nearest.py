@@ -11,6 +11,8 @@ CANDIDATES = 24
 """Triangles, by the distance of their centroids, that are measured exactly."""
 GROUP = 256
 """Points, neighbours of each other, that share one search for triangles around them."""
+LEAST_COSINE = 0.3
+"""Of a triangle's normal with a point's, to face its way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +30,8 @@ def nearest_triangles(
     normals: Float[np.ndarray, "n 3"],
     triangles: Float[np.ndarray, "t 3 3"],
     reach: float,
-    least_cosine: float = 0.3,
 ) -> Nearest:
-    """The closest triangle to each point within `reach` metres, of those whose normal's cosine with the point's is at
-    least `least_cosine`."""
+    """The closest triangle to each point within `reach` metres, of those that face the point's way."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facing = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     low, high = triangles.min(axis=1), triangles.max(axis=1)
@@ -44,7 +44,7 @@ def nearest_triangles(
             start, end = points[group].min(axis=0) - margin, points[group].max(axis=0) + margin
             around = np.flatnonzero(((high >= start) & (low <= end)).all(axis=1))
             if len(around):
-                found, far = closest(points[group], normals[group], triangles[around], facing[around], least_cosine)
+                found, far = closest(points[group], normals[group], triangles[around], facing[around])
                 sure = far <= margin
                 best[group[sure]], distance[group[sure]] = around[found[sure]], far[sure]
     return Nearest(best, distance)
@@ -65,13 +65,13 @@ def groups(points: np.ndarray, chosen: np.ndarray) -> list[np.ndarray]:
 
 
 def closest(
-    points: np.ndarray, normals: np.ndarray, triangles: np.ndarray, facing: np.ndarray, least_cosine: float
+    points: np.ndarray, normals: np.ndarray, triangles: np.ndarray, facing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """For a few points and triangles: the closest triangle that faces the point's way, and its distance (or inf)."""
     centroid = triangles.mean(axis=1)
     # Squared distances to the centroids, but for a constant of each point.
     near = (centroid**2).sum(axis=1) - 2 * points @ centroid.T
-    near[normals @ facing.T < least_cosine] = np.inf
+    near[normals @ facing.T < LEAST_COSINE] = np.inf
     count = min(CANDIDATES, len(triangles))
     chosen = np.argpartition(near, count - 1, axis=1)[:, :count]
     exact = point_distances(np.repeat(points, count, axis=0), triangles[chosen.reshape(-1)]).reshape(-1, count)

@@ -11,7 +11,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_bytes, write_json
 from cloak_core.output.baking import bake, dressed
-from cloak_core.output.layout import lay_out
+from cloak_core.output.layout import Layout, lay_out
 from cloak_core.output.print_sheets import PAGES, write_sheets
 from cloak_core.output.printer_gamut import nearest_printable
 from cloak_core.output.textured import png, write_glb, write_obj
@@ -28,8 +28,6 @@ def print_logo(
     dpi: int = 150,
     page: str = "A4",
     project: bool = False,
-    outfit: int = 0,
-    pose: int = 0,
     title: str = "cloak",
     palette: Float[np.ndarray, "P 3"] | None = None,
 ) -> dict:
@@ -38,43 +36,50 @@ def print_logo(
 
     colors: [L, 3] sRGB in [0, 1]; project: replace colours that a four-colour printer cannot mix by the nearest that it
     can (they are counted either way); palette: the colours there are, sRGB, instead of a four-colour printer's, and
-    `project` then leaves no others. Sizes are those of `pose`. The folder appears whole or not at all; raises
+    `project` then leaves no others. Sizes are those of the first pose. The folder appears whole or not at all; raises
     `InputError` where it exists, and for options out of range.
     """
     out = Path(out)
+    _check(out, dpi, page, len(colors), len(face_ids))
+    near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
+    layout = lay_out(bodies, face_ids)
+    texture = bake(bodies, layout, dressed(bodies, face_ids, near.astype(np.float32) if project else colors), dpi)
+    with new_folder(out) as folder:
+        write_bytes(folder / "cloak.png", png(texture.image))
+        write_glb(folder / "body.glb", bodies, texture)
+        write_obj(folder / "body.obj", bodies, texture, "cloak.png")
+        pages = write_sheets(folder / "sheets.pdf", bodies, layout, texture, page, title)
+        report = {
+            "faces": len(face_ids),
+            **_figures(layout),
+            "dpi": dpi,
+            "image": list(texture.image.shape[1::-1]),
+            "page": page,
+            "pages": pages,
+            "unprintable_colors": int(beyond.sum()),
+            "projected": bool(project),
+            "pose": bodies.names[0],
+        }
+        write_json(folder / "print.json", report)
+    return report | {"out": str(out)}
+
+
+def _check(out: Path, dpi: int, page: str, colors: int, faces: int) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already")
     if page not in PAGES:
         raise InputError(f"page {page}: {' or '.join(PAGES)}")
     if not DPI[0] <= dpi <= DPI[1]:
         raise InputError(f"{dpi} dpi: between {DPI[0]} and {DPI[1]} is possible")
-    if not 0 <= pose < bodies.pose_count:
-        raise InputError(f"pose {pose}: scene '{bodies.name}' has {bodies.pose_count}")
-    if len(colors) != len(face_ids):
-        raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
-    near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
-    painted = near.astype(np.float32) if project else colors
-    layout = lay_out(bodies, face_ids, pose)
-    texture = bake(bodies, layout, dressed(bodies, face_ids, painted, outfit), dpi)
-    with new_folder(out) as folder:
-        write_bytes(folder / "cloak.png", png(texture.image))
-        write_glb(folder / "body.glb", bodies, texture, pose)
-        write_obj(folder / "body.obj", bodies, texture, "cloak.png", pose)
-        count = write_sheets(folder / "sheets.pdf", bodies, layout, texture, page, title)
-        report = {
-            "faces": len(face_ids),
-            "charts": layout.chart_count,
-            "stretch_mean": round(layout.stretch_mean, 4),
-            "stretch_99": round(layout.stretch_most, 4),
-            "sheet_used": round(layout.used, 4),
-            "sheet_m": [round(extent, 4) for extent in layout.size],
-            "dpi": dpi,
-            "image": list(texture.image.shape[1::-1]),
-            "page": page,
-            "pages": count,
-            "unprintable_colors": int(beyond.sum()),
-            "projected": bool(project),
-            "pose": bodies.names[pose],
-        }
-        write_json(folder / "print.json", report)
-    return report | {"out": str(out)}
+    if colors != faces:
+        raise InputError(f"colours for {colors} faces, but the logo has {faces}")
+
+
+def _figures(layout: Layout) -> dict[str, object]:
+    return {
+        "charts": layout.chart_count,
+        "stretch_mean": round(layout.stretch_mean, 4),
+        "stretch_99": round(layout.stretch_most, 4),
+        "sheet_used": round(layout.used, 4),
+        "sheet_m": [round(extent, 4) for extent in layout.size],
+    }

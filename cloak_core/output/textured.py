@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from PIL import Image
 
 from cloak_core.exchange.bodies import Bodies
@@ -15,8 +14,10 @@ from cloak_core.output.baking import Texture
 from cloak_core.scene.meshes.polygons import polygon_loops
 
 
-def write_glb(path: Path, bodies: Bodies, texture: Texture, pose: int = 0) -> None:
-    """Binary glTF with the picture inside; vertices are split where texture coordinates are."""
+def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
+    """Binary glTF of the first pose with the picture inside; vertices are split where texture coordinates are."""
+    import trimesh
+
     rows = np.concatenate([bodies.triangles.reshape(-1, 1).astype(np.float64), texture.uv.reshape(-1, 2)], axis=1)
     unique, index = np.unique(rows, axis=0, return_inverse=True)
     material = trimesh.visual.material.PBRMaterial(
@@ -26,7 +27,7 @@ def write_glb(path: Path, bodies: Bodies, texture: Texture, pose: int = 0) -> No
         roughnessFactor=0.8,
     )
     mesh = trimesh.Trimesh(
-        bodies.vertices[pose][unique[:, 0].astype(np.int64)],
+        bodies.vertices[0][unique[:, 0].astype(np.int64)],
         index.reshape(-1, 3),
         visual=trimesh.visual.TextureVisuals(unique[:, 1:], material),
         process=False,
@@ -40,8 +41,11 @@ def png(image: np.ndarray) -> bytes:
     return file.getvalue()
 
 
-def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str, pose: int = 0) -> None:
-    """OBJ with its polygons in their order, and an MTL beside it that names `picture`, a file in the same folder."""
+def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str) -> None:
+    """OBJ of the first pose with its polygons in their order, and an MTL beside it.
+
+    The MTL names `picture`, a file in the same folder.
+    """
     loop_total, loop, face = polygon_loops(bodies)
     unique, index = np.unique(texture.uv.reshape(-1, 2), axis=0, return_inverse=True)
     # A corner is named by its polygon and vertex; every triangle of the polygon says the same of it, chart by chart.
@@ -50,8 +54,8 @@ def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str, pose: 
     known, first = np.unique(key, return_index=True)
     wanted = np.repeat(face, loop_total) * base + loop
     corner_uv = index.reshape(-1)[first[np.searchsorted(known, wanted)]]
-    lines = [f"mtllib {path.stem}.mtl", f"o {bodies.names[pose].replace(' ', '_')}"]
-    lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in bodies.vertices[pose].tolist()]
+    lines = [f"mtllib {path.stem}.mtl", f"o {bodies.names[0].replace(' ', '_')}"]
+    lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in bodies.vertices[0].tolist()]
     lines += [f"vt {u:.8g} {v:.8g}" for u, v in unique.tolist()]
     lines.append("usemtl cloak")
     words = np.char.add(np.char.add((loop + 1).astype(str), "/"), (corner_uv + 1).astype(str)).tolist()

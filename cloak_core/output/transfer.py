@@ -1,8 +1,8 @@
 """A logo and its colours from one body to another of other topology.
 
-Both bodies are taken in one pose each, preferably alike (standing). The source is scaled and moved onto the target: by
-landmarks where they are given, else by height, soles and the middle of the surface. Then every target face is asked
-which source faces lie closest under it, facing the same way.
+Both bodies are taken in their first pose, preferably alike (standing). The source is scaled and moved onto the target
+by height, soles and the middle of the surface. Then every target face is asked which source faces lie closest under
+it, facing the same way.
 """
 
 from __future__ import annotations
@@ -45,26 +45,23 @@ def transfer_logo(
     face_ids: Integer[np.ndarray, " logo"],
     target: Bodies,
     colors: Float32[np.ndarray, "colors 3"] | None = None,
-    landmarks: tuple[np.ndarray, np.ndarray] | None = None,
-    poses: tuple[int, int] = (0, 0),
     reach: float = 0.08,
 ) -> Transfer:
     """Carry a logo of `source` over to `target`.
 
-    landmarks: points [K, 3] on the source and the same points on the target, K >= 3; poses: of source and target;
     reach: metres beyond which surfaces do not belong together. Raises `InputError` where nothing can be placed.
     """
     if colors is not None and len(colors) != len(face_ids):
         raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
-    solid, goal = (b.vertices[p].astype(np.float64) for b, p in zip((source, target), poses, strict=True))
-    moved = align(solid, goal, landmarks) if landmarks else align_heights(source, target, poses)
+    goal = target.vertices[0].astype(np.float64)
+    moved = align(source, target)
     position = np.full(source.face_count, -1)
     position[face_ids] = np.arange(len(face_ids))
     ids, shares = logo_under(target, goal, source, moved, position, reach)
     if not len(ids):
         raise InputError(f"no face of '{target.name}' lies within {reach:g} m of the logo on '{source.name}'")
     unplaced, distance = missed(source, moved, face_ids, target, goal, reach)
-    areas = face_areas(source, poses[0])[face_ids]
+    areas = face_areas(source)[face_ids]
     placed = ~np.isin(face_ids, unplaced)
     return Transfer(
         face_ids=ids,
@@ -75,36 +72,18 @@ def transfer_logo(
     )
 
 
-def align_heights(source: Bodies, target: Bodies, poses: tuple[int, int]) -> Float[np.ndarray, "vertices 3"]:
+def align(source: Bodies, target: Bodies) -> Float[np.ndarray, "vertices 3"]:
     """The source's vertices, as high as the target, soles level with soles, the middles of the surfaces in line."""
     boxes, middles = [], []
-    for bodies, pose in zip((source, target), poses, strict=True):
-        vectors, centroid = area_vectors(bodies, pose)
+    for bodies in (source, target):
+        vectors, centroid = area_vectors(bodies, 0)
         area = np.linalg.norm(vectors, axis=1)
         middles.append((centroid * area[:, None]).sum(axis=0) / area.sum())
-        y = bodies.vertices[pose][:, 1].astype(np.float64)
+        y = bodies.vertices[0][:, 1].astype(np.float64)
         boxes.append((y.min(), y.max()))
     scale = (boxes[1][1] - boxes[1][0]) / max(boxes[0][1] - boxes[0][0], 1e-9)
     origin, goal = (np.array([m[0], box[0], m[2]]) for m, box in zip(middles, boxes, strict=True))
-    return (source.vertices[poses[0]] - origin) * scale + goal
-
-
-def align(
-    points: Float[np.ndarray, "vertices 3"], goal: Float[np.ndarray, "v 3"], landmarks: tuple[np.ndarray, np.ndarray]
-) -> Float[np.ndarray, "vertices 3"]:
-    """The similarity (scale, rotation, translation) that carries the landmarks onto each other best (Umeyama 1991)."""
-    here, there = (np.asarray(side, float) for side in landmarks)
-    if here.shape != there.shape or here.ndim != 2 or here.shape[1] != 3 or len(here) < 3:
-        raise InputError(
-            f"landmarks of shapes {here.shape} and {there.shape}: three or more points in pairs are needed"
-        )
-    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
-    u, s, vt = np.linalg.svd(b.T @ a)
-    turn = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    if s[1] < 1e-9 * max(s[0], 1e-30):
-        raise InputError("landmarks: the points lie on one line")
-    scale = (s * np.diag(turn)).sum() / (a**2).sum()
-    return scale * (points - here.mean(axis=0)) @ (u @ turn @ vt).T + there.mean(axis=0)
+    return (source.vertices[0] - origin) * scale + goal
 
 
 def logo_under(

@@ -81,32 +81,16 @@ def test_what_the_target_lacks_is_named(body: Bodies) -> None:
     left = body.regions["thighs"] & (body.vertices[0][body.loop_vertices.reshape(-1, 4)].mean(axis=1)[:, 0] > 0)
     target = Bodies(body.vertices, body.triangles[~left[body.triangle_face]])
     ids = select_region(body, "thighs")
-    there = transfer_logo(body, ids, target, landmarks=(body.vertices[0][:100], body.vertices[0][:100]), reach=0.02)
+    there = transfer_logo(body, ids, target, reach=0.02)
     assert 0.4 < there.coverage < 0.65
     assert left[there.unplaced].all() and len(there.unplaced) > 0.6 * left[ids].sum()
 
 
-def test_landmarks_undo_any_similarity(body: Bodies) -> None:
-    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    moved = (2.5 * body.vertices[0] @ turn.T + [1, -2, 3]).astype(np.float32)
-    target = Bodies(moved[None], body.triangles, body.triangle_face)
-    ids = select_region(body, "chest")
-    marks = np.arange(0, body.vertex_count, 500)
-    there = transfer_logo(body, ids, target, landmarks=(body.vertices[0][marks], moved[marks]))
-    assert np.array_equal(there.face_ids, ids)
-
-
 def test_bad_input(body: Bodies) -> None:
     ids = select_region(body, "chest")
-    far = Bodies(body.vertices + np.float32([0, 0, 9]), body.triangles)
-    line = np.arange(9.0).reshape(3, 3)
+    legs = Bodies(body.vertices, body.triangles[body.regions["thighs"][body.triangle_face]])
     with pytest.raises(InputError, match="no face"):
-        transfer_logo(body, ids, far, landmarks=(body.vertices[0][:9], body.vertices[0][:9]))
-    with pytest.raises(InputError, match="landmarks of shapes"):
-        transfer_logo(body, ids, body, landmarks=(line[:2], line[:2]))
-    with pytest.raises(InputError, match="one line"):
-        transfer_logo(body, ids, body, landmarks=(line, line))
+        transfer_logo(body, ids, legs)
     with pytest.raises(InputError, match="colours for 2"):
         transfer_logo(body, ids, body, np.zeros((2, 3), np.float32))
 
