@@ -194,7 +194,7 @@ def render_change(draws: Draws, settings: TrainSettings, device: torch.device) -
     """The same on the body's pixels. Its noise has one seed for all images that a process composes together."""
     put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
     seed = int(draws.seed[0]) if len(draws) else 0
-    return Photometric(put(draws.contrast), put(draws.brightness), settings.noise, seed, "render")
+    return Photometric(put(draws.contrast), put(draws.brightness), settings.noise, seed)
 
 
 def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: TrainSettings) -> None:

@@ -67,8 +67,6 @@ class Canvas:
     """What the logo's colours add to them."""
     scale: Float32[Tensor, "B 1 1"] | Float32[Tensor, "1 3"] | Float32[Tensor, "B 1 3"] | None
     """What the logo's colours are multiplied by: the light's colour, the contrast of the render."""
-    change: Photometric | None
-    """Of the logo's colours."""
     logo_count: int
     """L."""
 
@@ -95,22 +93,20 @@ class Canvas:
         """Put B bodies without their logo before the backgrounds that `rows` holds (see `blank`); it is drawn into."""
         _check(views, (len(views), views[0].height, views[0].width))
         way = painting_loops if use_loops(rows.device) else painting
-        scale, change = None, photometric
+        scale = None
         if views[0].light_color != (1.0, 1.0, 1.0):
             scale = torch.tensor([views[0].light_color], device=rows.device)
-        if photometric is not None and photometric.on == "render":
-            scale, change = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale), None
-        base, target = way.draw_bodies(views, rows, shifts, photometric if change is None else None)
+        if photometric is not None:
+            scale = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale)
+        base, target = way.draw_bodies(views, rows, shifts, photometric)
         logo = way.LogoMatrix.of(views)
         shape = (len(views), 3, views[0].height, views[0].width)
-        return Canvas(rows, shape, base, target, logo, scale, change, views[0].logo_count)
+        return Canvas(rows, shape, base, target, logo, scale, views[0].logo_count)
 
     def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
         """The images with these colours, as `compose` gives them. The next call draws into the same memory."""
         if self.logo_count != colors.shape[-2]:
             raise ValueError(f"views are dressed for another logo than these {colors.shape[-2]} colours")
-        if self.change is not None:
-            colors = self.change.of_colors(colors)
         if self.scale is not None:
             colors = colors * self.scale
         if colors.ndim == 3 and len(colors) != self.shape[0]:
@@ -140,7 +136,7 @@ class _Paint(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: object, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
-        kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
+        kept = canvas.logo.paint(colors, canvas)
         ctx.shape, ctx.logo = colors.shape, canvas.logo
         ctx.save_for_backward(*kept)
         # Loops write where torch does not see it; whoever still needs what was there before shall be told.

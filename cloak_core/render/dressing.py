@@ -108,27 +108,17 @@ def dress(
 ) -> DressedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
     split = dressing_loops.split if use_loops(view.pixels.device) else _split
-    lit = (view.pixels, view.coverage, view.specular, view.crow, view.face, view.weight, view.uv)
-    pixels, coverage, planes, front_count, *matrix = split(*lit, logo, colors, light_color, texture)
+    pixels, coverage, planes, front_count, *matrix = split(view, logo, colors, light_color, texture)
     return DressedView(
         view.height, view.width, pixels, coverage, planes, front_count, *matrix, len(logo), light_color, view.box
     )
 
 
 def _split(
-    pixels: Int64[Tensor, " N"],
-    coverage: Float32[Tensor, " N"],
-    specular: Float32[Tensor, " N"],
-    crow: Int64[Tensor, " N1"],
-    face: Int64[Tensor, " E"],
-    weight: Float32[Tensor, " E"],
-    uv: Float32[Tensor, "2 E"] | None,
-    logo: Int64[Tensor, " L"],
-    colors: Float32[Tensor, "F 3"],
-    light_color: Vector,
-    texture: UInt8[Tensor, "h w 3"] | None,
+    view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
     """See dressing_loops.py, which does the same on the CPU."""
+    pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
     position[logo] = torch.arange(len(logo), device=logo.device)
     place = position.index_select(0, face)
@@ -138,9 +128,9 @@ def _split(
         worn = csr(crow, face, rest, (len(pixels), len(colors))) @ colors
     else:
         entries = torch.arange(len(face), device=logo.device)
-        worn = csr(crow, entries, rest, (len(pixels), len(entries))) @ look_up(texture, uv)
+        worn = csr(crow, entries, rest, (len(pixels), len(entries))) @ look_up(texture, view.uv)
     tint = torch.tensor(light_color, device=logo.device)
-    planes = ((worn + specular.unsqueeze(1)) * tint).T
+    planes = ((worn + view.specular.unsqueeze(1)) * tint).T
     entry = is_logo.nonzero().view(-1)
     row = torch.repeat_interleave(crow.diff(), output_size=len(face)).index_select(0, entry)
     per_row = torch.bincount(row, minlength=len(pixels))

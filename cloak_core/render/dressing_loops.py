@@ -3,47 +3,41 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
 from cloak_core.scene.cameras import Vector
 
+if TYPE_CHECKING:
+    from cloak_core.render.dressing import View
+
 ZERO, HALF, ONE, WHITE = np.float32(0), np.float32(0.5), np.float32(1), np.float32(255)
 
 
 def split(
-    pixels: Int64[Tensor, " N"],
-    coverage: Float32[Tensor, " N"],
-    specular: Float32[Tensor, " N"],
-    crow: Int64[Tensor, " N1"],
-    face: Int64[Tensor, " E"],
-    weight: Float32[Tensor, " E"],
-    uv: Float32[Tensor, "2 E"] | None,
-    logo: Int64[Tensor, " L"],
-    colors: Float32[Tensor, "F 3"],
-    light_color: Vector,
-    texture: UInt8[Tensor, "h w 3"] | None,
+    view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
     """A view's arrays to those of a dressed view: pixels, coverage, planes, front_count, and the logo's matrix."""
+    pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
     position = torch.full((len(colors),), -1)
     position[logo] = torch.arange(len(logo))
     kind = torch.empty(len(pixels), dtype=torch.uint8)
-    view = arrays(crow, face, position, coverage, kind)
-    logo_rows, edge_rows, entries = _sort(*view)
-    new = lambda like, *size: torch.empty(size, dtype=like.dtype)
-    ours = (new(pixels, len(pixels)), new(coverage, len(pixels)), new(colors, 3, len(pixels)))
-    matrix = (new(crow, logo_rows + 1), new(face, entries), new(weight, entries))
+    rows = arrays(crow, face, position, coverage, kind)
+    logo_rows, edge_rows, entries = _sort(*rows)
+    ours = (pixels.new_empty(len(pixels)), coverage.new_empty(len(pixels)), colors.new_empty(3, len(pixels)))
+    matrix = (crow.new_empty(logo_rows + 1), face.new_empty(entries), weight.new_empty(entries))
     no_texture = torch.empty(0, 0, 3, dtype=torch.uint8)
     surface = arrays(
-        torch.empty(2, 0) if uv is None else uv, no_texture if texture is None else texture, colors
+        torch.empty(2, 0) if view.uv is None else view.uv, no_texture if texture is None else texture, colors
     )  # fmt: skip
     tint = np.array(light_color, np.float32)
-    rest = arrays(pixels, specular, weight, *ours, *matrix)
-    _fill(*view, *surface, tint, np.array([0, logo_rows, logo_rows + edge_rows]), *rest)
+    rest = arrays(pixels, view.specular, weight, *ours, *matrix)
+    _fill(*rows, *surface, tint, np.array([0, logo_rows, logo_rows + edge_rows]), *rest)
     return *ours[:3], logo_rows + edge_rows, *matrix
 
 

@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float32, Int64, Integer
@@ -19,12 +20,14 @@ from cloak_core.render.dressing import DressedView
 from cloak_core.render.photometric import Photometric
 from cloak_core.render.sparse import csr
 
+if TYPE_CHECKING:
+    from cloak_core.render.compositing import Canvas
+
+Shifts = Integer[Tensor, "B 2"]
+
 
 def draw_bodies(
-    views: Sequence[DressedView],
-    rows: Float32[Tensor, "P 3"],
-    shifts: Integer[Tensor, "B 2"] | None,
-    change: Photometric | None,
+    views: Sequence[DressedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """Draw B bodies but for the logo's M pixels into the rows of a canvas.
 
@@ -79,15 +82,10 @@ class LogoMatrix:
         backward = _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], starts[-1])
         return LogoMatrix(forward, backward, len(views))
 
-    def paint(
-        self,
-        colors: Float32[Tensor, "*B L 3"],
-        base: Float32[Tensor, "M 3"],
-        target: Int64[Tensor, " M"],
-        rows: Float32[Tensor, "P 3"],
-    ) -> tuple[Tensor, Tensor]:
-        """Draw the logo's pixels into their rows. Returns what `gradient` wants to know of it."""
-        body = torch.addmm(base, self.forward, colors.expand(self.images, -1, -1).reshape(-1, 3))
+    def paint(self, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> tuple[Tensor, Tensor]:
+        """Draw the logo's pixels into the canvas's rows. Returns what `gradient` wants to know of it."""
+        target, rows = canvas.target, canvas.rows
+        body = torch.addmm(canvas.base, self.forward, colors.expand(self.images, -1, -1).reshape(-1, 3))
         values = body.clamp(0, 1)
         rows.view(-1).scatter_(0, _numbers(target), values.view(-1))
         silent = (values != body).logical_or_((target == len(rows) - 1).unsqueeze(1))

@@ -7,24 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64, Integer
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
 from cloak_core.render.dressing import DressedView
+from cloak_core.render.painting import Shifts
 from cloak_core.render.photometric import Photometric
+
+if TYPE_CHECKING:
+    from cloak_core.render.compositing import Canvas
 
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
 def draw_bodies(
-    views: Sequence[DressedView],
-    rows: Float32[Tensor, "P 3"],
-    shifts: Integer[Tensor, "B 2"] | None,
-    change: Photometric | None,
+    views: Sequence[DressedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """See painting.py."""
     count = sum(view.logo_pixels for view in views)
@@ -76,16 +78,13 @@ class LogoMatrix:
         """That of these views."""
         return LogoMatrix([(view.arrays[3:], own) for view, own in zip(views, _logo_parts(views), strict=True)])
 
-    def paint(
-        self,
-        colors: Float32[Tensor, "*B L 3"],
-        base: Float32[Tensor, "M 3"],
-        target: Int64[Tensor, " M"],
-        rows: Float32[Tensor, "P 3"],
-    ) -> tuple[Tensor, Tensor]:
-        """Draw the logo's pixels into their rows. Returns what `gradient` wants to know of it."""
+    def paint(self, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> tuple[Tensor, Tensor]:
+        """See painting.py."""
+        target = canvas.target
         passes = torch.empty(len(target), dtype=torch.uint8)
-        all_colors, all_base, all_target, all_passes, all_rows = arrays(colors, base, target, passes, rows)
+        all_colors, all_base, all_target, all_passes, all_rows = arrays(
+            colors, canvas.base, target, passes, canvas.rows
+        )
         for image, (matrix, own) in enumerate(self.blocks):
             these = all_colors[image] if all_colors.ndim == 3 else all_colors
             _paint(*matrix, these, all_base[own], all_target[own], all_rows, all_passes[own])

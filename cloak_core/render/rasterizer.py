@@ -40,12 +40,14 @@ from cloak_core.render.threads import even, spread
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
 """Triangles of one body; ids are the low bits of a key and all ones mean "none"."""
 
+Keys = Int64[Tensor, "B rows columns"]
+
 
 @dataclass(frozen=True)
 class Visibility:
     """The nearest triangle at every sample of a window of B views."""
 
-    keys: Int64[Tensor, "B rows columns"]
+    keys: Keys
     """Sample rows and columns, n to a pixel: depth above `ID_BITS` bits of triangle id; `EMPTY` where nothing is."""
     window: Window
     width: int
@@ -115,11 +117,7 @@ def rasterize(
 
 
 def _cover_by_loops(
-    keys: Int64[Tensor, "B rows columns"],
-    screen: Screen,
-    triangles: Int64[Tensor, "3 T"],
-    samples: SampleGrid,
-    cull: Bool[Tensor, " B"] | None,
+    keys: Keys, screen: Screen, triangles: Int64[Tensor, "3 T"], samples: SampleGrid, cull: Bool[Tensor, " B"] | None
 ) -> None:
     for view, own in enumerate(keys.numpy()):
         culled = cull is not None and bool(cull[view])
@@ -128,11 +126,7 @@ def _cover_by_loops(
 
 
 def _cover(
-    keys: Int64[Tensor, "B rows columns"],
-    screen: Screen,
-    triangles: Int64[Tensor, "3 T"],
-    samples: SampleGrid,
-    cull: Bool[Tensor, " B"] | None,
+    keys: Keys, screen: Screen, triangles: Int64[Tensor, "3 T"], samples: SampleGrid, cull: Bool[Tensor, " B"] | None
 ) -> None:
     for chunk in candidates(screen, triangles, samples, cull):
         first = samples.first(chunk.found.box, chunk.view)
