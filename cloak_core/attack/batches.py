@@ -17,7 +17,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.render.backdrop import lay_backdrop
 from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
 from cloak_core.render.dressing import DressedView
-from cloak_core.render.threads import spread, workers
+from cloak_core.render.threads import own_threads_kept, spread, workers
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
@@ -128,7 +128,8 @@ class Prefetcher:
     def close(self) -> None:
         """Wait for the thread; what it was building is dropped."""
         if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+            with own_threads_kept():
+                self._pool.shutdown(cancel_futures=True)
 
 
 def looks_ahead(device: torch.device) -> bool:

@@ -33,6 +33,19 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+@contextlib.contextmanager
+def own_threads_kept() -> Iterator[None]:
+    """Whatever threads that end inside set for themselves, later ones begin with this one's number of torch's threads.
+
+    torch starts a thread with the number that any thread set last.
+    """
+    before = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def workers(device: torch.device) -> int:
     """How many threads may work on views at once: as many as torch may use here, up to `MOST_WORKERS`."""
     return min(torch.get_num_threads(), MOST_WORKERS) if device.type == "cpu" else 1
@@ -56,7 +69,7 @@ def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) ->
     if count <= 1:
         run()
         return results
-    with ThreadPoolExecutor(count - 1) as pool:
+    with own_threads_kept(), ThreadPoolExecutor(count - 1) as pool:
         others = [pool.submit(run) for _ in range(count - 1)]
         run()
         for other in others:
