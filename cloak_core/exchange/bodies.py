@@ -10,8 +10,10 @@ import numpy as np
 
 from ..files.errors import InputError
 from ..files.identity import sha256_arrays, sha256_record
+from .checks import check_finite, check_indices, checked, frozen
 
 MAX_FACES = 1 << 24
+MAX_POSES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,60 +55,79 @@ class Bodies:
     """The hash its file records, for scenes whose polygons' loops are not stored."""
 
     def __post_init__(self) -> None:
-        put = lambda key, value: object.__setattr__(self, key, value)
-        put("vertices", _array(self.vertices, np.float32, "vertices", (None, None, 3)))
-        put("triangles", _array(self.triangles, np.int32, "triangles", (None, 3)))
-        faces = self.triangle_face if self.triangle_face is not None else np.arange(len(self.triangles))
-        put("triangle_face", _array(faces, np.int32, "triangle_face", (len(self.triangles),)))
-        if len(self.triangle_face) and self.triangle_face.max() >= MAX_FACES:
-            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
+        self._take_mesh()
+        self._check_mesh()
+        self._take_looks()
+        self._check_looks()
+
+    def _put(self, **values: object) -> None:
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+
+    def _take_mesh(self) -> None:
+        """Vertices, triangles, polygons and names, as the arrays they are documented to be."""
+        self._put(
+            vertices=checked(self.vertices, np.float32, "vertices", (None, None, 3)),
+            triangles=checked(self.triangles, np.int32, "triangles", (None, 3)),
+        )
+        if not 1 <= self.pose_count <= MAX_POSES:
+            raise InputError(f"vertices: {self.pose_count or 'no'} poses, and 1 to {MAX_POSES} are taken")
+        if self.triangle_count > MAX_FACES:
+            raise InputError(f"triangles: {self.triangle_count} are beyond any mesh ({MAX_FACES})")
+        faces = self.triangle_face if self.triangle_face is not None else np.arange(self.triangle_count)
+        self._put(triangle_face=checked(faces, np.int32, "triangle_face", (self.triangle_count,)))
         if (self.loop_total is None) != (self.loop_vertices is None):
             raise InputError("loop_total and loop_vertices come together")
         if self.loop_total is not None:
-            put("loop_total", _array(self.loop_total, np.int32, "loop_total", (None,)))
-            put("loop_vertices", _array(self.loop_vertices, np.int32, "loop_vertices", (None,)))
-        colors = self.face_colors
-        if colors is None:
-            colors = np.full((1, self.face_count, 3), 0.5, np.float32)
-        put("face_colors", _array(colors, np.float32, "face_colors", (None, self.face_count, 3)))
-        regions = {
-            key: _array(value, np.bool_, f"region_{key}", (self.face_count,)) for key, value in self.regions.items()
-        }
-        put("regions", regions)
-        names = tuple(str(n) for n in self.names) or tuple(f"pose {i}" for i in range(self.pose_count))
-        put("names", names)
-        if self.uv is not None:
-            put("uv", _array(self.uv, np.float32, "uv", (None, 2)))
-            put("triangle_uv", _array(self.triangle_uv, np.int32, "triangle_uv", (len(self.triangles), 3)))
-        put("textures", {k: _array(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()})
-        put("outfit_textures", tuple(str(n) for n in self.outfit_textures) if any(self.outfit_textures) else ())
-        self._check()
+            self._put(
+                loop_total=checked(self.loop_total, np.int32, "loop_total", (None,)),
+                loop_vertices=checked(self.loop_vertices, np.int32, "loop_vertices", (None,)),
+            )
+        names = map(str, self.names) if len(self.names) else (f"pose {i}" for i in range(self.pose_count))
+        self._put(names=tuple(names))
 
-    def _check(self) -> None:
-        if not self.pose_count:
-            raise InputError("vertices: no pose")
-        if not len(self.face_colors):
-            raise InputError("face_colors: no outfit")
+    def _check_mesh(self) -> None:
         if len(self.names) != self.pose_count:
             raise InputError(f"names: {len(self.names)} for {self.pose_count} poses")
-        _finite(self.vertices, "vertices", ("pose", "vertex"))
-        _finite(self.face_colors, "face_colors", ("outfit", "face"))
+        if self.triangle_count and self.triangle_face.max() >= MAX_FACES:
+            raise InputError(f"triangle_face: face {self.triangle_face.max()} is beyond any mesh ({MAX_FACES} faces)")
+        check_finite(self.vertices, "vertices", ("pose", "vertex"))
+        check_indices(self.triangles, self.vertex_count, "triangles", "vertices")
+        check_indices(self.triangle_face, self.face_count, "triangle_face", "faces")
+        if self.loop_total is None:
+            return
+        if self.loop_total.size and self.loop_total.min() < 3:
+            raise InputError(f"loop_total: polygon {int(self.loop_total.argmin())} has fewer than 3 corners")
+        if int(self.loop_total.sum(dtype=np.int64)) != len(self.loop_vertices):
+            raise InputError("loop_vertices: its length is not the sum of loop_total")
+        check_indices(self.loop_vertices, self.vertex_count, "loop_vertices", "vertices")
+
+    def _take_looks(self) -> None:
+        """Colours, regions, texture coordinates and textures, as the arrays they are documented to be."""
+        faces, colors = self.face_count, self.face_colors
+        if colors is None:
+            colors = np.full((1, faces, 3), 0.5, np.float32)
+        self._put(
+            face_colors=checked(colors, np.float32, "face_colors", (None, faces, 3)),
+            regions={key: checked(value, np.bool_, f"region_{key}", (faces,)) for key, value in self.regions.items()},
+            textures={k: checked(v, np.uint8, f"texture_{k}", (None, None, 3)) for k, v in self.textures.items()},
+            outfit_textures=tuple(map(str, self.outfit_textures)) if any(self.outfit_textures) else (),
+        )
+        if self.uv is not None:
+            self._put(
+                uv=checked(self.uv, np.float32, "uv", (None, 2)),
+                triangle_uv=checked(self.triangle_uv, np.int32, "triangle_uv", (self.triangle_count, 3)),
+            )
+
+    def _check_looks(self) -> None:
+        if not self.outfit_count:
+            raise InputError("face_colors: no outfit")
+        check_finite(self.face_colors, "face_colors", ("outfit", "face"))
         if self.face_colors.size and not (0 <= self.face_colors.min() and self.face_colors.max() <= 1):
             raise InputError("face_colors: values outside [0, 1]")
-        _indices(self.triangles, self.vertex_count, "triangles", "vertices")
-        _indices(self.triangle_face, self.face_count, "triangle_face", "faces")
-        if self.loop_total is not None:
-            if self.loop_total.size and self.loop_total.min() < 3:
-                raise InputError(f"loop_total: polygon {int(self.loop_total.argmin())} has fewer than 3 corners")
-            if int(self.loop_total.sum(dtype=np.int64)) != len(self.loop_vertices):
-                raise InputError("loop_vertices: its length is not the sum of loop_total")
-            _indices(self.loop_vertices, self.vertex_count, "loop_vertices", "vertices")
         if self.uv is not None:
-            _finite(self.uv, "uv", ("coordinate",))
-            _indices(self.triangle_uv, len(self.uv), "triangle_uv", "uv")
-        self._check_textures()
-
-    def _check_textures(self) -> None:
+            check_finite(self.uv, "uv", ("coordinate",))
+            check_indices(self.triangle_uv, len(self.uv), "triangle_uv", "uv")
         if self.outfit_textures and len(self.outfit_textures) != self.outfit_count:
             raise InputError(f"outfit_textures: {len(self.outfit_textures)} for {self.outfit_count} outfits")
         for name, image in self.textures.items():
@@ -189,47 +210,3 @@ def topology_hash(vertex_count: int, loop_total: np.ndarray, loop_vertices: np.n
     for array in (loop_total, loop_vertices):
         digest.update(np.ascontiguousarray(array, "<i4").tobytes())
     return digest.hexdigest()
-
-
-def _array(value: object, dtype: type, name: str, shape: tuple[int | None, ...]) -> np.ndarray:
-    array = np.asarray(value)
-    kinds = {"f": "fiu", "i": "iu", "b": "b", "u": "u"}[np.dtype(dtype).kind]
-    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    if not fits or (array.dtype.kind not in kinds and array.size):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        kind = {"f": "numbers", "i": "integers", "b": "booleans", "u": "bytes"}[np.dtype(dtype).kind]
-        raise InputError(f"{name}: {array.dtype} of shape {array.shape}, but {kind} of shape ({wanted}) are needed")
-    if np.dtype(dtype).kind == "i" and array.size and (array.min() < 0 or array.max() > np.iinfo(np.int32).max):
-        raise InputError(f"{name}: an index is negative or beyond 2^31")
-    ours = np.ascontiguousarray(array, dtype)
-    if _is_frozen(ours):
-        return ours
-    return frozen(ours.copy() if np.may_share_memory(ours, array) else ours)
-
-
-def frozen(array: np.ndarray) -> np.ndarray:
-    """The array, read-only from now on, and what it is a view of: `Bodies` then takes it as it is, without a copy."""
-    part = array
-    while isinstance(part, np.ndarray):
-        part.setflags(write=False)
-        part = part.base
-    return array
-
-
-def _is_frozen(array: object) -> bool:
-    """Whether nobody can write to this array, nor to one that it is a view of."""
-    while isinstance(array, np.ndarray) and not array.flags.writeable:
-        array = array.base
-    return not isinstance(array, np.ndarray)
-
-
-def _finite(array: np.ndarray, name: str, axes: tuple[str, ...]) -> None:
-    if not np.isfinite(array).all():
-        where = np.argwhere(~np.isfinite(array))[0]
-        place = ", ".join(f"{axis} {index}" for axis, index in zip(axes, where, strict=False))
-        raise InputError(f"{name}: not a finite number at {place}")
-
-
-def _indices(array: np.ndarray, count: int, name: str, of: str) -> None:
-    if array.size and array.max() >= count:
-        raise InputError(f"{name}: index {array.max()} is beyond the {count} {of}")

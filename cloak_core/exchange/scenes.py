@@ -10,7 +10,8 @@ import numpy as np
 from ..files.errors import InputError
 from ..files.reading import read_json, read_npz
 from ..files.writing import new_folder, write_json, write_npz
-from .bodies import Bodies, frozen
+from .bodies import Bodies
+from .checks import frozen
 from .versions import FORMAT_VERSION, check_version
 
 AXES = "y up, facing +z, right-handed"
