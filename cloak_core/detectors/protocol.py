@@ -1,4 +1,4 @@
-"""The one call every detector answers, and the hash that shows a run left it untouched."""
+"""The one call every detector answers, and what tells one detector from another."""
 
 import hashlib
 from collections.abc import Sequence
@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+
+from cloak_core.files.identity import package_versions
 
 
 class Detections(NamedTuple):
@@ -46,11 +48,17 @@ class Detector(nn.Module):
     precision: Literal["float32", "bfloat16"] = "float32"
     compiled: bool = False
     """Whether it runs through torch.compile."""
+    source: dict[str, object]
+    """What decides its answers beside its tensors, as plain values: hashes of the files that run it, its input size and
+    options. Families fill it."""
+    packages: tuple[str, ...]
+    """The packages that run it."""
 
     def __init__(self, name: str, spec: str) -> None:
         super().__init__()
         self.name = name
         self.spec = spec
+        self.source, self.packages = {}, ("torch",)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         """RGB images in [0, 1], of any size, on the detector's device."""
@@ -93,6 +101,18 @@ def join_detections(parts: Sequence[Detections]) -> Detections:
 def at_least_float32(x: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """What autocast left in bfloat16, as float32: eight bits hold neither a coordinate nor a probability near 1."""
     return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
+
+
+def detector_record(detector: Detector) -> dict[str, object]:
+    """All that decides a detector's answers: its tensors ("sha256", see `state_hash`), "precision", "compiled",
+    "source" and the versions of its "packages"; wherever its files lie, and whatever it is called."""
+    return {
+        "sha256": state_hash(detector),
+        "precision": detector.precision,
+        "compiled": detector.compiled,
+        "source": detector.source,
+        "packages": package_versions(*detector.packages),
+    }
 
 
 def state_hash(detector: nn.Module) -> str:

@@ -12,6 +12,7 @@ from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import Placement, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import source_hash
 
 
 class PythonDetector(Detector):
@@ -91,6 +92,9 @@ def load_python(request: Request) -> PythonDetector:
     detector = PythonDetector(
         made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold
     )
+    size = None if request.input_size is None else list(request.input_size)
+    detector.source = {"file": source_hash(file), "function": function, "input_size": size}
+    detector.source["letterbox"] = request.letterbox
     detector.freeze()
     return detector
 

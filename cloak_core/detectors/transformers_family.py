@@ -19,6 +19,7 @@ from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
@@ -100,6 +101,10 @@ def load_transformers(request: Request) -> TransformersDetector:
     preprocessing = _preprocessing(where, model.config.model_type, request)
     model = _folded(model.eval(), preprocessing) if request.fold else model
     detector = TransformersDetector(model, preprocessing, person, folder.name, request.spec)
+    # The configuration as the library understood it; where it was found says nothing about the model.
+    config = {key: str(value) for key, value in model.config.to_dict().items() if key != "_name_or_path"}
+    detector.source = {"config": sha256_record(config), "preprocessing": str(preprocessing), "person": person}
+    detector.packages = ("transformers", "torch")
     detector.freeze()
     return detector
 

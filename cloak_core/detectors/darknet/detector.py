@@ -14,6 +14,7 @@ from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
 
 
 class DarknetDetector(Detector):
@@ -75,5 +76,11 @@ def read_darknet(
     network.eval()
     network = network.fold() if request.fold else network
     detector = DarknetDetector(network, person, cfg.stem, request.spec, request.letterbox, channels_last=request.fold)
+    detector.source = {
+        "cfg": sha256_record([(section.kind, section.options) for section in sections]),
+        "input_size": list(network.input_size),
+        "letterbox": request.letterbox,
+        "person": person,
+    }
     detector.freeze()
     return detector

@@ -66,6 +66,9 @@ def load_torchvision(request: Request) -> Detector:
         fold_batch_norm(model)
     kind = TwoStageDetector if isinstance(model, detection.generalized_rcnn.GeneralizedRCNN) else DenseDetector
     detector = kind(model, person, name, request.spec, channels_last=request.fold)
+    sizes = (model.transform.min_size, model.transform.max_size, model.transform.fixed_size)
+    detector.source = {"model": name, "transform": str(sizes), "person": person}
+    detector.packages = ("torchvision", "torch")
     detector.freeze()
     return detector
 
