@@ -21,9 +21,11 @@ from torch import Tensor
 
 from cloak_core.files.caching import MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.likeness import picture_look
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.specs import split_spec
-from cloak_core.scene.backdrops.decoded import DecodedImages
+from cloak_core.scene.backdrops.decoded import DecodedImages, Picture
 from cloak_core.scene.backdrops.procedural import draw_scene
 from cloak_core.scene.pictures import MAX_FILE_BYTES, open_picture
 from cloak_core.scene.selection import select, split_selection
@@ -49,11 +51,12 @@ class Backgrounds:
         names: Sequence[str],
         draw: Draw,
         memory_bytes: int = MEMORY_BYTES,
-        identify: Callable[[int], str] | None = None,
+        pictures: Sequence[Picture] = (),
     ) -> None:
         self.names = tuple(names)
         self._draw = draw
-        self._identify = identify or self.names.__getitem__
+        self.pictures = tuple(pictures) or tuple(map(Picture, self.names))
+        """What the images are."""
         self._indices = tuple(range(len(self.names)))
         self._cache = MemoryCache(memory_bytes)
 
@@ -80,13 +83,14 @@ class Backgrounds:
         """The images at `indices`, in that order."""
         part = Backgrounds.__new__(Backgrounds)
         part.names = tuple(self.names[i] for i in indices)
-        part._draw, part._cache, part._identify = self._draw, self._cache, self._identify
+        part.pictures = tuple(self.pictures[i] for i in indices)
+        part._draw, part._cache = self._draw, self._cache
         part._indices = tuple(self._indices[i] for i in indices)
         return part
 
     def identities(self) -> list[str]:
-        """What tells an image from every other, whatever it is called: a file's SHA-256, a procedural scene's name."""
-        return [self._identify(i) for i in self._indices]
+        """What tells an image from every other, however it is stored: its pixels' SHA-256, or a drawn one's name."""
+        return [picture.pixels for picture in self.pictures]
 
     def split(self, every: int = 2, offset: int = 0) -> Backgrounds:
         """Image `offset` and every `every`-th after it: `split(2, 0)` the first, third, ..., `split(2, 1)` the rest."""
@@ -144,23 +148,23 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     decoded = DecodedImages(cache_folder("images"))
     room = max(1, memory_bytes // (3 * size[0] * size[1]))
     good: list[Path] = []
-    digests: list[str] = []
+    pictures: list[Picture] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
         found = pool.map(lambda path: _try_read(path, *size, decoded), files)
-        for file, (image, digest) in zip(files, found, strict=True):
+        for file, (image, picture) in zip(files, found, strict=True):
             if image is not None:
                 good.append(file)
-                digests.append(digest)
+                pictures.append(picture)
                 if len(ready) < room:
                     ready.append(image)
     if not good:
         raise InputError(f"{folder}: none of its {len(files)} images can be read")
     backgrounds = Backgrounds(
         [path.name for path in good],
-        lambda i, h, w: _read(good[i], h, w, decoded, digests[i])[0],
+        lambda i, h, w: _read(good[i], h, w, decoded, pictures[i])[0],
         memory_bytes,
-        digests.__getitem__,
+        pictures,
     )
     for i, image in enumerate(ready):
         backgrounds._cache.put((i, *size), torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1))
@@ -169,38 +173,42 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
 
 def _try_read(
     path: Path, height: int, width: int, decoded: DecodedImages
-) -> tuple[UInt8[np.ndarray, "H W 3"] | None, str]:
+) -> tuple[UInt8[np.ndarray, "H W 3"] | None, Picture]:
     try:
         return _read(path, height, width, decoded)
     except InputError as error:
         _log.warning("%s; skipped", error)
-        return None, ""
+        return None, Picture("")
 
 
 def _read(
-    path: Path, height: int, width: int, decoded: DecodedImages, digest: str | None = None
-) -> tuple[UInt8[np.ndarray, "H W 3"], str]:
-    """The file upright, resized so that it just covers height x width, and centre-cropped; and its SHA-256 (hex).
+    path: Path, height: int, width: int, decoded: DecodedImages, picture: Picture | None = None
+) -> tuple[UInt8[np.ndarray, "H W 3"], Picture]:
+    """The file upright, resized so that it just covers height x width, and centre-cropped; and what picture it is.
 
-    From among the decoded ones where it is there; a file whose digest is known already is not read for that.
+    From among the decoded ones where it is there; a file whose picture is known already is not read for that.
     """
-    image = None if digest is None else decoded.get(digest, height, width)
-    if image is not None:
-        return image, digest
+    image = None if picture is None else decoded.get(picture.file, height, width)
+    if image is not None and picture is not None:
+        return image, picture
     data = read_bytes(path, MAX_FILE_BYTES)
-    digest = hashlib.sha256(data).hexdigest()
-    image = decoded.get(digest, height, width)
-    if image is None:
-        image = _decode(path, data, height, width)
-        decoded.put(digest, image)
-    return image, digest
+    key = hashlib.sha256(data).hexdigest()
+    image, picture = decoded.get(key, height, width), decoded.picture(key)
+    if image is None or picture is None:
+        whole = _decode(path, data)
+        if picture is None:
+            pixels = np.asarray(whole)
+            picture = Picture(sha256_arrays(pixels), picture_look(pixels), key)
+            decoded.put_picture(picture)
+        image = np.array(ImageOps.fit(whole, (width, height), Image.Resampling.BICUBIC))
+        decoded.put(key, image)
+    return image, picture
 
 
-def _decode(path: Path, data: bytes, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
+def _decode(path: Path, data: bytes) -> Image.Image:
+    """The whole picture, upright: a JPEG file and what was saved of it without loss give the same pixels."""
     with open_picture(path, data) as image:
-        image.draft("RGB", (2 * max(height, width),) * 2)  # decode JPEG no larger than needed
-        upright = ImageOps.exif_transpose(image)
-        return np.array(ImageOps.fit(_rgb(upright), (width, height), Image.Resampling.BICUBIC))
+        return _rgb(ImageOps.exif_transpose(image))
 
 
 def _rgb(image: Image.Image) -> Image.Image:
