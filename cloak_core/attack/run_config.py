@@ -1,7 +1,9 @@
-"""The record of what a run was started with."""
+"""The record of what a run was started with, and whether a training is the one that was recorded."""
 
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -9,12 +11,30 @@ import torch
 from cloak_core import __version__
 from cloak_core.attack.held_out import TrainingData
 from cloak_core.attack.settings import TrainSettings, settings_record
-from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
+from cloak_core.files.likeness import pose_shape
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
+
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette", "init")
+"""What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
+DECISIVE = {
+    "topology": (),
+    "settings": (),
+    "scene": ("sha256", "identity"),
+    "logo": (),
+    "detectors": ("sha256", "precision", "compiled", "source"),
+    "backgrounds": ("identities",),
+    "palette": (),
+    "start": (),
+}
+"""The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
+AROUND = ("torch", "numpy", "device", "threads", "processes")
+"""What of the environment may move the last bits of a result."""
 
 
 def run_config(
@@ -22,7 +42,6 @@ def run_config(
     bodies: Bodies,
     logo: Logo,
     detectors: Sequence[Detector],
-    states: Sequence[str],
     backgrounds: Backgrounds,
     inputs: Mapping[str, str],
     processes: int = 1,
@@ -35,40 +54,114 @@ def run_config(
         "format": "cloak run",
         "version": FORMAT_VERSION,
         "cloak": __version__,
+        "code": code_hash(*TRAINING),
         "topology": bodies.topology,
         "settings": settings_record(settings),
-        "scene": {
-            "name": bodies.name,
-            "poses": list(bodies.names),
-            "outfits": bodies.outfit_count,
-            "faces": bodies.face_count,
-            "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),
-            "pose_sha256": [sha256_arrays(vertices) for vertices in bodies.vertices],
-        },
+        "scene": _scene(bodies),
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
-        "detectors": [
-            {
-                "spec": detector.spec,
-                "name": detector.name,
-                "sha256": state,
-                "precision": detector.precision,
-                "compiled": detector.compiled,
-            }
-            for detector, state in zip(detectors, states, strict=True)
-        ],
-        "backgrounds": {"count": len(backgrounds), "identities": backgrounds.identities()},
+        "detectors": [{"spec": d.spec, "name": d.name} | detector_record(d) for d in detectors],
+        "backgrounds": _backgrounds(backgrounds),
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
         "start": None if start is None else {"sha256": sha256_arrays(start)},
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
-        "environment": {
-            "python": platform.python_version(),
-            "torch": torch.__version__,
-            "numpy": np.__version__,
-            "platform": platform.platform(),
-            "processes": processes,
-            "threads": torch.get_num_threads(),
-            "device": torch.cuda.get_device_name(settings.device) if settings.device.startswith("cuda") else "cpu",
-        },
+        "environment": _environment(settings.device, processes),
     }
+
+
+def _scene(bodies: Bodies) -> dict:
+    return {
+        "name": bodies.name,
+        "poses": list(bodies.names),
+        "outfits": bodies.outfit_count,
+        "faces": bodies.face_count,
+        "identity": bodies.identity,
+        # As versions before "identity" recorded and compare it.
+        "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),
+        "pose_sha256": list(bodies.pose_hashes),
+        "pose_shapes": [pose_shape(vertices) for vertices in bodies.vertices],
+    }
+
+
+def _backgrounds(backgrounds: Backgrounds) -> dict:
+    return {
+        "count": len(backgrounds),
+        "names": list(backgrounds.names),
+        "identities": backgrounds.identities(),
+        "files": [picture.file for picture in backgrounds.pictures],
+        "looks": [picture.look for picture in backgrounds.pictures],
+    }
+
+
+def _environment(device: str, processes: int) -> dict:
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "processes": processes,
+        "threads": torch.get_num_threads(),
+        "device": device_kind(device),
+    }
+
+
+def device_kind(device: str | torch.device) -> str:
+    """A device as far as results depend on it: "cpu", or the model of a GPU."""
+    return torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else torch.device(device).type
+
+
+# --- is it the same training? ----------------------------------------------------------------------------------------
+
+
+def check_same(recorded: dict, config: dict, path: Path) -> None:
+    """InputError names the first of what decides the result in which `config` is not what the run at `path` recorded.
+
+    What versions before this one did not record is not compared.
+    """
+    for part, keys in DECISIVE.items():
+        old, new = recorded.get(part), config[part]
+        if part == "settings" and isinstance(old, dict):
+            # What a run of an earlier version had not heard of, it did as the default has it.
+            old = {field.name: field.default for field in fields(TrainSettings)} | old
+            old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
+        if part == "backgrounds" and isinstance(old, dict) and "files" not in old:
+            # Earlier versions knew an image by its file alone.
+            new = {"identities": [file or own for file, own in zip(new["files"], new["identities"], strict=True)]}
+        name, before, now = _difference(part, _only(keys, old), _only(keys, new))
+        if name:
+            raise InputError(f"{path}: was started with {name} = {before}, not {now}; resume with the same settings")
+
+
+def changes_around(recorded: dict, config: dict) -> list[str]:
+    """In what a run began otherwise than `config` goes on, though neither decides the result but for its last bits."""
+    found = []
+    if recorded.get("code") != config["code"]:
+        found.append(f"other code (of Cloak {recorded.get('cloak', 'unknown')})")
+    pairs = [(recorded.get("environment"), {name: config["environment"][name] for name in AROUND})]
+    old = recorded.get("detectors")
+    pairs += [(o.get("packages"), n["packages"]) for o, n in zip(old or [], config["detectors"], strict=True)]
+    for before, now in pairs:
+        before = before if isinstance(before, dict) else {}
+        found += [f"{k} {before[k]} instead of {now[k]}" for k in now if k in before and before[k] != now[k]]
+    return list(dict.fromkeys(found))
+
+
+def _only(keys: Sequence[str], value: object) -> object:
+    if isinstance(value, list):
+        return [_only(keys, item) for item in value]
+    return {k: v for k, v in value.items() if k in keys} if keys and isinstance(value, dict) else value
+
+
+def _difference(name: str, old: object, new: object) -> tuple[str, object, object]:
+    """Name and both values of the first difference; "" as the name where there is none."""
+    pairs = []
+    if isinstance(old, dict) and isinstance(new, dict):
+        pairs = [(f"{name}.{key}", old[key], new.get(key)) for key in sorted(old)]
+    elif isinstance(old, list) and isinstance(new, list):
+        if len(old) != len(new):
+            return f"the number of {name}", len(old), len(new)
+        pairs = [(f"{name}[{i}]", *both) for i, both in enumerate(zip(old, new, strict=True))]
+    elif old != new:
+        return name, old, new
+    return next((found for pair in pairs if (found := _difference(*pair))[0]), ("", None, None))

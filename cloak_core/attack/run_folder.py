@@ -4,15 +4,15 @@ config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previe
 """
 
 import contextlib
+import logging
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.attack.checkpoints import sweep
-from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.run_config import changes_around, check_same
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.errors import InputError
@@ -21,8 +21,7 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette", "init")
-"""What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
+_log = logging.getLogger("cloak")
 
 
 class RunFolder:
@@ -37,6 +36,8 @@ class RunFolder:
         self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
         self.cancel = path / "cancel"
+        self.changes: list[str] = []
+        """What is not as it was when the run began, though it decides at most the last bits of the result."""
 
 
 def read_start(path: Path, logo: Logo) -> Float32[np.ndarray, "L 3"]:
@@ -78,7 +79,12 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
             stack.enter_context(lock(path / ".lock"))
         except BlockingIOError:
             raise InputError(f"{path}: another process is training in this folder") from None
-        _check_same(read_json(run.config), config, path)
+        recorded = read_json(run.config)
+        check_same(recorded, config, path)
+        run.changes = changes_around(recorded, config)
+        if run.changes:
+            began = ", ".join(run.changes)
+            _log.warning("%s: began with %s: colours may differ in bits from those of an unbroken run", path, began)
         for folder in (run.checkpoint, run.previews):
             # A run folder may come from elsewhere; nothing of it may lead outside.
             if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -106,26 +112,3 @@ def _sweep_files(run: RunFolder) -> None:
         for path in folder.glob(pattern):
             with contextlib.suppress(OSError):
                 path.unlink()
-
-
-def _check_same(recorded: dict, config: dict, path: Path) -> None:
-    """The parts of a configuration that decide the result must be what the run was started with."""
-    for part in ("settings", "scene", "logo", "detectors", "backgrounds", "palette", "start"):
-        old, new = recorded.get(part), config[part]
-        if part == "settings" and isinstance(old, dict):
-            # What a run of an earlier version had not heard of, it did as the default has it.
-            old = {field.name: field.default for field in fields(TrainSettings)} | old
-            old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
-        name, before, now = _difference(part, old, new)
-        if name:
-            raise InputError(f"{path}: was started with {name} = {before}, not {now}; resume with the same settings")
-
-
-def _difference(name: str, old: object, new: object) -> tuple[str, object, object]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        for key in sorted(old.keys() | new.keys()):
-            found = _difference(f"{name}.{key}", old.get(key), new.get(key))
-            if found[0]:
-                return found
-        return "", None, None
-    return ("", None, None) if old == new else (name, old, new)

@@ -122,7 +122,8 @@ class Trainer:
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
         figures, reason = None, ""
-        self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged)
+        changes = {"changes": self.run.changes} if self.run.changes else {}
+        self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged, **changes)
         try:
             while not self._is_done() and not reason:
                 figures = self._one_step()

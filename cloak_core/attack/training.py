@@ -102,10 +102,7 @@ def _train(
     batcher = make_batcher(settings, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings)
     start = None if settings.init is None else read_start(Path(settings.init), logo)
-    states = [state_hash(detector) for detector in detectors]
-    config = run_config(
-        settings, bodies, logo, detectors, states, backgrounds, inputs or {}, world.size, palette, held, start
-    )
+    config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start)
     with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.max_seconds))
@@ -118,8 +115,8 @@ def _train(
         first = initial_colors(settings, clothing) if start is None else torch.from_numpy(start).to(device)
         optimizer = ColorOptimizer(settings, first)
         result = Trainer(run, batcher, objective, optimizer, held_out, on_event, world).run_to_end(stop)
-    for detector, state in zip(detectors, states, strict=True):
-        if state_hash(detector) != state:
+    for detector, record in zip(detectors, config["detectors"], strict=True):
+        if state_hash(detector) != record["sha256"]:
             raise RuntimeError(f"detector {detector.spec} changed during training")
     return result
 

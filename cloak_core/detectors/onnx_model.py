@@ -149,7 +149,7 @@ def load_onnx(request: Request) -> OnnxDetector:
         raise InputError(f"{file}: its outputs {shapes} are not laid out as {layout}") from error
     detector.person = _person(session, file, count, request.person)
     detector.source = {"layout": detector.layout, "input_size": list(detector.input_size), "person": detector.person}
-    detector.packages = ("onnxruntime", "torch")
+    detector.packages = ("onnxruntime",)
     detector.freeze()
     return detector
 

@@ -52,13 +52,13 @@ class Detector(nn.Module):
     """What decides its answers beside its tensors, as plain values: hashes of the files that run it, its input size and
     options. Families fill it."""
     packages: tuple[str, ...]
-    """The packages that run it."""
+    """The packages that run it, beside torch."""
 
     def __init__(self, name: str, spec: str) -> None:
         super().__init__()
         self.name = name
         self.spec = spec
-        self.source, self.packages = {}, ("torch",)
+        self.source, self.packages = {}, ()
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         """RGB images in [0, 1], of any size, on the detector's device."""

@@ -104,7 +104,7 @@ def load_transformers(request: Request) -> TransformersDetector:
     # The configuration as the library understood it; where it was found says nothing about the model.
     config = {key: str(value) for key, value in model.config.to_dict().items() if key != "_name_or_path"}
     detector.source = {"config": sha256_record(config), "preprocessing": str(preprocessing), "person": person}
-    detector.packages = ("transformers", "torch")
+    detector.packages = ("transformers",)
     detector.freeze()
     return detector
 

@@ -68,7 +68,7 @@ def load_torchvision(request: Request) -> Detector:
     detector = kind(model, person, name, request.spec, channels_last=request.fold)
     sizes = (model.transform.min_size, model.transform.max_size, model.transform.fixed_size)
     detector.source = {"model": name, "transform": str(sizes), "person": person}
-    detector.packages = ("torchvision", "torch")
+    detector.packages = ("torchvision",)
     detector.freeze()
     return detector
 

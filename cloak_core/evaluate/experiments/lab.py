@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.attack.events import read_events
-from cloak_core.attack.run_folder import FREE_SETTINGS
+from cloak_core.attack.run_config import FREE_SETTINGS
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, state_hash
