@@ -7,7 +7,8 @@ import zipfile
 import bpy
 import cloak
 import pytest
-from cloak import jobs
+from cloak import body, colors, jobs
+from cloak.operators import heat
 from conftest import EXTENSION, MODULE, ROOT
 
 ADD_ON = ROOT / "blender_addon"
@@ -16,7 +17,7 @@ SHARED = {
     f"{room}/{path.name}": path
     for room in ("files", "exchange")
     for path in (ROOT / "cloak_core" / room).glob("*.py")
-    if path.name not in ("caching.py", "unpickling.py")
+    if path.name not in ("caching.py", "likeness.py", "locks.py", "unpickling.py")
 }
 
 
@@ -54,6 +55,22 @@ def test_every_operator_and_property_has_a_description():
             assert len(rna.description) > 10 and rna.name and "Base" not in rna.description, cls
         for key in getattr(cls, "__annotations__", {}):
             assert rna.properties[key].description or rna.properties[key].is_hidden, (cls, key)
+
+
+def test_what_blend_files_store_keeps_its_name():
+    """Files saved by earlier versions keep their logos, runs, heat maps and settings."""
+    object_names, scene_names = (" ".join(cls.__annotations__) for cls in cloak.properties.CLASSES)
+    assert object_names == "logo logo_index run verdict"
+    assert scene_names == (
+        "triangulate tint stamp_kind stamp_text stamp_image stamp_from stamp_size stamp_center stamp_offset heat_share "
+        "pose_source frame_start frame_end frame_step clothing detector darknet_cfg darknet_weights torchvision_name "
+        "torchvision_checkpoint python_file python_function backgrounds preset config angle_first angle_last "
+        "angle_step steps device output live live_seconds"
+    )
+    attributes = (heat.HEAT, colors.OWN_MATERIAL, colors.CLOAK, colors.OUTFIT, colors.HEATMAP, body.ORIGINAL_FACE)
+    assert attributes == (
+        "cloak_heat", "cloak_own_material", "Cloak", "Outfit", "Cloak Heatmap", "cloak_original_face",
+    )  # fmt: skip
 
 
 def leftovers() -> dict:

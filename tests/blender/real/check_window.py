@@ -8,13 +8,14 @@ Ends Blender with exit code 3 at the first check that fails; the picture shows a
 import os
 import subprocess
 import sys
-import traceback
 from pathlib import Path
 
 import bpy
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from harness import install, play, until_done
+
 ZIP, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:3]
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
 
 
 def window():
@@ -27,16 +28,25 @@ def press(operator, **options):
         return operator("EXEC_DEFAULT", True, **options)
 
 
-def steps():
-    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-    bpy.context.preferences.addons["bl_ext.user_default.cloak"].preferences.python = PYTHON
-    from bl_ext.user_default.cloak import colors, faces, jobs, overlay
+def undo():
+    with window():
+        bpy.ops.ed.undo()
 
-    sys.modules["cloak"], sys.modules["cloak.faces"] = sys.modules["bl_ext.user_default.cloak"], faces
-    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
-    for other in list(bpy.data.objects):
-        bpy.data.objects.remove(other)
-    from made import add_ngons, centers, make_egg, set_mode
+
+def body():
+    """Fetched again each time: undo replaces what Python holds."""
+    return bpy.data.objects["Body"]
+
+
+def logo_size():
+    from cloak import faces
+
+    return int(faces.read_faces(body(), "chest").sum())
+
+
+def make_body():
+    from cloak import faces
+    from made import add_ngons, centers, make_egg
 
     obj = make_egg()
     add_ngons(obj)
@@ -44,53 +54,53 @@ def steps():
     obj.shape_key_add(name="Fat")
     x, y, z = centers(obj).T
     faces.new_logo(obj, "chest", (x > 0.05) & (y < 0) & (z > 0.9) & (z < 1.3))
-    size = int(faces.read_faces(obj, "chest").sum())
-    count = len(obj.data.polygons)
     with window():
         bpy.ops.ed.undo_push(message="start")
-    yield 0.5
 
+
+def check_undo():
+    count, size = len(body().data.polygons), logo_size()
     press(bpy.ops.cloak.subdivide)
-    assert len(bpy.data.objects["Body"].data.polygons) > 4 * count
-    with window():
-        bpy.ops.ed.undo()
-    mesh = bpy.data.objects["Body"].data
+    assert len(body().data.polygons) > 4 * count
+    undo()
+    mesh = body().data
     assert len(mesh.polygons) == count and len(mesh.shape_keys.key_blocks) == 2, "undo of Subdivide"
     assert len(mesh.shape_keys.key_blocks["Fat"].data) == len(mesh.vertices)
     with window():
         bpy.ops.ed.redo()
-    assert len(bpy.data.objects["Body"].data.polygons) > 4 * count, "redo of Subdivide"
-    with window():
-        bpy.ops.ed.undo()
+    assert len(body().data.polygons) > 4 * count, "redo of Subdivide"
+    undo()
     print("undo and redo of Subdivide: ok", flush=True)
     yield 0.5
-
     press(bpy.ops.cloak.logo_grow)
-    grown = int(faces.read_faces(bpy.data.objects["Body"], "chest").sum())
-    with window():
-        bpy.ops.ed.undo()
-    assert faces.read_faces(bpy.data.objects["Body"], "chest").sum() == size < grown, "undo of Grow"
+    grown = logo_size()
+    undo()
+    assert logo_size() == size < grown, "undo of Grow"
     print("undo of Grow: ok", flush=True)
+
+
+def check_training():
+    from cloak import colors
 
     settings = bpy.context.scene.cloak
     settings.output, settings.steps, settings.live_seconds = FOLDER, 12, 0.5
-    obj = bpy.data.objects["Body"]
-    bpy.context.view_layer.objects.active = obj
+    bpy.context.view_layer.objects.active = body()
     press(bpy.ops.cloak.train_start)
-    while jobs.current.running:
-        yield 0.2
-    assert jobs.current.state == "done", jobs.current.message
-    obj = bpy.data.objects["Body"]
-    assert colors.is_dressed(obj)
+    yield from until_done()
+    assert colors.is_dressed(body())
     press(bpy.ops.cloak.logo_grow)
-    with window():
-        bpy.ops.ed.undo()
-    assert colors.is_dressed(bpy.data.objects["Body"]), "undoing the next step must not take the colours along"
+    undo()
+    assert colors.is_dressed(body()), "undoing the next step must not take the colours along"
     print("trained colours keep their own undo step: ok", flush=True)
 
-    obj = bpy.data.objects["Body"]
+
+def check_edit_mode():
+    from cloak import overlay
+    from made import set_mode
+
+    size = logo_size()
     press(bpy.ops.cloak.result_toggle)
-    bpy.context.view_layer.objects.active = obj
+    bpy.context.view_layer.objects.active = body()
     with window():
         set_mode("EDIT")
         press(bpy.ops.cloak.logo_mirror)
@@ -100,30 +110,32 @@ def steps():
             bpy.ops.view3d.view_axis(type="FRONT")
             bpy.ops.view3d.view_selected()
             bpy.ops.mesh.select_all(action="DESELECT")
-    assert overlay.active_stats(obj).faces > 1.5 * size
+    assert overlay.active_stats(body()).faces > 1.5 * size
     yield 2.0
     Path(os.environ["SHOT_READY"]).touch()
     yield 3.0
     with window():
         set_mode("OBJECT")
-    bpy.context.scene.cloak.steps = 500  # fetched again: undo has replaced what Python held
+
+
+def close_while_training():
+    from cloak import jobs
+
+    bpy.context.scene.cloak.steps = 500
     press(bpy.ops.cloak.train_start)
     while jobs.current.progress.step < 2:
         yield 0.2
-    print("closing with process", jobs.current._process.pid, "in", obj.cloak.run, flush=True)
+    print("closing with process", jobs.current._process.pid, "in", body().cloak.run, flush=True)
 
 
-def run():
-    try:
-        return next(SCRIPT)
-    except StopIteration:
-        print("done", flush=True)
-    except Exception:
-        traceback.print_exc()
-        os._exit(3)
-    bpy.ops.wm.quit_blender()
-    return None
+def steps():
+    install(ZIP, PYTHON)
+    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
+    make_body()
+    yield 0.5
+    for part in (check_undo, check_training, check_edit_mode, close_while_training):
+        yield from part()
+        yield 0.5
 
 
-SCRIPT = steps()
-bpy.app.timers.register(run, first_interval=1.0)
+play(steps())

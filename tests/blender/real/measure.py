@@ -18,9 +18,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from harness import install
+
 ZIP = sys.argv[sys.argv.index("--") + 1]
 REPEATS, FACES, POSES = 9, 55_000, 12
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
 
 
 def timed(call) -> tuple[float, float]:
@@ -67,17 +69,7 @@ def rigged_grid() -> bpy.types.Object:
 
 
 def measure() -> dict:
-    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-    import importlib
-
-    cloak = importlib.import_module("bl_ext.user_default.cloak")
-    rooms = ("body", "colors", "faces", "runs", "scene_export", "poses", "exchange.face_lists", "exchange.colors")
-    body, colors, faces, runs, scene_export, poses, face_lists, color_files = (
-        importlib.import_module(f"{cloak.__name__}.{room}") for room in rooms
-    )
-    sys.modules["cloak"], sys.modules["cloak.faces"] = cloak, faces
-    for other in list(bpy.data.objects):
-        bpy.data.objects.remove(other)
+    install(ZIP)
     from made import select_only, set_mode
 
     obj = rigged_grid()
@@ -92,48 +84,50 @@ def measure() -> dict:
         [timed(lambda p=p: bpy.ops.cloak.logo_export(filepath=str(p))) for p in paths]
     )
     set_mode("OBJECT")
-    export = lambda i: scene_export.export(
-        bpy.context, obj, "half", poses.PoseChoice("RANGE", 1, POSES, 1), folder / f"input {i}"
-    )
-    figures["export_12_poses"] = summary([timed(lambda i=i: export(i)) for i in range(5)])
-    run = folder / "run"
+    figures["export_12_poses"] = summary([timed(lambda i=i: export(obj, folder / f"input {i}")) for i in range(5)])
+    return figures | measure_colors(obj, ids, folder / "run")
+
+
+def export(obj: bpy.types.Object, folder: Path) -> None:
+    from cloak import poses, scene_export
+
+    scene_export.export(bpy.context, obj, "half", poses.PoseChoice("RANGE", 1, POSES, 1), folder)
+
+
+def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
+    """A run's colours onto the object: at once, and live."""
+    from cloak import body, colors, runs
+    from cloak.exchange.colors import write_colors
+    from cloak.exchange.face_lists import write_face_list
+
     run.mkdir()
-    face_lists.write_face_list(run / "logo.npy", ids, body.topology(obj))
+    write_face_list(run / "logo.npy", ids, body.topology(obj))
     rng = np.random.default_rng(0)
-    write = lambda: color_files.write_colors(run / "colors.npy", rng.random((len(ids), 3)))
-    figures["import_colors"] = summary([timed(import_once(runs, obj, run, write)) for _ in range(REPEATS)])
+
+    def timed_with_new_colors(call) -> tuple[float, float]:
+        write_colors(run / "colors.npy", rng.random((len(ids), 3)))
+        return timed(call)
+
+    imports = [timed_with_new_colors(lambda: runs.import_colors(bpy.context, obj, run)) for _ in range(REPEATS)]
+    figures = {"import_colors": summary(imports)}
     colors.undress(obj)
     obj.data.attributes.remove(obj.data.attributes["Cloak"])
     live = runs.LiveColors(obj, run, body.topology(obj), ids)
-    values = []
-    for _ in range(REPEATS + 1):
-        write()
-        values.append(timed(lambda: live.update(bpy.context) and bpy.context.view_layer.update()))
+
+    def update(show) -> tuple[float, float]:
+        return timed_with_new_colors(lambda: live.update(bpy.context) and show())
+
+    values = [update(bpy.context.view_layer.update) for _ in range(REPEATS + 1)]
     figures["first_live_update"] = round(values[0][0], 1)
     figures["live_update"] = summary(values[1:])
     if not bpy.app.background:
-        figures["live_update_with_redraw"] = summary([redrawn(live, write) for _ in range(REPEATS)])
+        figures["live_update_with_redraw"] = summary([update(redraw) for _ in range(REPEATS)])
         figures["redraw_alone"] = summary([timed(redraw) for _ in range(REPEATS)])
     return figures
 
 
-def import_once(runs, obj, run, write):
-    write()
-    return lambda: runs.import_colors(bpy.context, obj, run)
-
-
 def redraw() -> None:
     bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)
-
-
-def redrawn(live, write) -> tuple[float, float]:
-    write()
-
-    def both():
-        live.update(bpy.context)
-        redraw()
-
-    return timed(both)
 
 
 def main() -> None:

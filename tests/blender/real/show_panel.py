@@ -10,11 +10,12 @@ quits. Any error ends Blender with exit code 3.
 import os
 import subprocess
 import sys
-import time
-import traceback
 from pathlib import Path
 
 import bpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from harness import install, play, until_done
 
 ZIP, STATE, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:4]
 PANELS = {
@@ -25,12 +26,6 @@ PANELS = {
     "result": ("train", "result"),
 }
 HIDDEN = []
-
-
-def install():
-    bpy.ops.extensions.package_install_files(filepath=ZIP, repo="user_default", enable_on_install=True)
-    bpy.context.preferences.addons["bl_ext.user_default.cloak"].preferences.python = PYTHON
-    bpy.context.preferences.view.show_splash = False
 
 
 def view_area():
@@ -45,8 +40,6 @@ def override():
 
 def tidy():
     """The 3D viewport alone, its sidebar on the Cloak tab, the body filling the view."""
-    for obj in list(bpy.data.objects):
-        bpy.data.objects.remove(obj)
     subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
     with override():
         bpy.ops.screen.screen_full_area(use_hide_panels=False)
@@ -65,8 +58,7 @@ def frame():
 def sidebar(*names):
     """Show the Cloak tab, and of its panels only those named."""
     yield from show_tab()
-    package = sys.modules["bl_ext.user_default.cloak.panel"]
-    for cls in package.CLASSES:
+    for cls in sys.modules["cloak.panel"].CLASSES:
         short = cls.bl_idname.removeprefix("CLOAK_PT_")
         if short != cls.bl_idname and short not in names and cls.is_registered:
             bpy.utils.unregister_class(cls)
@@ -82,21 +74,13 @@ def show_tab():
         next(r for r in area.regions if r.type == "UI").active_panel_category = "Cloak"
 
 
-def wait_job():
-    from bl_ext.user_default.cloak import jobs
-
-    while jobs.current.running:
-        yield 0.2
-    assert jobs.current.state == "done", jobs.current.message
-
-
 def steps():
     """One thing after the other; a number means: draw, and come back after so many seconds."""
-    install()
+    install(ZIP, PYTHON)
     tidy()
     yield 0.5
     bpy.ops.cloak.add_sample_body()
-    yield from wait_job()
+    yield from until_done()
     frame()
     settings = bpy.context.scene.cloak
     yield 0.5
@@ -115,14 +99,14 @@ def steps():
         settings.frame_end = 3
         settings.steps = 400 if STATE == "train" else 25
         bpy.ops.cloak.train_start()
-        from bl_ext.user_default.cloak import jobs
+        from cloak import jobs
 
         if STATE == "train":
             while jobs.current.progress.step < 30:
                 assert jobs.current.running, jobs.current.message
                 yield 0.2
         else:
-            yield from wait_job()
+            yield from until_done()
     yield from sidebar(*PANELS[STATE])
     yield 1.5
     Path(os.environ["SHOT_READY"]).touch()
@@ -136,18 +120,4 @@ def steps():
         assert jobs.current.state == "stopped", jobs.current.message
 
 
-def run():
-    try:
-        return next(SCRIPT)
-    except StopIteration:
-        print("done", STATE, flush=True)
-    except Exception:
-        traceback.print_exc()
-        os._exit(3)
-    bpy.ops.wm.quit_blender()
-    return None
-
-
-SCRIPT = steps()
-START = time.monotonic()
-bpy.app.timers.register(run, first_interval=1.0)
+play(steps())
