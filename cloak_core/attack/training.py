@@ -25,7 +25,7 @@ from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.trainer import RunResult, Trainer, TrainingError
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
-from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.view_files import view_files
@@ -116,8 +116,7 @@ def _train(
         optimizer = ColorOptimizer(settings, first)
         result = Trainer(run, batcher, objective, optimizer, held_out, on_event, world).run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
-        if state_hash(detector) != record["sha256"]:
-            raise RuntimeError(f"detector {detector.spec} changed during training")
+        detector.verify(record["sha256"])
     return result
 
 

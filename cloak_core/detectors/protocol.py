@@ -76,6 +76,11 @@ class Detector(nn.Module):
         """Eval mode, no gradients for parameters. Families call it last in their loader."""
         return self.eval().requires_grad_(False)
 
+    def verify(self, before: str) -> None:
+        """After use: RuntimeError where it is not bit-identical to what its `state_hash` was `before`."""
+        if state_hash(self) != before:
+            raise RuntimeError(f"detector {self.spec} changed while it was used")
+
     @property
     def device(self) -> torch.device:
         """Where the images must be."""

@@ -1,18 +1,24 @@
 """Anyone's own detector: `python:FILE.py:FUNCTION`, a callable that returns a module images -> (boxes, scores)."""
 
+import contextlib
 import importlib.util
 import sys
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.resizing import Placement, fit
 from cloak_core.detectors.specs import Request
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import source_hash
+
+ROUNDING = 1e-3
+"""Scores may be beyond [0, 1] by so much."""
 
 
 class PythonDetector(Detector):
@@ -32,10 +38,61 @@ class PythonDetector(Detector):
         input_size: tuple[int, int] | None = None,
         letterbox: bool = False,
         channels_last: bool = True,
+        file: Path | None = None,
     ) -> None:
         super().__init__(name, spec)
-        self.module, self.input_size, self.letterbox = module, input_size, letterbox
+        self.module, self.input_size, self.letterbox, self.file = module, input_size, letterbox, file
+        self._range: Tensor | None = None
         self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        """As every detector's. InputError, with the line of the user's file: it raises, exits, or returns what cannot
+        be; at the first images also: no gradients where they are asked for, a changed state, scores outside [0, 1]."""
+        first, layout = self._range is None, self.memory_format
+        before = self._versions() if first else []
+        found = super().forward(images)
+        if images.requires_grad and torch.is_grad_enabled() and not found.scores.requires_grad:
+            if found.scores.numel():
+                raise self._error("its scores carry no gradient of the images (detached, or made without one?)")
+            found = found._replace(scores=found.scores + 0 * images.sum())
+        self._watch(found.scores.detach())
+        if first and self._range is not None:
+            self._check_range()
+            if self.memory_format == layout and self._versions() != before:
+                raise self._error("it changes its own parameters or buffers when it is called")
+        return found
+
+    def verify(self, before: str) -> None:
+        """See `Detector.verify`; what the user's module did wrong is an InputError."""
+        self._check_range()
+        if state_hash(self) != before:
+            raise self._error("it changed its own parameters or buffers while it was used")
+
+    def _versions(self) -> list[tuple[int, int]]:
+        """Which tensors the module has, and how often each was written to: asked for nothing but the host's memory."""
+        return [(id(tensor), tensor._version) for tensor in (*self.parameters(), *self.buffers())]
+
+    def _watch(self, scores: Float[Tensor, "B N"]) -> None:
+        """Note the lowest and highest score so far, without waiting for the device."""
+        if not scores.numel():
+            return
+        found = torch.stack(scores.aminmax())
+        if self._range is None or self._range.device != found.device:
+            self._range = found
+        self._range = torch.stack([torch.minimum(self._range[0], found[0]), torch.maximum(self._range[1], found[1])])
+
+    def _check_range(self) -> None:
+        low, high = (0.0, 0.0) if self._range is None else self._range.tolist()
+        if not (-ROUNDING <= low and high <= 1 + ROUNDING):
+            raise self._error(
+                f"its scores must lie in [0, 1], probabilities of a person; they reach {low:g} to {high:g}"
+            )
+
+    def _error(self, words: str) -> InputError:
+        """What is wrong with the user's module, with the line where its `forward` begins."""
+        code = getattr(type(self.module).forward, "__code__", None)
+        ours = code is not None and self.file is not None and code.co_filename == str(self.file)
+        return InputError(f"{self.spec}: {f'{self.file}:{code.co_firstlineno}: ' if ours else ''}{words}")
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         inputs, placement = images, Placement()
@@ -45,14 +102,15 @@ class PythonDetector(Detector):
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
-        try:
-            return self.module(inputs.contiguous(memory_format=self.memory_format))
-        except RuntimeError as error:
-            # torch's words where `Tensor.view` meets strides it cannot join; it never returns wrong numbers instead.
-            if self.memory_format == torch.contiguous_format or "view size is not compatible" not in str(error):
-                raise
-        self._lay_out(torch.contiguous_format)
-        return self.module(inputs.contiguous())
+        with _excused(self.spec, self.file):
+            try:
+                return self.module(inputs.contiguous(memory_format=self.memory_format))
+            except RuntimeError as error:
+                # torch's words where `Tensor.view` meets strides it cannot join: it never returns wrong numbers.
+                if self.memory_format == torch.contiguous_format or "view size is not compatible" not in str(error):
+                    raise
+            self._lay_out(torch.contiguous_format)
+            return self.module(inputs.contiguous())
 
     def _lay_out(self, memory_format: torch.memory_format) -> None:
         self.memory_format = memory_format
@@ -64,14 +122,12 @@ class PythonDetector(Detector):
             or len(output) < 2
             or not all(isinstance(o, Tensor) for o in output[:2])
         ):
-            raise InputError(
-                f"{self.spec}: must return (boxes, scores), two tensors; it returned {type(output).__name__}"
-            )
+            raise self._error(f"must return (boxes, scores), two tensors; it returned {type(output).__name__}")
         found = output if isinstance(output, Detections) else Detections(output[0], output[1])
         boxes, scores = tuple(found.boxes.shape), tuple(found.scores.shape)
         if len(boxes) != 3 or boxes[2] != 4 or scores != boxes[:2] or boxes[0] != count:
-            raise InputError(
-                f"{self.spec}: for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
+            raise self._error(
+                f"for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
                 f"it returned {list(boxes)} and {list(scores)}"
             )
         return found
@@ -86,11 +142,12 @@ def load_python(request: Request) -> PythonDetector:
     file = Path(name).expanduser()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
-    made = _function(file, function)()
+    with _excused(request.spec, file):
+        made = _function(file, function)()
     if not isinstance(made, nn.Module):
         raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")
     detector = PythonDetector(
-        made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold
+        made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold, file=file
     )
     size = None if request.input_size is None else list(request.input_size)
     detector.source = {"file": source_hash(file), "function": function, "input_size": size}
@@ -106,10 +163,23 @@ def _function(file: Path, function: str):
         raise InputError(f"{file}: not a Python file")
     module = importlib.util.module_from_spec(module_spec)
     sys.modules[name] = module  # dataclasses and the like look their module up there
-    try:
-        module_spec.loader.exec_module(module)
-    except (SyntaxError, ImportError) as error:
-        raise InputError(f"{file}: cannot be loaded: {error}") from error
+    module_spec.loader.exec_module(module)
     if not callable(getattr(module, function, None)):
         raise InputError(f"{file}: has no function {function!r}")
     return getattr(module, function)
+
+
+@contextlib.contextmanager
+def _excused(spec: str, file: Path | None) -> Iterator[None]:
+    """What the user's code raises, or its leaving the process, becomes an InputError with the line of their file."""
+    try:
+        yield
+    except (InputError, MemoryError, torch.OutOfMemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(file)]
+        if isinstance(error, SyntaxError) and error.filename == str(file):
+            lines.append(error.lineno)
+        place = f"{file}:{lines[-1]}: " if lines else ""
+        words = f"it ends the process with {error.code}" if isinstance(error, SystemExit) else first_line(error)
+        raise InputError(f"{spec}: {place}{type(error).__name__}: {words}") from error

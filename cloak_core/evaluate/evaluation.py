@@ -59,8 +59,7 @@ def evaluate(
     hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
     measurement = measure(stage, detectors, settings, on_progress)
     for spec, detector in detectors.items():
-        if state_hash(detector) != hashes[spec]:
-            raise RuntimeError(f"detector {spec} changed while it was evaluated")
+        detector.verify(hashes[spec])
     seen = {"unseen": unseen, "white_box": trained_against(training, hashes), "warnings": warnings}
     summary = summarize(measurement, settings.threshold, settings.resamples) | {"n": len(stage.trials)} | seen
     summary |= _circumstances(stage, hashes, settings, angles)

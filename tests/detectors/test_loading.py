@@ -177,7 +177,7 @@ def test_python_module_that_does_not_fit(function: str, message: str, module: Pa
 
 def test_python_file_with_a_mistake(tmp_path: Path) -> None:
     (tmp_path / "bad.py").write_text("import no_such_module_here")
-    with pytest.raises(InputError, match=r"bad.py: cannot be loaded: No module named"):
+    with pytest.raises(InputError, match=r"bad.py:1: ModuleNotFoundError: No module named"):
         load_detector(f"python:{tmp_path / 'bad.py'}:load")
 
 

@@ -1,0 +1,105 @@
+"""Detectors that people write themselves, and what goes wrong in them: one line with the spec and the line of the file."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import state_hash
+from cloak_core.files.errors import InputError
+
+SOUND = """
+import sys
+import torch
+
+class Mine(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("count", torch.zeros(1))
+
+    def forward(self, images):
+        boxes = torch.zeros(len(images), 1, 4)
+        scores = images.mean(dim=(1, 2, 3))[:, None]
+        return boxes, scores
+
+def load():
+    return Mine()
+"""
+FORWARD, SCORES, LAST = 10, 12, 16
+"""Lines of it."""
+
+
+def detector(folder: Path, old: str = "", new: str = ""):
+    assert old in SOUND
+    (folder / "mine.py").write_text(SOUND.replace(old, new) if old else SOUND)
+    return load_detector(f"python:{folder / 'mine.py'}:load")
+
+
+def images(count: int = 2) -> torch.Tensor:
+    return torch.rand(count, 3, 8, 8, generator=torch.Generator().manual_seed(0), requires_grad=True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("import sys\n", "import sys; sys.exit(0)\n", 2, "SystemExit: it ends the process with 0"),
+        ("import sys\n", "1 / 0\n", 2, "ZeroDivisionError: division by zero"),
+        ("import sys\n", "def f(:\n", 2, "SyntaxError: "),
+        ("    return Mine()", "    raise KeyError('weights')", LAST, "KeyError: 'weights'"),
+        ("    return Mine()", "    sys.exit(0)", LAST, "SystemExit"),
+    ],
+)
+def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
+    with pytest.raises(InputError, match=rf"python:.*mine\.py:load: .*mine\.py:{line}: {words}") as said:
+        detector(tmp_path, old, new)
+    assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("scores = images", "raise RuntimeError('two\\nlines'); scores = images", SCORES, "RuntimeError: two$"),
+        ("scores = images", "sys.exit(0); scores = images", SCORES, "SystemExit"),
+        ("images.mean", "images.detach().mean", FORWARD, "its scores carry no gradient"),
+        ("[:, None]\n", "[:, None] * 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
+        ("[:, None]\n", "[:, None] - 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
+        ("[:, None]\n", "[:, None] * float('nan')\n", FORWARD, r"scores must lie in \[0, 1\].* nan"),
+        ("scores = images", "self.count += 1; scores = images", FORWARD, "changes its own parameters or buffers"),
+        ("scores = images", "self.count = self.count + 1; scores = images", FORWARD, "changes its own parameters"),
+        ("return boxes, scores", "return scores", FORWARD, r"must return \(boxes, scores\)"),
+    ],
+)
+def test_what_running_it_runs_into(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
+    made = detector(tmp_path, old, new)
+    with pytest.raises(InputError, match=rf"python:.*mine\.py:load: .*mine\.py:{line}: .*{words}"):
+        made(images())
+
+
+def test_no_gradient_is_asked_of_it_where_none_is_needed(tmp_path: Path) -> None:
+    made = detector(tmp_path, "images.mean", "images.detach().mean")
+    with torch.no_grad():
+        made(images())
+
+
+def test_scores_and_state_that_go_wrong_later_are_found_at_the_end(tmp_path: Path) -> None:
+    late = detector(tmp_path, "[:, None]\n", "[:, None] * (5 if len(images) == 1 else 1)\n")
+    before = state_hash(late)
+    late(images(2))
+    late.verify(before)
+    late(images(1))
+    with pytest.raises(InputError, match=r"scores must lie in \[0, 1\]"):
+        late.verify(before)
+    changing = detector(tmp_path, "scores = images", "self.count += len(images) - 2; scores = images")
+    before = state_hash(changing)
+    with torch.no_grad():
+        changing.module.count.add_(1)
+    with pytest.raises(InputError, match="changed its own parameters"):
+        changing.verify(before)
+
+
+def test_no_box_at_all_leaves_a_gradient_of_zero(tmp_path: Path) -> None:
+    made = detector(tmp_path, "return boxes, scores", "return boxes[:, :0], torch.zeros(len(images), 0)")
+    batch = images()
+    made(batch).scores.sum().backward()
+    assert batch.grad is not None and not batch.grad.any()
