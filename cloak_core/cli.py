@@ -13,9 +13,12 @@ import logging
 import os
 import re
 import sys
+import warnings
+from collections.abc import Iterator
 
+from cloak_core import __version__
 from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, one_line
 
 COMMANDS: dict[str, str] = {
     "train": "train:Train",
@@ -51,33 +54,68 @@ COMMANDS: dict[str, str] = {
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and exit."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    logging.basicConfig(format="cloak: %(message)s", level=logging.WARNING, stream=sys.stderr)
-    if arguments[:1] == ["--version"]:
-        from cloak_core import __version__
-
-        print(__version__)
-        sys.exit(0)
+    prepare_streams()
     try:
-        words, rest = find(arguments)
-        command = parse(words, rest)
-        sys.exit(run(command))
+        command, code = None, 0
+        with saying():
+            try:
+                command = parse(*find(arguments))
+            except SystemExit as end:  # help or the version was asked for, and is printed
+                code = end.code or 0
+        sys.exit(run(command) if command else code)
     except InputError as error:
-        err.print(f"cloak: {error}", style="red", markup=False)
+        err.print(f"cloak: {error}", style="red")
         sys.exit(2)
-    except BrokenPipeError:
-        # Whoever read our output has had enough (`| head`); closing it again at exit must not complain either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
     except (Stopped, KeyboardInterrupt) as stop:
         warn(str(stop) or "stopped")
         sys.exit(3)
+
+
+def prepare_streams() -> None:
+    """Characters that a terminal lacks are written as escapes; what libraries log or warn of is one line each."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(OneLine("cloak: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    logging.captureWarnings(True)
+    warnings.formatwarning = _warning_words
+
+
+class OneLine(logging.Formatter):
+    """Writes line breaks in messages out: a path may hold some."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return one_line(super().formatMessage(record))
+
+
+def _warning_words(message: Warning | str, category: type[Warning], *_: object) -> str:
+    return f"{message}" if category is UserWarning else f"{category.__name__}: {message}"
+
+
+@contextlib.contextmanager
+def saying() -> Iterator[None]:
+    """A block that writes on standard output. A reader who has had enough (`| head`) is no error; anything else that
+    the system has against it (a full disk) is an InputError."""
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except OSError as error:
+        # What is still held back must not be tried again when the process ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            raise InputError(f"standard output: cannot be written ({error.strerror or error})") from None
 
 
 def run(command: Command) -> int:
     """Run a command; what it returns goes to standard output as JSON, or as words."""
     if not command.json:
         result = command.run()
-        command.show(result)
+        with saying():
+            command.show(result)
         return _verdict(result)
     # Whatever libraries print must not end up inside the JSON.
     with contextlib.redirect_stdout(sys.stderr):
@@ -88,7 +126,8 @@ def run(command: Command) -> int:
             out.file = None  # whatever standard output then is
     stopped = result.pop("stopped", None)
     if not RANK:
-        print(json.dumps(result, indent=2, allow_nan=False))
+        with saying():
+            print(json.dumps(result, indent=2, allow_nan=False))
     if stopped:
         raise Stopped(stopped)
     return _verdict(result)
@@ -102,12 +141,17 @@ def _verdict(result: dict) -> int:
     if result.get("refused"):
         raise InputError(result["refused"])
     if result.get("failed"):
-        err.print(f"cloak: {result['failed']}", style="red", markup=False)
+        err.print(f"cloak: {result['failed']}", style="red")
     return int(bool(result.get("failed")))
 
 
 def find(arguments: list[str]) -> tuple[str, list[str]]:
     """Split the arguments into a known command's words and its options; print help where no command is complete."""
+    if arguments[:1] == ["--json"]:
+        arguments = [*arguments[1:], "--json"]
+    if arguments[:1] == ["--version"]:
+        print(json.dumps({"version": __version__}) if "--json" in arguments else __version__)
+        sys.exit(0)
     words = " ".join(arguments[:2])
     for name, count in ((words, 2), (words.split(" ")[0], 1)):
         if name in COMMANDS:
@@ -156,11 +200,12 @@ def parse(name: str, arguments: list[str]) -> Command:
 
 def _one_line(boxed: str) -> str:
     """The first paragraph of tyro's boxed message, without the box."""
-    lines = [re.sub(r"^[╭╰]─+.*|^│ ?|\s*│$", "", line).strip() for line in boxed.splitlines()]
+    # Boxes are of plain characters where the terminal has no others.
+    lines = [re.sub(r"^[╭╰+][─-]+.*|^[│|] ?|\s*[│|]$", "", line).strip() for line in boxed.splitlines()]
     kept: list[str] = []
     for line in lines:
         if kept and (line.startswith("For full helptext") or line == "Argument helptext:"):
             break
-        if line.strip("─"):
+        if line.strip("─-"):
             kept.append(line)
     return " ".join(kept) or "not understood"

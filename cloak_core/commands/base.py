@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, one_line
 from cloak_core.scene.opening import open_scene
 
 __all__ = ["RANK", "Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]
@@ -41,7 +41,7 @@ class Command:
 
 def warn(message: str) -> None:
     """One line on standard error."""
-    err.print(f"cloak: {message}", style="yellow", markup=False)
+    err.print(f"cloak: {one_line(message)}", style="yellow")
 
 
 def require_new(path: Path) -> None:

@@ -99,11 +99,10 @@ class Step(Command):
                 continue
             out.print(
                 f"{spec}: floor {figures['floor_ms']:.1f} ms, step {figures['step_ms']:.1f} ms, ratio "
-                f"{figures['ratio']:.3f}; {figures['overhead_ms_per_image']:.2f} ms per image beside the detector",
-                markup=False,
+                f"{figures['ratio']:.3f}; {figures['overhead_ms_per_image']:.2f} ms per image beside the detector"
             )
             parts = ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in figures["parts_ms"].items())
-            out.print(f"    ms per step: {parts}", markup=False)
+            out.print(f"    ms per step: {parts}")
 
 
 @dataclass(kw_only=True)
@@ -148,8 +147,7 @@ class Ranks(Command):
         found = result[self.detector]
         out.print(
             f"{self.detector}: {found['one']:.1f} images/s in one process, {found['many']:.1f} in {found['ranks']}: "
-            f"{found['throughput']:.3f} of the throughput, {found['threads']} threads each way",
-            markup=False,
+            f"{found['throughput']:.3f} of the throughput, {found['threads']} threads each way"
         )
 
 
@@ -191,7 +189,7 @@ class Detectors(Command):
 
     def show(self, result: dict) -> None:
         for spec, figures in result.items():
-            out.print(f"{spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()), markup=False)
+            out.print(f"{spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()))
 
 
 @dataclass(kw_only=True)
@@ -217,12 +215,12 @@ class Accuracy(Command):
 
     def show(self, result: dict) -> None:
         for name, version in result["peers"].items():
-            out.print(f"{name} {version}", markup=False)
+            out.print(f"{name} {version}")
         for name, scene in result["scenes"].items():
-            out.print(f"{name} (reference: {scene['reference']})", markup=False)
+            out.print(f"{name} (reference: {scene['reference']})")
             for point in scene["points"]:
                 figures = (f"{key} {value:.4g}" for key, value in point.items() if isinstance(value, float))
-                out.print(f"  {point['name']:<12} " + ", ".join(figures), markup=False)
+                out.print(f"  {point['name']:<12} " + ", ".join(figures))
 
 
 @dataclass(kw_only=True)
@@ -247,11 +245,9 @@ class Growth(Command):
 
     def show(self, result: dict) -> None:
         for name, series in result["series"].items():
-            out.print(f"{name}: time grows with exponent {series['exponent']:.3f}", markup=False)
+            out.print(f"{name}: time grows with exponent {series['exponent']:.3f}")
             for point in series["points"]:
-                out.print(
-                    f"  {point['size']:>9,} {point['seconds']:9.3f} s  peak {point['peak_mib']:8.0f} MiB", markup=False
-                )
+                out.print(f"  {point['size']:>9,} {point['seconds']:9.3f} s  peak {point['peak_mib']:8.0f} MiB")
 
 
 @dataclass(kw_only=True)
@@ -269,5 +265,5 @@ class Stability(Command):
     def show(self, result: dict) -> None:
         for name, row in result["by_case"].items():
             remark = f" ({row['remark']})" if "remark" in row else ""
-            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches{remark}", markup=False)
+            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches{remark}")
         out.print(f"largest error of a depth {result['max_error_ulp']:.3g} units in the last place")

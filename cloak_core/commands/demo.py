@@ -41,8 +41,7 @@ class Demo(Command):
         chosen = write_logo(logo, bodies, select_region(bodies, REGION))
         err.print(
             f"{bodies.pose_count} sample bodies, {REGION}: {chosen['faces']} faces, "
-            f"{chosen['area_share']:.0%} of the body's area",
-            markup=False,
+            f"{chosen['area_share']:.0%} of the body's area"
         )
         if not (self.out / "report.html").exists():
             self._train(logo, bodies.pose_count)
@@ -79,4 +78,4 @@ class Demo(Command):
 
     def show(self, result: dict) -> None:
         show_success(result)
-        out.print(f"wrote {result['report']}", markup=False)
+        out.print(f"wrote {result['report']}")

@@ -73,9 +73,9 @@ class List(Command):
     def show(self, result: dict) -> None:
         for family in result["families"]:
             uses = " and ".join(use for use, can in (("trains", "trains"), ("evaluates", "evaluates")) if family[can])
-            out.print(f"{family['spec']}: {uses}; {family['licence']}; verified: {family['verified']}", markup=False)
+            out.print(f"{family['spec']}: {uses}; {family['licence']}; verified: {family['verified']}")
             if not family["installed"]:
-                out.print(f"    not installed: {family['install']}", markup=False)
+                out.print(f"    not installed: {family['install']}")
 
 
 @dataclass(kw_only=True)
@@ -111,12 +111,11 @@ class TrainBuiltin(Command):
     def show(self, result: dict) -> None:
         out.print(
             f"wrote {result['out']}: recall {result['recall']:.3f}, false alarms {result['false_alarms']:.3f} "
-            "on held-back scenes",
-            markup=False,
+            "on held-back scenes"
         )
 
 
 def show_event(event: dict) -> None:
     """A line of a training's progress."""
     figures = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in event.items() if k != "type")
-    err.print(f"{event['type']}: {', '.join(figures)}", markup=False)
+    err.print(f"{event['type']}: {', '.join(figures)}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
@@ -148,7 +147,7 @@ def matrix(result: dict) -> Table:
         low, high = measured["logo"]["ci95"]
         successes = (f"{measured[name]['success']:.2f}" for name in controls)
         box, alarms = BOXES[boxes.get(spec)], f"{result['false_alarms'][spec]:.1%}"
-        table.add_row(escape(short_name(spec)), box, *successes, f"{low:.2f}–{high:.2f}", alarms)
+        table.add_row(short_name(spec), box, *successes, f"{low:.2f}–{high:.2f}", alarms)
     return table
 
 
@@ -166,4 +165,4 @@ class Report(Command):
         return {"report": str(make_report(self.run_folder))}
 
     def show(self, result: dict) -> None:
-        out.print(f"wrote {result['report']}", markup=False)
+        out.print(f"wrote {result['report']}")

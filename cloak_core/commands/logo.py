@@ -25,9 +25,7 @@ def write_logo(path: Path, bodies: Bodies, ids: np.ndarray) -> dict:
 
 
 def show_logo(result: dict) -> None:
-    out.print(
-        f"wrote {result['out']}: {result['faces']} faces, {result['area_share']:.1%} of the body's area", markup=False
-    )
+    out.print(f"wrote {result['out']}: {result['faces']} faces, {result['area_share']:.1%} of the body's area")
 
 
 @dataclass(kw_only=True)
@@ -150,7 +148,7 @@ class Heatmap(Command):
         return result
 
     def show(self, result: dict) -> None:
-        out.print(f"wrote {result['heat']}: {result['seen']} of {result['faces']} faces move the score", markup=False)
+        out.print(f"wrote {result['heat']}: {result['seen']} of {result['faces']} faces move the score")
         if "out" in result:
             show_logo(result)
 
@@ -196,6 +194,5 @@ class Transfer(Command):
         show_logo(result)
         out.print(
             f"{result['coverage']:.1%} of the logo's area found a place, at most "
-            f"{result['largest_distance'] * 100:.1f} cm away; {result['unplaced']} faces did not",
-            markup=False,
+            f"{result['largest_distance'] * 100:.1f} cm away; {result['unplaced']} faces did not"
         )

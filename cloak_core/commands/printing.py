@@ -60,7 +60,7 @@ class Print(Command):
         return {"out": str(self.out)} | report
 
     def show(self, result: dict) -> None:
-        out.print(f"wrote {result['out']}", markup=False)
+        out.print(f"wrote {result['out']}")
         for key, value in result.items():
             if isinstance(value, (int, float, str)) and key != "out":
-                out.print(f"{key.replace('_', ' '):<28} {value}", markup=False)
+                out.print(f"{key.replace('_', ' '):<28} {value}")

@@ -64,4 +64,4 @@ class TrainingProgress:
             self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
         elif time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total:
             self._said = time.monotonic()
-            err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s", markup=False)
+            err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s")

@@ -71,7 +71,7 @@ class Reproduce(Command):
             device=self.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )
-        lab = Lab(materials, options, lambda message: err.print(message, markup=False))
+        lab = Lab(materials, options, lambda message: err.print(message))
         done, skipped = {}, {}
         for name in EXPERIMENTS if self.name == "all" else [self.name]:
             try:
@@ -88,8 +88,8 @@ class Reproduce(Command):
 
     def show(self, result: dict) -> None:
         for name, record in result["experiments"].items():
-            out.print(f"{name}: {record['title']}", markup=False)
+            out.print(f"{name}: {record['title']}")
             for line in record["words"]:
-                out.print(f"  {line}", markup=False)
+                out.print(f"  {line}")
         for path in filter(None, (result["page"], result.get("published"))):
-            out.print(f"wrote {path}", markup=False)
+            out.print(f"wrote {path}")

@@ -32,13 +32,13 @@ def describe(bodies: Bodies) -> dict:
 
 def show_scene(result: dict) -> None:
     if "out" in result:
-        out.print(f"wrote {result['out']}", markup=False)
+        out.print(f"wrote {result['out']}")
     for key in ("poses", "vertices", "triangles", "faces", "outfits", "topology"):
-        out.print(f"{key:<10} {result[key]}", markup=False)
+        out.print(f"{key:<10} {result[key]}")
     if result["textures"]:
-        out.print("textures   " + ", ".join(result["textures"]), markup=False)
+        out.print("textures   " + ", ".join(result["textures"]))
     if result["regions"]:
-        out.print("regions    " + ", ".join(f"{k} ({v})" for k, v in result["regions"].items()), markup=False)
+        out.print("regions    " + ", ".join(f"{k} ({v})" for k, v in result["regions"].items()))
 
 
 @dataclass(kw_only=True)
@@ -180,4 +180,4 @@ class Info(Command):
 
     def show(self, result: dict) -> None:
         show_scene(result)
-        out.print(f"resolution {result['resolution']['hint']}", markup=False)
+        out.print(f"resolution {result['resolution']['hint']}")

@@ -31,7 +31,7 @@ class Sweep(Command):
 
         sweep = sweeps.Sweep(sweeps.read_grid(self.grid), self.out)
         with TrainingProgress(silent=bool(RANK)) as progress:
-            stopped = sweep.run(tell=lambda line: err.print(line, markup=False), on_event=progress)
+            stopped = sweep.run(tell=lambda line: err.print(line), on_event=progress)
         result = {"out": str(self.out)} | sweep.write_results()
         failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]
         if failed:
@@ -40,7 +40,7 @@ class Sweep(Command):
 
     def show(self, result: dict) -> None:
         if not RANK:
-            out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES), markup=False)
-            out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done", markup=False)
+            out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES))
+            out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done")
         if result.get("stopped"):
             raise Stopped(result["stopped"])

@@ -104,7 +104,7 @@ class Train(Command):
         if result["colors_step"] != result["step"]:
             words += f"; the colours are those of step {result['colors_step']}"
         if not RANK:
-            out.print(f"wrote {result['out']}: step {result['step']}{words}", markup=False)
+            out.print(f"wrote {result['out']}: step {result['step']}{words}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
 

@@ -1,4 +1,4 @@
-"""Detectors that people write themselves, and what goes wrong in them: one line with the spec and the line of the file."""
+"""Detectors that people write themselves, and what goes wrong in them: one line with the spec and the file's line."""
 
 from pathlib import Path
 
