@@ -15,9 +15,22 @@ __all__ = ["RANK", "Command", "Stopped", "err", "open_scene", "out", "require_ne
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class Words(Console):
+    """Where words for people go, as they are: no markup in them."""
+
+    def __init__(self, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False)
+
+    def on_broken_pipe(self) -> None:
+        """Rich would end the process with exit code 1."""
+        raise
+
+
+err = Words(stderr=True)
 """Progress, warnings and errors: standard error, always."""
-out = Console(highlight=False, soft_wrap=True)
+out = Words()
 """Results for people: standard output, silent under --json."""
 
 
