@@ -137,22 +137,20 @@ def _banks(
 
 def _times(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float | None]:
     key = [(0, camera)]
-    median = lambda work: _median(work, repeats)
     return {
-        "visibility_ms": median(lambda: bank.visible(key)),
-        "new_view_ms": median(lambda: bank.build(key)),
-        "cached_ms": median(cached_render(bank, camera)),
+        "visibility_ms": _median(lambda: bank.visible(key), repeats),
+        "new_view_ms": _median(lambda: bank.build(key), repeats),
+        "cached_ms": _median(cached_render(bank, camera), repeats),
         "pose_ms": None,
     }
 
 
 def _peer_times(bank: PeerBank, camera: Camera, repeats: int) -> dict[str, float | None]:
     key = [(0, camera)]
-    median = lambda work: _median(work, repeats)
     pose = timed(bank.pose, min(repeats, 5), warm_up=1)["median"]
     bank.peer.aim(bank.target(camera))
-    look = median(bank.peer.look)
-    return {"visibility_ms": look, "new_view_ms": median(lambda: bank.build(key)), "cached_ms": None, "pose_ms": pose}
+    look, new = _median(bank.peer.look, repeats), _median(lambda: bank.build(key), repeats)
+    return {"visibility_ms": look, "new_view_ms": new, "cached_ms": None, "pose_ms": pose}
 
 
 def _median(work: Callable[[], object], repeats: int) -> float:
@@ -180,7 +178,10 @@ class Judge:
     def errors(self, bank: ViewBank) -> dict[str, float]:
         ours = matrix_of(bank.build([(0, self.camera)])[0], self.exact.face_count)
         body = (self.exact.coverage > 0) | (ours.coverage > 0)
-        rms = lambda a, b: float((a - b)[body].double().pow(2).mean().sqrt())
+
+        def rms(a: Tensor, b: Tensor) -> float:
+            return float((a - b)[body].double().pow(2).mean().sqrt())
+
         seen = torch.zeros(ours.face_count).double().index_add_(0, ours.face, ours.weight.double()) > 0
         return {
             "image_rms": rms(ours.image(self.colors, self.black), self.exact.image(self.colors, self.black)),

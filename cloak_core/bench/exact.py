@@ -109,10 +109,13 @@ def _flat(screen: Screen, triangles: Tensor, cull: bool) -> Flat:
     return Flat(ids[keep], x / GRID, y / GRID, nearness)
 
 
+def _extent(t: Float64[Tensor, "3 N"], limit: int) -> tuple[Int64[Tensor, " N"], Int64[Tensor, " N"]]:
+    """The first and the last pixel, along one axis of the image, that each triangle touches."""
+    return t.amin(0).floor().long().clamp(min=0), (t.amax(0).ceil().long() - 1).clamp(max=limit - 1)
+
+
 def _pieces(flat: Flat, width: int, height: int) -> _Pieces:
-    low = lambda t: t.amin(0).floor().long().clamp(min=0)
-    high = lambda t, limit: (t.amax(0).ceil().long() - 1).clamp(max=limit - 1)
-    c0, c1, r0, r1 = low(flat.x), high(flat.x, width), low(flat.y), high(flat.y, height)
+    (c0, c1), (r0, r1) = _extent(flat.x, width), _extent(flat.y, height)
     across, down = (c1 - c0 + 1).clamp(min=0), (r1 - r0 + 1).clamp(min=0)
     parts = []
     for start in range(0, len(flat.ids), _CHUNK // 4):
@@ -225,11 +228,9 @@ def _subtract(
     bias = torch.where(ids[hider] < ids[owner], _TOUCH, -_TOUCH)
     lines = [*edges, (*nearer[:2], nearer[2] + bias)]
     used = shape.used()
-    reach = lambda line: torch.where(used, _at(line, shape), -torch.inf).amax(0)
-    limits = (_TOUCH, _TOUCH, _TOUCH, 0.0)
-    meet: Bool[Tensor, " N"] = torch.stack(
-        [reach(line) > limit for line, limit in zip(lines, limits, strict=True)]
-    ).all(0)
+    reached = torch.stack([torch.where(used, _at(line, shape), -torch.inf).amax(0) for line in lines])
+    limits = torch.tensor([_TOUCH, _TOUCH, _TOUCH, 0.0], dtype=torch.float64)
+    meet: Bool[Tensor, " N"] = (reached > limits.unsqueeze(1)).all(0)
     apart, index = (~meet).nonzero().view(-1), meet.nonzero().view(-1)
     shapes, owners = [shape.take(apart)], [owner[apart]]
     rest, own = shape.take(index), owner[index]

@@ -91,8 +91,8 @@ def _work(quantity: str, size: int) -> Work:
 def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
     """Slopes of log(time) and log(memory) over log(size to the `power`), over the last three points."""
     size, seconds, memory = (np.log([p[key] for p in points[-3:]]) for key in ("size", "seconds", "working_mib"))
-    slope = lambda values: float(np.polyfit(power * size, values, 1)[0])
-    return {"exponent": slope(seconds), "memory_exponent": slope(memory)}
+    time, space = (float(np.polyfit(power * size, values, 1)[0]) for values in (seconds, memory))
+    return {"exponent": time, "memory_exponent": space}
 
 
 def write_report(series: dict, folder: Path) -> dict:

@@ -102,10 +102,12 @@ def exact_nearness(piece: Piece, x: int, y: int) -> Fraction:
 def sample_positions(width: int, height: int, grid: int) -> tuple[np.ndarray, np.ndarray]:
     """Snapped x and y [H, W, S] of the samples, S = grid * grid row by row."""
     step = GRID // grid
-    along = lambda count: np.arange(count * grid, dtype=np.int64) * step + step // 2
-    y, x = np.meshgrid(along(height), along(width), indexing="ij")
-    split = lambda a: a.reshape(height, grid, width, grid).transpose(0, 2, 1, 3).reshape(height, width, grid * grid)
-    return split(x), split(y)
+    rows, columns = (np.arange(count * grid, dtype=np.int64) * step + step // 2 for count in (height, width))
+    y, x = (
+        axis.reshape(height, grid, width, grid).transpose(0, 2, 1, 3).reshape(height, width, grid * grid)
+        for axis in np.meshgrid(rows, columns, indexing="ij")
+    )
+    return x, y
 
 
 def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None = None) -> np.ndarray:
@@ -136,7 +138,10 @@ def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = Fa
 
 def screen_of(x: np.ndarray, y: np.ndarray, nearness: np.ndarray, width: int, height: int, near: float = 1.0) -> Screen:
     """A one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
-    row = lambda a, dtype: torch.as_tensor(np.asarray(a)).to(dtype).reshape(1, -1)
+
+    def row(values: np.ndarray, dtype: torch.dtype) -> Tensor:
+        return torch.as_tensor(np.asarray(values)).to(dtype).reshape(1, -1)
+
     z = near / row(nearness, torch.float64)
     focal = torch.full((1, 1), float(height), dtype=torch.float64)
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)

@@ -25,8 +25,10 @@ class Polygons:
     def join(parts: list[Polygons]) -> Polygons:
         """All of them, one after the other."""
         corners = max(len(part.x) for part in parts)
-        pad = lambda t: torch.nn.functional.pad(t, (0, 0, 0, corners - len(t)))
-        x, y = (torch.cat([pad(getattr(part, axis)) for part in parts], 1) for axis in "xy")
+        x, y = (
+            torch.cat([torch.nn.functional.pad(getattr(p, axis), (0, 0, 0, corners - len(p.x))) for p in parts], 1)
+            for axis in "xy"
+        )
         return Polygons(x, y, torch.cat([part.size for part in parts]))
 
     def used(self) -> Tensor:
@@ -40,9 +42,12 @@ class Polygons:
         x, y = (torch.where(used, t - t[:1], 0.0) for t in (self.x, self.y))
         cross = x[:-1] * y[1:] - x[1:] * y[:-1]
         area = cross.sum(0) / 2
-        moment = lambda t, origin: ((t[:-1] + t[1:]) * cross).sum(0) / 6 + area * origin
         sign = torch.where(area < 0, -1.0, 1.0)
-        return area * sign, moment(x, self.x[0]) * sign, moment(y, self.y[0]) * sign
+        across, down = (
+            (((t[:-1] + t[1:]) * cross).sum(0) / 6 + area * origin) * sign
+            for t, origin in ((x, self.x[0]), (y, self.y[0]))
+        )
+        return area * sign, across, down
 
     def quadrature(self) -> tuple[Int64[Tensor, " Q"], Float64[Tensor, " Q"], Float64[Tensor, " Q"], Tensor]:
         """Points that integrate quadratic functions exactly: polygon, x, y, and the weight, an area.
@@ -53,8 +58,8 @@ class Polygons:
         fan = fan + 1
         x, y = (torch.stack([t[0, owner], t[fan, owner], t[fan + 1, owner]]) for t in (self.x, self.y))
         area = ((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])).abs() / 2
-        inner = lambda t: (t / 2 + t.sum(0) / 6).view(-1)
-        return owner.repeat(3), inner(x), inner(y), (area / 3).repeat(3)
+        inner_x, inner_y = ((t / 2 + t.sum(0) / 6).view(-1) for t in (x, y))
+        return owner.repeat(3), inner_x, inner_y, (area / 3).repeat(3)
 
 
 def cut(polygons: Polygons, distance: Float64[Tensor, "C N"]) -> Polygons:

@@ -63,8 +63,8 @@ def matrix_of(view: View, face_count: int) -> Matrix:
     view = replace(view, **{k: v.cpu() for k, v in vars(view).items() if isinstance(v, Tensor)})
     pixels = view.height * view.width
     row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face))
-    spread = lambda values: torch.zeros(pixels).index_copy_(0, view.pixels, values)
-    return Matrix(view.pixels[row], view.face, view.weight, spread(view.coverage), spread(view.specular), face_count)
+    coverage, specular = (torch.zeros(pixels).index_copy_(0, view.pixels, t) for t in (view.coverage, view.specular))
+    return Matrix(view.pixels[row], view.face, view.weight, coverage, specular, face_count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +160,9 @@ def _sampled(bodies: Bodies, camera: Camera, light: Light, pose: int) -> Matrix:
     share = 1 / FACTOR**2
     key, entry = torch.unique(coarse[fine.pixel] * bodies.face_count + fine.face, return_inverse=True)
     weight = _sums(entry, fine.weight.double() * share, len(key))
-    fold = lambda values: _sums(coarse, values.double() * share, camera.height * camera.width)
-    pixel = torch.div(key, bodies.face_count, rounding_mode="floor")
-    return Matrix(
-        pixel, key - pixel * bodies.face_count, weight, fold(fine.coverage), fold(fine.specular), bodies.face_count
+    coverage, specular = (
+        _sums(coarse, values.double() * share, camera.height * camera.width)
+        for values in (fine.coverage, fine.specular)
     )
+    pixel = torch.div(key, bodies.face_count, rounding_mode="floor")
+    return Matrix(pixel, key - pixel * bodies.face_count, weight, coverage, specular, bodies.face_count)

@@ -42,10 +42,8 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
         found = check()
         wrong, remark = found if found is not None else (0, "not run: there is no such device here")
         rows[name] = {"cases": int(found is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
-    total = lambda key: sum(row[key] for row in rows.values())
     return {
-        "cases": total("cases"),
-        "mismatches": total("mismatches"),
+        **{key: sum(row[key] for row in rows.values()) for key in ("cases", "mismatches")},
         "max_error_ulp": float(worst),
         "by_case": rows,
         "machine": machine(),

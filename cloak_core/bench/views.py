@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,10 +65,12 @@ def run_bench_views(
 
 def _one_and_many(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
     keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
-    median = lambda work: timed(work, max(3, repeats // 4), bank.device.type, warm_up=2)["median"]
     result = {}
     for name, work in (("visibility", bank.visible), ("new_view", bank.build)):
-        one, many = median(lambda w=work: w(keys[:1])), median(lambda w=work: w(keys))
+        one, many = (
+            timed(partial(work, some), max(3, repeats // 4), bank.device.type, warm_up=2)["median"]
+            for some in (keys[:1], keys)
+        )
         result |= {f"{name}_ms": one, f"{name}_batch_ratio": many / one}
     return result
 

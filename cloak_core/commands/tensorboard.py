@@ -20,7 +20,7 @@ class TensorBoardEvents:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
             raise InputError("--tensorboard: needs TensorBoard: pip install 'cloak-core[tensorboard]'") from None
-        self._open = lambda step: SummaryWriter(str(run / "tensorboard"), purge_step=step + 1)
+        self._writer_type = SummaryWriter
         self._run = run
         self._writer: SummaryWriter | None = None
 
@@ -35,7 +35,7 @@ class TensorBoardEvents:
         kind, step = event.get("type"), event["step"]
         if kind in ("start", "resume"):
             # Only now does the run folder exist. What an earlier part wrote of later steps is hidden.
-            self._writer = self._open(step)
+            self._writer = self._writer_type(str(self._run / "tensorboard"), purge_step=step + 1)
         if self._writer is None:
             return
         if kind in SHOWN:
