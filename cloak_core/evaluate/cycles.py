@@ -7,8 +7,6 @@ here, as for our own images: in display colours, image = body * alpha + backgrou
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -24,12 +22,12 @@ from cloak_core.evaluate.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluate.stage import Indices, Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
+from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
+from cloak_core.files.reading import read_json
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import NormalOperator
-from cloak_core.scene.blender.executable import ADD_ON, find_bpy
+from cloak_core.scene.blender.executable import ADD_ON, bpy_version, find_bpy
 from cloak_core.scene.pictures import read_picture
 
 SCRIPT = "cycles_frames.py"
@@ -81,14 +79,13 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
         "frames": [_frame(stage, key, list(controls).index(key.control)) for key in keys],
     }
     bodies = stage.bodies
-    content = sha256_arrays(bodies.vertices, bodies.triangles, colors) + json.dumps(job, sort_keys=True)
-    content += read_text(ADD_ON / SCRIPT, MAX_TEXT_BYTES)
-    folder = out / hashlib.sha256(content.encode()).hexdigest()[:16]
+    normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
+    mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
+    content = [sha256_arrays(*mesh.values()), job, source_hash(ADD_ON / SCRIPT), bpy_version(python)]
+    folder = out / sha256_record(content)[:16]
     folder.mkdir(parents=True, exist_ok=True)
     if all((folder / frame["file"]).exists() for frame in job["frames"]):
         return folder
-    normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
-    mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
     write_npz(folder / "meshes.npz", **mesh)
     write_json(folder / "job.json", job)
     _run(python, folder, on_frame)

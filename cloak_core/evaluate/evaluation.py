@@ -60,7 +60,7 @@ def evaluate(
     measurement = measure(stage, detectors, settings, on_progress)
     for spec, detector in detectors.items():
         detector.verify(hashes[spec])
-    seen = {"unseen": unseen, "white_box": trained_against(training, hashes), "warnings": warnings}
+    seen = {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
     summary = summarize(measurement, settings.threshold, settings.resamples) | {"n": len(stage.trials)} | seen
     summary |= _circumstances(stage, hashes, settings, angles)
     if out is not None:

@@ -1,11 +1,15 @@
-"""Whether an evaluation's bodies and backgrounds were really kept from the training."""
+"""Whether an evaluation's bodies and backgrounds were really kept from the training, and which detectors were."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.files.reading import read_json
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
@@ -18,54 +22,85 @@ def training_record(run: Path) -> dict:
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
     """`unseen` of the summary ({"bodies": bool or None, "backgrounds": bool or None}) and one warning per overlap.
 
-    `config` is a run's config.json. Poses are compared by their geometry, backgrounds by their content. None means
-    that the configuration does not tell.
+    `config` is a run's config.json. Trained poses count as seen also where they were moved as a whole, and images
+    however they are stored. None: it is not certain, for backgrounds look like trained ones, or `config` does not tell.
     """
-    config = config or {}
-    scene, pictures = _part(config, "scene"), _part(config, "backgrounds")
-    shared_bodies = _shared_bodies(scene, bodies)
-    trained = pictures.get("identities")
-    shared_backgrounds = None
-    if isinstance(trained, list):
-        known = set(map(str, trained))
-        pairs = zip(backgrounds.names, backgrounds.identities(), strict=True)
-        shared_backgrounds = [name for name, identity in pairs if identity in known]
-    warnings = []
-    for kind, shared in (("bodies", shared_bodies), ("backgrounds", shared_backgrounds)):
-        if shared:
-            few = ", ".join(shared[:3]) + (" ..." if len(shared) > 3 else "")
-            warnings.append(f"{len(shared)} of the {kind} were in the training set ({few}): success is not unseen")
-        elif shared is None and config:
-            warnings.append(f"the run does not record its training {kind}: whether these are unseen is not known")
-    decide = lambda shared: None if shared is None else not shared
-    return {"bodies": decide(shared_bodies), "backgrounds": decide(shared_backgrounds)}, warnings
+    if not config:
+        return {"bodies": None, "backgrounds": None}, []
+    unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies)
+    unseen_backgrounds, more = _unseen_backgrounds(_part(config, "backgrounds"), backgrounds)
+    return {"bodies": unseen_bodies, "backgrounds": unseen_backgrounds}, warnings + more
 
 
-def trained_against(config: dict | None, hashes: dict[str, str]) -> dict[str, bool | None]:
-    """Of each detector, by its name and the hash of its state, whether the colours were trained against it.
+def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]:
+    trained = scene.get("pose_sha256")
+    if not isinstance(trained, list):
+        return None, ["the run does not record its training bodies: whether these are unseen is not known"]
+    known = set(map(str, trained))
+    seen = [i for i, digest in enumerate(bodies.pose_hashes) if digest in known]
+    warnings = _overlap("bodies were in the training set", [bodies.names[i] for i in seen])
+    shapes = [pose_shape(vertices) for vertices in bodies.vertices]
+    pairs = similar_poses([_numbers(shape, len(shapes[0])) for shape in _list(scene, "pose_shapes")], shapes)
+    moved = {j: i for i, j in pairs if j not in seen}
+    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
+    warnings += _overlap("bodies are trained ones, moved as a whole", names)
+    return not (seen or moved), warnings
 
-    Weights count, not names: the same ones at another input size are no black box. None: `config` does not tell.
+
+def _unseen_backgrounds(trained: dict, backgrounds: Backgrounds) -> tuple[bool | None, list[str]]:
+    identities = trained.get("identities")
+    if not isinstance(identities, list):
+        return None, ["the run does not record its training backgrounds: whether these are unseen is not known"]
+    known = set(map(str, identities))
+    # Earlier versions knew an image by its file.
+    seen = [i for i, picture in enumerate(backgrounds.pictures) if known & {picture.pixels, picture.file}]
+    warnings = _overlap("backgrounds were in the training set", [backgrounds.names[i] for i in seen])
+    looks = [str(look) for look in _list(trained, "looks")]
+    pairs = similar_looks(looks, [picture.look for picture in backgrounds.pictures])
+    alike = {j: i for i, j in pairs if j not in seen}
+    names = [f"{backgrounds.names[j]} like {_name(trained, 'names', i)}" for j, i in alike.items()]
+    warnings += _overlap("backgrounds look like trained ones", names, "may not be unseen")
+    return False if seen else None if alike else True, warnings
+
+
+def _overlap(what: str, names: Sequence[str], verdict: str = "is not unseen") -> list[str]:
+    few = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    return [f"{len(names)} of the {what} ({few}): success {verdict}"] if names else []
+
+
+def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> dict[str, bool | None]:
+    """Of each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
+
+    Weights count, not names: the same ones at another input size are no black box. A detector without any is known by
+    the source that runs it.
     """
     trained = (config or {}).get("detectors")
     if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
-        return dict.fromkeys(hashes)
-    known = {entry.get("sha256") for entry in trained}
-    return {name: digest in known for name, digest in hashes.items()}
-
-
-def pose_hashes(bodies: Bodies) -> list[str]:
-    """SHA-256 of every pose's vertices."""
-    return [sha256_arrays(vertices) for vertices in bodies.vertices]
-
-
-def _shared_bodies(scene: dict, bodies: Bodies) -> list[str] | None:
-    trained = scene.get("pose_sha256")
-    if not isinstance(trained, list):
-        return None
-    known = set(map(str, trained))
-    return [name for name, digest in zip(bodies.names, pose_hashes(bodies), strict=True) if digest in known]
+        return dict.fromkeys(detectors)
+    found: dict[str, bool | None] = {}
+    for spec, detector in detectors.items():
+        same = [entry for entry in trained if entry.get("sha256") == state_hash(detector)]
+        if not detector.state_dict():
+            same = [entry for entry in same if entry.get("source", detector.source) == detector.source]
+        found[spec] = bool(same)
+    return found
 
 
 def _part(config: dict, key: str) -> dict:
     part = config.get(key)
     return part if isinstance(part, dict) else {}
+
+
+def _list(part: dict, key: str) -> list:
+    value = part.get(key)
+    return value if isinstance(value, list) else []
+
+
+def _name(part: dict, key: str, index: int) -> str:
+    return str((_list(part, key)[index : index + 1] or [index])[0])
+
+
+def _numbers(value: object, count: int) -> Sequence[float]:
+    """A list of so many numbers, or of nothing that equals anything."""
+    fits = isinstance(value, list) and len(value) == count and all(isinstance(n, (int, float)) for n in value)
+    return value if fits else [np.nan] * count

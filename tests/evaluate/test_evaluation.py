@@ -17,7 +17,6 @@ from cloak_core.evaluate.controls import random_colors
 from cloak_core.evaluate.evaluation import evaluate, make_stage
 from cloak_core.evaluate.evaluation_folder import read_evaluation
 from cloak_core.evaluate.inference import max_score_on
-from cloak_core.evaluate.provenance import pose_hashes
 from cloak_core.evaluate.report import make_report
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.stage import Stage
@@ -185,7 +184,7 @@ def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Pat
 
 
 def test_overlap_with_training_is_said(bodies: Bodies, logo: Logo, caplog: pytest.LogCaptureFixture) -> None:
-    config = {"scene": {"pose_sha256": pose_hashes(bodies)[:1]}, "backgrounds": {"identities": ["other"]}}
+    config = {"scene": {"pose_sha256": list(bodies.pose_hashes[:1])}, "backgrounds": {"identities": ["other"]}}
     with caplog.at_level(logging.WARNING, "cloak"):
         result = evaluate(
             green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL, training=config

@@ -7,8 +7,6 @@ result. So experiments share them, and an interrupted set goes on where it stopp
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import logging
 import math
 import time
@@ -20,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.attack.events import read_events
-from cloak_core.attack.run_config import FREE_SETTINGS
+from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
-from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluate.controls import NATURAL, STANDARD
 from cloak_core.evaluate.evaluation import make_stage
 from cloak_core.evaluate.experiments.materials import Materials, backgrounds_record, bodies_record
@@ -35,12 +33,16 @@ from cloak_core.evaluate.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import TRAINING, code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
+MEASURING = (*TRAINING, *(f"evaluate/{name}.py" for name in ("controls", "cycles", "evaluation", "inference",
+                                                            "measurement", "settings", "stage")))  # fmt: skip
+"""The code that decides what an evaluation measures."""
+PACKAGES = ("torch", "numpy", "numba", "pillow")
 CONTROLS = (*STANDARD, *NATURAL)
 QUICK_STEPS = 150
 
@@ -126,8 +128,16 @@ class Lab:
         return tuple(self.materials.detectors)
 
     @cached_property
-    def _detector_hashes(self) -> dict[str, str]:
-        return {spec: state_hash(detector) for spec, detector in self.materials.detectors.items()}
+    def _detector_records(self) -> dict[str, dict]:
+        return {spec: detector_record(detector) for spec, detector in self.materials.detectors.items()}
+
+    def _key(self, record: dict, code: Sequence[str]) -> str:
+        """A short name for all that decides a result, and the code and the kind of device that compute it."""
+        around = {"code": code_hash(*code), "packages": package_versions(*PACKAGES)}
+        try:
+            return sha256_record(record | around | {"device": device_kind(self.options.device)})[:16]
+        except ValueError as error:
+            raise InputError(f"settings: {error}") from None
 
     # --- training
 
@@ -181,15 +191,16 @@ class Lab:
 
     def _train_key(self, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], more: dict) -> str:
         record = {k: v for k, v in settings_record(settings).items() if k not in FREE_SETTINGS}
-        return _key(
+        return self._key(
             {
                 "settings": record,
                 "bodies": bodies_record(bodies)["sha256"],
                 "logo": sha256_arrays(logo.face_ids),
-                "detectors": [[spec, self._detector_hashes[spec]] for spec in specs],
+                "detectors": [self._detector_records[spec] for spec in specs],
                 "backgrounds": backgrounds_record(self.materials.backgrounds),
             }
-            | more
+            | more,
+            TRAINING,
         )
 
     # --- evaluation
@@ -261,10 +272,10 @@ class Lab:
             "angles": angles,
             "bodies": bodies_record(bodies)["sha256"],
             "logo": sha256_arrays(logo.face_ids, trained.colors),
-            "detectors": [[spec, self._detector_hashes[spec]] for spec in specs],
+            "detectors": [[spec, self._detector_records[spec]] for spec in specs],
             "backgrounds": backgrounds_record(self.materials.unseen_backgrounds),
         }
-        key = _key(record | more)
+        key = self._key(record | more, MEASURING)
         folder = self.options.out / "evaluations" / key
         if not (folder / "scores.npz").exists():
             self.tell(f"evaluating {trained.folder.name} as {key}")
@@ -312,12 +323,3 @@ def _is_done(folder: Path) -> bool:
         return False
     ends = [e for e in read_events(folder / "events.jsonl") if e.get("type") == "end"]
     return bool(ends) and ends[-1].get("outcome") == "done"
-
-
-def _key(record: dict) -> str:
-    """A short name for content: the first 16 digits of the SHA-256 of its canonical JSON."""
-    try:
-        text = json.dumps(record, sort_keys=True, allow_nan=False, separators=(",", ":"))
-    except ValueError as error:
-        raise InputError(f"settings: {error}") from None
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

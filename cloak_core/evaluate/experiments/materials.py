@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import sha256_record
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
 from cloak_core.scene.opening import open_scene
 from cloak_core.scene.people.samples import sample_bodies
@@ -42,7 +41,7 @@ class Materials:
             "unseen": bodies_record(self.unseen),
             "backgrounds": backgrounds_record(self.backgrounds),
             "unseen_backgrounds": backgrounds_record(self.unseen_backgrounds),
-            "detectors": {spec: state_hash(detector) for spec, detector in self.detectors.items()},
+            "detectors": {spec: sha256_record(detector_record(d)) for spec, d in self.detectors.items()},
         }
 
 
@@ -53,13 +52,13 @@ def bodies_record(bodies: Bodies) -> dict:
         "poses": list(bodies.names),
         "outfits": bodies.outfit_count,
         "faces": bodies.face_count,
-        "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.triangle_face, bodies.face_colors),
+        "sha256": bodies.identity,
     }
 
 
 def backgrounds_record(backgrounds: Backgrounds) -> dict:
     """How many, and a hash of what they are."""
-    return {"count": len(backgrounds), "sha256": sha256_arrays(np.array(backgrounds.identities(), np.str_))}
+    return {"count": len(backgrounds), "sha256": sha256_record(backgrounds.identities())}
 
 
 def open_materials(

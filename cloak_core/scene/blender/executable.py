@@ -35,6 +35,13 @@ def find_bpy() -> str | None:
     return next(filter(_has_bpy, places), None)
 
 
+def bpy_version(python: str) -> str:
+    """Blender's version in such a Python, such as "4.2.0"."""
+    script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
+    said = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
+    return said.strip().splitlines()[-1]
+
+
 def _has_bpy(python: str) -> bool:
     try:
         return subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0
