@@ -23,7 +23,7 @@ from cloak_core.evaluate.stage import Indices, Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
-from cloak_core.files.reading import read_json
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.render.dressing import DressedView
 from cloak_core.render.shading import NormalOperator
