@@ -63,7 +63,7 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch):
         ((*some, "--logo", "chest", "--frames", "one"), "--frames one: A:B:STEP"),
         ((*some, "--logo", "chest", "--save", "no/where.blend"), "where.blend: the folder"),
         (("--blend", "none.blend", "--out", "RUN", "--logo", "chest"), "--blend none.blend: no such file"),
-        ((*some, "--logo", "missing.npy"), "missing.npy: No such file"),
+        ((*some, "--logo", "missing.npy"), "missing.npy: no such file"),
     ):
         done = train(tmp_path, *words, python=stub)
         lines = [line for line in done.stderr.splitlines() if line.startswith("cloak: ")]
