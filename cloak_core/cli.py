@@ -11,7 +11,6 @@ import io
 import json
 import logging
 import os
-import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -182,30 +181,7 @@ def print_help(commands: dict[str, str]) -> None:
 
 
 def parse(name: str, arguments: list[str]) -> Command:
-    """Options to a command, through tyro; its boxed messages become one line."""
-    import tyro
+    """The command with its options, or its help."""
+    from cloak_core.commands import parsing
 
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            command = load(name)
-            default = {"default": command.default(arguments)} if hasattr(command, "default") else {}
-            config = (tyro.conf.FlagCreatePairsOff,)
-            return tyro.cli(command, prog=f"cloak {name}", args=arguments, config=config, **default)
-    except SystemExit as end:
-        if not end.code:
-            raise
-        raise InputError(f"{name}: {_one_line(said.getvalue())} (cloak {name} --help)") from None
-
-
-def _one_line(boxed: str) -> str:
-    """The first paragraph of tyro's boxed message, without the box."""
-    # Boxes are of plain characters where the terminal has no others.
-    lines = [re.sub(r"^[╭╰+][─-]+.*|^[│|] ?|\s*[│|]$", "", line).strip() for line in boxed.splitlines()]
-    kept: list[str] = []
-    for line in lines:
-        if kept and (line.startswith("For full helptext") or line == "Argument helptext:"):
-            break
-        if line.strip("─-"):
-            kept.append(line)
-    return " ".join(kept) or "not understood"
+    return parsing.parse(load(name), name, arguments)

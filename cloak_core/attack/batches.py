@@ -10,9 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.distorting import Distortion, draw_occluders, occluded
-from cloak_core.attack.parsing import parse_azimuths, parse_range
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.augmentation import AugmentationSettings
+from cloak_core.attack.settings.values import Range
+from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 from cloak_core.render.backdrop import lay_backdrop
 from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
@@ -56,20 +58,24 @@ class Batcher:
         backgrounds: Backgrounds,
         device: torch.device,
     ) -> None:
-        self.settings, self.sampler, self.bank = settings, sampler, bank
+        self.views, self.augmentation, self.sampler, self.bank = settings.views, settings.augmentation, sampler, bank
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
-        self._fresh = is_fresh(settings)
+        self._fresh = is_fresh(settings.views)
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """The images of `step`, or one process's share of them."""
         draws = self.sampler.draw(step).share(rank, ranks)
-        settings, size = self.settings, self.settings.size
+        settings, size = self.augmentation, self.views.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortion())
-        wanted = zip(draws.pose.tolist(), cameras(draws, settings), draws.outfit.tolist(), strict=True)
-        dress = lambda one: self.bank.dress(one[0], one[1], self.logo_faces, one[2])
+        wanted = zip(draws.pose.tolist(), cameras(draws, self.views), draws.outfit.tolist(), strict=True)
+
+        def dress(one: tuple[int, Camera, int]) -> DressedView:
+            pose, camera, outfit = one
+            return self.bank.dress(pose, camera, self.logo_faces, outfit)
+
         views = spread(dress, list(wanted), workers(self.device) if self._fresh else 1)
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
@@ -85,13 +91,13 @@ class Batcher:
         )
 
     def _occlude(self, canvas: Canvas, views: list[DressedView], draws: Draws) -> Canvas:
-        if not self.settings.occluders:
+        if not self.augmentation.occluders:
             return canvas
-        size, boxes, pictures = self.settings.size, [], []
+        size, boxes, pictures = self.views.size, [], []
         bodies = true_boxes(views, torch.from_numpy(draws.shift)).cpu().tolist()
         for image, seed in enumerate(draws.seed.tolist()):
             random = np.random.default_rng(seed)
-            own = draw_occluders(random, bodies[image], self.settings.occluders, size)
+            own = draw_occluders(random, bodies[image], self.augmentation.occluders, size)
             boxes += [(image, *box) for box in own]
             chosen = random.integers(len(self.backgrounds), size=len(own)).tolist()
             pictures += [self.backgrounds.image(index, (size, size)) for index in chosen]
@@ -158,9 +164,8 @@ class LogoChange:
     summand: Float[Tensor, "B L 3"] | Float[Tensor, "B 1 1"]
 
     @staticmethod
-    def draw(draws: Draws, settings: TrainSettings, faces: int, device: torch.device) -> "LogoChange":
-        put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True).view(-1, 1, 1)
-        factor, summand = put(draws.contrast), put(draws.brightness)
+    def draw(draws: Draws, settings: AugmentationSettings, faces: int, device: torch.device) -> "LogoChange":
+        factor, summand = (_on(device, values).view(-1, 1, 1) for values in (draws.contrast, draws.brightness))
         if settings.noise:
             generator = torch.Generator(device=device)
             drawn = torch.empty(len(draws), faces, 3, device=device)
@@ -173,44 +178,35 @@ class LogoChange:
         return torch.addcmul(self.summand, colors, self.factor)
 
 
-def is_photometric(settings: TrainSettings) -> bool:
+def is_photometric(settings: AugmentationSettings) -> bool:
     """Whether contrast, brightness or noise change anything."""
-    off = parse_range(settings.contrast, "--contrast") == (1, 1) and parse_range(
-        settings.brightness, "--brightness"
-    ) == (0, 0)
-    return bool(settings.noise) or not off
+    return bool(settings.noise) or settings.contrast != Range(1.0, 1.0) or settings.brightness != Range(0.0, 0.0)
 
 
-def distortion(draws: Draws, settings: TrainSettings, device: torch.device) -> Distortion:
+def distortion(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Distortion:
     """What happens to the finished images."""
-    put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
     return Distortion(
-        put(draws.zoom) if parse_range(settings.zoom, "--zoom") != (1, 1) else None,
-        put(draws.blur) if settings.blur else None,
-        put(draws.quality) if settings.jpeg is not None else None,
+        _on(device, draws.zoom) if settings.zoom != Range(1.0, 1.0) else None,
+        _on(device, draws.blur) if settings.blur else None,
+        _on(device, draws.quality) if settings.jpeg is not None else None,
     )
 
 
-def render_change(draws: Draws, settings: TrainSettings, device: torch.device) -> Photometric:
+def render_change(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Photometric:
     """The same on the body's pixels. Its noise has one seed for all images that a process composes together."""
-    put = lambda values: torch.from_numpy(values).float().to(device, non_blocking=True)
     seed = int(draws.seed[0]) if len(draws) else 0
-    return Photometric(put(draws.contrast), put(draws.brightness), settings.noise, seed)
+    contrast, brightness = _on(device, draws.contrast), _on(device, draws.brightness)
+    return Photometric(contrast, brightness, settings.noise, seed)
 
 
-def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: TrainSettings) -> None:
+def _on(device: torch.device, values: np.ndarray) -> Tensor:
+    return torch.from_numpy(values).float().to(device, non_blocking=True)
+
+
+def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings) -> None:
     """InputError when no training view (any pose at any training angle) shows any part of the logo."""
-    low = parse_range(settings.distance, "--distance")[0]
-    elevation = sum(parse_range(settings.elevation, "--elevation")) / 2
-    for azimuth in parse_azimuths(settings.angles).centers:
-        camera = Camera(
-            distance=low,
-            elevation=elevation,
-            azimuth=azimuth,
-            field_of_view=settings.field_of_view,
-            width=settings.size,
-            height=settings.size,
-        )
+    for azimuth in settings.angles.centers:
+        camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
         for pose in range(pose_count):
             if len(bank.dress(pose, camera, logo_faces).logo_rows):
                 return

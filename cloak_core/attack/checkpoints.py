@@ -90,7 +90,7 @@ def receive_checkpoint(data: bytes) -> Checkpoint | None:
     return Checkpoint(int(tensors.pop("run.step")), float(tensors.pop("run.time")), tensors)
 
 
-def sweep(folder: Path) -> None:
+def remove_unfinished(folder: Path) -> None:
     """Remove what a killed process left unfinished in `folder`."""
     for path in folder.glob(".step-*"):
         if path.is_dir() and not path.is_symlink():

@@ -5,8 +5,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.parsing import parse_weights
-from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7
@@ -16,14 +15,12 @@ _STREAM = 0xDE7
 class Ensemble:
     """The detectors of a run by their number, 0 .. count - 1. InputError: weights or subsets that do not fit them."""
 
-    def __init__(self, settings: TrainSettings, count: int) -> None:
-        self.count, self.settings = count, settings
+    def __init__(self, settings: LossSettings, count: int, seed: int = 0) -> None:
+        self.count, self.settings, self.seed = count, settings, seed
         self.per_step = settings.detectors_per_step or count
         if self.per_step > count:
             raise InputError(f"--detectors-per-step: {self.per_step}, but the run has {count} --detector")
-        weights = (1.0,) * count
-        if settings.detector_weights is not None:
-            weights = parse_weights(settings.detector_weights, "--detector-weights")
+        weights = settings.detector_weights or (1.0,) * count
         if len(weights) != count:
             raise InputError(f"--detector-weights: {len(weights)} weights, but the run has {count} --detector")
         self.weights = [weight / sum(weights) for weight in weights]
@@ -35,7 +32,7 @@ class Ensemble:
         """
         chosen = np.arange(self.count)
         if step is not None and self.per_step < self.count:
-            random = np.random.default_rng([self.settings.seed, _STREAM, step])
+            random = np.random.default_rng([self.seed, _STREAM, step])
             chosen = np.sort(random.choice(self.count, self.per_step, replace=False))
         if self.settings.ensemble == "max":
             return [chosen.tolist()]

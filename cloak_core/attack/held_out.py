@@ -18,6 +18,7 @@ from torch import Tensor
 from cloak_core.attack.batches import Batcher
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.run import RunSettings
 from cloak_core.attack.world import World
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -38,7 +39,7 @@ class TrainingData:
     backgrounds: Backgrounds
 
 
-def set_aside(settings: TrainSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
+def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
     """What is trained on, and what is held out (None where `settings.held_out` is 0).
 
     At least one background is held out, and at least one pose where there are several; a single pose serves both.
@@ -66,8 +67,10 @@ def _split(random: np.random.Generator, count: int, share: float) -> tuple[list[
 
 def held_out_settings(settings: TrainSettings) -> TrainSettings:
     """Settings whose `steps` batches are the images of one measurement."""
-    steps = math.ceil(IMAGES / settings.batch)
-    return dataclasses.replace(settings, epochs=None, steps=steps, seed=settings.seed ^ 1, hard_views=0.0)
+    steps = math.ceil(IMAGES / settings.run.batch)
+    return settings.changed(
+        epochs=None, steps=steps, seed=settings.run.seed ^ 1, held_out=0.0, patience=0, hard_views=0.0
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,7 +86,7 @@ class Best:
 class HeldOut:
     """Measures colours on a fixed set of images and remembers the best."""
 
-    def __init__(self, settings: TrainSettings, batcher: Batcher, objective: Objective, world: World) -> None:
+    def __init__(self, settings: RunSettings, batcher: Batcher, objective: Objective, world: World) -> None:
         self.settings, self.batcher, self.objective, self.world = settings, batcher, objective, world
         self.best: Best | None = None
 

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from cloak_core.attack.settings.loss import Loss, Reduce
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
 from cloak_core.files.errors import InputError
@@ -24,12 +25,12 @@ SHARPNESS = 20.0
 """Of the soft maximum: boxes within 1 / SHARPNESS of the best one count."""
 
 
-def disappearance(detections: Detections, kind: str = "score", reduce: str = "max") -> Float[Tensor, ""]:
+def disappearance(detections: Detections, kind: Loss = "score", reduce: Reduce = "max") -> Float[Tensor, ""]:
     """Batch mean of `evidence`."""
     return evidence(detections, kind, reduce).mean()
 
 
-def evidence(detections: Detections, kind: str = "score", reduce: str = "max") -> Float[Tensor, "B"]:
+def evidence(detections: Detections, kind: Loss = "score", reduce: Reduce = "max") -> Float[Tensor, "B"]:
     """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for "log".
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
@@ -45,7 +46,7 @@ def evidence(detections: Detections, kind: str = "score", reduce: str = "max") -
     return best
 
 
-def proposal_evidence(detections: Detections, reduce: str = "max") -> Float[Tensor, "B"]:
+def proposal_evidence(detections: Detections, reduce: Reduce = "max") -> Float[Tensor, "B"]:
     """Of two-stage detectors: the first stage's objectness of the proposals, each as far as it became a person.
 
     The product of both, its gradient reaching the first stage alone (the second has `evidence`); a proposal that the

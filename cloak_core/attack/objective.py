@@ -45,8 +45,8 @@ class Objective:
         device: torch.device,
         palette: Float[np.ndarray, "P 3"] | None = None,
     ) -> None:
-        self.settings, self.detectors = settings, detectors
-        self.ensemble = Ensemble(settings, len(detectors))
+        self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
+        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed)
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
         self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
@@ -71,7 +71,7 @@ class Objective:
         said: dict[int, list[Detections]] = {number: [] for number in asked}
         disappearance, found = images.new_zeros(()), images.new_zeros(())
         gradients: list[Tensor] = []
-        size = self.settings.microbatch or max(len(images), 1)
+        size = self.run.microbatch or max(len(images), 1)
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             for group in groups:
@@ -83,7 +83,7 @@ class Objective:
                 disappearance += loss.detach()
                 for number, detections in heard.items():
                     said[number].append(join_detections([detections]))
-                    found += is_detected(detections, self.settings.threshold).sum() / (len(images) * len(asked))
+                    found += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
             if part.grad is not None:
                 gradients.append(part.grad)
         detections = {number: join_detections(parts) for number, parts in said.items() if parts}

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.optimizer import OptimizerSettings
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -17,7 +17,7 @@ COSINE_END = 0.01
 """Share of the learning rate that the cosine schedule ends at."""
 
 
-def learning_rate(settings: TrainSettings, step: int, steps: int, epoch: float) -> float:
+def learning_rate(settings: OptimizerSettings, step: int, steps: int, epoch: float) -> float:
     """The learning rate of update `step` (from 0) of `steps`, `epoch` epochs into the run."""
     if settings.schedule == "step":
         return settings.lr * 0.1 ** math.floor(epoch / settings.lr_epochs)
@@ -34,7 +34,7 @@ class ColorOptimizer:
     are the same to the bit (on the CPU).
     """
 
-    def __init__(self, settings: TrainSettings, initial: Float[Tensor, "L 3"]) -> None:
+    def __init__(self, settings: OptimizerSettings, initial: Float[Tensor, "L 3"]) -> None:
         self._sigmoid = settings.gamut == "sigmoid"
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
@@ -108,11 +108,11 @@ def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: flo
     parameter.addcdiv_(state["exp_avg"], root, value=-lr / (1 - ADAM_BETAS[0] ** step))
 
 
-def initial_colors(settings: TrainSettings, clothing: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:
+def initial_colors(settings: OptimizerSettings, clothing: Float[Tensor, "L 3"], seed: int = 0) -> Float[Tensor, "L 3"]:
     """First colours of the logo: grey, seeded random ones, or the faces' own `clothing`."""
     if settings.initial == "clothing":
         return clothing.clone()
     if settings.initial == "random":
-        generator = torch.Generator().manual_seed(settings.seed)
+        generator = torch.Generator().manual_seed(seed)
         return torch.rand(clothing.shape, generator=generator).to(clothing)
     return torch.full_like(clothing, 0.5)

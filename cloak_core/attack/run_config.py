@@ -2,7 +2,6 @@
 
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 
 from cloak_core import __version__
 from cloak_core.attack.held_out import TrainingData
-from cloak_core.attack.settings import TrainSettings, settings_record
+from cloak_core.attack.settings import TrainSettings, settings_from_record, settings_record
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.versions import FORMAT_VERSION
@@ -66,7 +65,7 @@ def run_config(
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
-        "environment": _environment(settings.device, processes),
+        "environment": _environment(settings.compute.device, processes),
     }
 
 
@@ -123,7 +122,10 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
         old, new = recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
-            old = {field.name: field.default for field in fields(TrainSettings)} | old
+            try:
+                old = settings_record(settings_from_record(old))
+            except InputError as error:
+                raise InputError(f"{path / 'config.json'}: {error}") from None
             old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
         if part == "backgrounds" and isinstance(old, dict) and "files" not in old:
             # Earlier versions knew an image by its file alone.

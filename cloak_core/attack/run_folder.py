@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from cloak_core.attack.checkpoints import sweep
+from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import changes_around, check_same
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
@@ -91,8 +91,8 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
                 raise InputError(f"{folder}: not a folder of its own")
             with written(folder):
                 folder.mkdir(exist_ok=True)
-        sweep(run.checkpoint)
-        _sweep_files(run)
+        remove_unfinished(run.checkpoint)
+        _remove_unfinished_files(run)
         with written(run.cancel):
             run.cancel.unlink(missing_ok=True)
         yield run
@@ -106,7 +106,7 @@ def _start(path: Path, config: dict, logo: Logo) -> None:
         (temporary / "previews").mkdir()
 
 
-def _sweep_files(run: RunFolder) -> None:
+def _remove_unfinished_files(run: RunFolder) -> None:
     """Remove the unfinished files that a killed process left."""
     for folder, pattern in ((run.path, ".colors.npy.*"), (run.path, ".events.jsonl.*"), (run.previews, ".step-*")):
         for path in folder.glob(pattern):

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cloak_core.attack.hard_views import HardViews
-from cloak_core.attack.parsing import option, parse_azimuths, parse_range
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.values import Range
+from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.scene.cameras import Camera
 
 _EPOCH, _STEP = 0, 1
@@ -68,56 +69,61 @@ class Sampler:
     def __init__(self, settings: TrainSettings, pose_count: int, outfit_count: int, background_count: int) -> None:
         self.settings = settings
         self.pose_count, self.background_count = pose_count, background_count
-        self.outfit_count = outfit_count if settings.outfits == "random" else 1
-        azimuths = parse_azimuths(settings.angles)
-        self.angles, self.sector_width = np.array(azimuths.starts), azimuths.width
-        self.hard_views = HardViews(pose_count, len(self.angles)) if settings.hard_views else None
+        views = settings.views
+        self.outfit_count = outfit_count if views.outfits == "random" else 1
+        self.angles, self.sector_width = np.array(views.angles.starts), views.angles.width
+        self.hard_views = HardViews(pose_count, len(self.angles)) if views.hard_views else None
         self.epoch_images = settings.epoch_images(background_count)
         self.steps = settings.total_steps(background_count)
-        self.images = self.steps * settings.batch
-        if settings.steps is None:
-            self.images = min(self.images, max(1, round(settings.epochs * self.epoch_images)))
+        self.images = self.steps * settings.run.batch
+        if settings.run.steps is None:
+            self.images = min(self.images, max(1, round(settings.run.epochs * self.epoch_images)))
         self._plan: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def epoch_of(self, step: int) -> float:
         """Epochs finished before `step` (counted from 0)."""
-        return step * self.settings.batch / self.epoch_images
+        return step * self.settings.run.batch / self.epoch_images
 
     def images_of(self, step: int) -> int:
         """How many images `step` has: a batch, or what is left at the end."""
-        return min(self.settings.batch, self.images - step * self.settings.batch)
+        batch = self.settings.run.batch
+        return min(batch, self.images - step * batch)
 
     def draw(self, step: int) -> Draws:
         """The images of `step`, 0 <= step < steps."""
-        settings = self.settings
-        images = step * settings.batch + np.arange(self.images_of(step))
+        views, augmentation, run = self.settings.views, self.settings.augmentation, self.settings.run
+        images = step * run.batch + np.arange(self.images_of(step))
         background, pose, sector = self._deal(images)
         count = len(images)
-        random = np.random.default_rng([settings.seed, _STEP, step])
-        shift = random.integers(-settings.translation, settings.translation, (count, 2), endpoint=True)
-        spread = lambda name: random.uniform(*parse_range(getattr(settings, name), option(name)), count)
-        jitter = random.uniform(-settings.angle_jitter, settings.angle_jitter, count)
+        random = np.random.default_rng([run.seed, _STEP, step])
+        far = augmentation.translation
+        shift = random.integers(-far, far, (count, 2), endpoint=True)
+
+        def spread(values: Range) -> np.ndarray:
+            return random.uniform(values.low, values.high, count)
+
+        jitter = spread(Range(-views.angle_jitter, views.angle_jitter))
         draws = Draws(
             background=background,
             pose=pose,
             outfit=random.integers(self.outfit_count, size=count),
             sector=sector,
             azimuth=self.angles[sector] + random.uniform(0, self.sector_width, count) + jitter,
-            elevation=spread("elevation") + random.standard_normal(count) * settings.elevation_jitter,
-            distance=spread("distance"),
-            shift=shift if settings.translation_per == "image" else np.repeat(shift[:1], count, axis=0),
-            contrast=spread("contrast"),
-            brightness=spread("brightness"),
+            elevation=spread(views.elevation) + random.standard_normal(count) * views.elevation_jitter,
+            distance=spread(views.distance),
+            shift=shift if augmentation.translation_per == "image" else np.repeat(shift[:1], count, axis=0),
+            contrast=spread(augmentation.contrast),
+            brightness=spread(augmentation.brightness),
             seed=random.integers(2**62, size=count),
-            zoom=spread("zoom"),
-            blur=random.uniform(0, settings.blur, count),
-            quality=random.uniform(*parse_range(settings.jpeg or "100", "--jpeg"), count),
+            zoom=spread(augmentation.zoom),
+            blur=random.uniform(0, augmentation.blur, count),
+            quality=spread(augmentation.jpeg or Range(100.0, 100.0)),
         )
         return draws if self.hard_views is None else self._harden(draws, step, random)
 
     def _harden(self, draws: Draws, step: int, random: np.random.Generator) -> Draws:
         """Give some images other poses and angles: those in which a person is still found."""
-        chosen = random.random(len(draws)) < self.settings.hard_views
+        chosen = random.random(len(draws)) < self.settings.views.hard_views
         drawn = self.hard_views.draw(step, random, len(draws))
         pose, sector = (np.where(chosen, *pair) for pair in zip(drawn, (draws.pose, draws.sector), strict=True))
         turn = self.angles[sector] - self.angles[draws.sector]
@@ -135,7 +141,7 @@ class Sampler:
 
     def _epoch_plan(self, epoch: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if self._plan is None or self._plan[0] != epoch:
-            random = np.random.default_rng([self.settings.seed, _EPOCH, epoch])
+            random = np.random.default_rng([self.settings.run.seed, _EPOCH, epoch])
             background, angle = np.divmod(random.permutation(self.epoch_images), len(self.angles))
             # A new order of the bodies each epoch, so that the odd ones out change.
             pose = random.permutation(self.pose_count)[random.permutation(self.epoch_images) % self.pose_count]
@@ -143,24 +149,13 @@ class Sampler:
         return self._plan[1:]
 
 
-def cameras(draws: Draws, settings: TrainSettings) -> list[Camera]:
+def cameras(draws: Draws, settings: ViewSettings) -> list[Camera]:
     """The B cameras of some draws. Equal draws give equal cameras, so that views are found again in the ViewBank."""
-    return [
-        Camera(
-            distance=float(distance),
-            elevation=float(elevation),
-            azimuth=float(azimuth),
-            field_of_view=settings.field_of_view,
-            width=settings.size,
-            height=settings.size,
-        )
-        for distance, elevation, azimuth in zip(draws.distance, draws.elevation, draws.azimuth, strict=True)
-    ]
+    places = zip(draws.azimuth.tolist(), draws.elevation.tolist(), draws.distance.tolist(), strict=True)
+    return [settings.camera(*place) for place in places]
 
 
-def is_fresh(settings: TrainSettings) -> bool:
+def is_fresh(settings: ViewSettings) -> bool:
     """Whether every image has a camera of its own, so that caching views gains nothing."""
-    low, high = parse_range(settings.distance, "--distance")
-    bottom, top = parse_range(settings.elevation, "--elevation")
-    moves = settings.angle_jitter > 0 or settings.elevation_jitter > 0 or parse_azimuths(settings.angles).width > 0
-    return moves or high > low or top > bottom
+    spread = settings.angle_jitter, settings.elevation_jitter, settings.angles.width
+    return any(spread) or settings.distance.width > 0 or settings.elevation.width > 0

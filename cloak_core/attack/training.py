@@ -1,12 +1,12 @@
 """Training: body + detectors + backgrounds -> the colours of a logo.
 
 One step: draw bodies, cameras, backgrounds and augmentations; compose the images; ask the detectors; move the colours
-against the gradient of the loss; keep them in [0, 1]. This puts the parts together; `trainer` has the loop.
+against the gradient of the loss; keep them in [0, 1]. This puts the parts together; `loop` has the steps.
 """
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -15,15 +15,15 @@ from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
-from cloak_core.attack.memory import keep_freed_memory
+from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.attack.stopping import stop_request
-from cloak_core.attack.trainer import RunResult, Trainer, TrainingError
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
@@ -60,6 +60,7 @@ def train(
     weighted total variation and printability. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
     and specs, as the user gave them) are recorded.
     Under torchrun its processes train together, unless this one is to train `alone`.
+    Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
     SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
     `resume` then continues to the bit-identical result on the same device and number of threads.
 
@@ -71,13 +72,12 @@ def train(
     for detector in detectors:
         if not detector.differentiable:
             raise InputError(f"--detector {detector.spec}: gives no gradients, so nothing can be trained against it")
-    Ensemble(settings, len(detectors))  # refuses what does not fit
+    Ensemble(settings.objective, len(detectors))  # refuses what does not fit
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
-    device = local_device(settings.device)
-    keep_freed_memory()
+    device = local_device(settings.compute.device)
     try:
-        with _threads(settings.threads), join_world(device, alone) as world:
+        with join_world(device, alone) as world:
             return _train(settings, bodies, logo, detectors, backgrounds, Path(out), resume, on_event, inputs, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
@@ -95,32 +95,36 @@ def _train(
     inputs: Mapping[str, str] | None,
     world: World,
 ) -> RunResult:
-    device = local_device(settings.device)
+    device = local_device(settings.compute.device)
     detectors = [detector.to(device) for detector in detectors]
-    palette = None if settings.palette is None else read_palette(settings.palette)
-    trained, held = set_aside(settings, TrainingData(bodies, backgrounds))
+    palette_file, init = settings.objective.palette, settings.optimization.init
+    palette = None if palette_file is None else read_palette(palette_file)
+    trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
     batcher = make_batcher(settings, trained, logo, device)
-    require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings)
-    start = None if settings.init is None else read_start(Path(settings.init), logo)
+    require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
+    start = None if init is None else read_start(Path(init), logo)
     config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start)
     with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
-        stop = stack.enter_context(stop_request(run.cancel, settings.max_seconds))
+        stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(settings, logo, detectors, device, palette)
         held_out = None
         if held is not None:
             held_batcher = make_batcher(held_out_settings(settings), held, logo, device)
-            held_out = HeldOut(settings, held_batcher, objective, world)
+            held_out = HeldOut(settings.run, held_batcher, objective, world)
         clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
-        first = initial_colors(settings, clothing) if start is None else torch.from_numpy(start).to(device)
-        optimizer = ColorOptimizer(settings, first)
-        result = Trainer(run, batcher, objective, optimizer, held_out, on_event, world).run_to_end(stop)
+        first = initial_colors(settings.optimization, clothing, settings.run.seed)
+        optimizer = ColorOptimizer(
+            settings.optimization, first if start is None else torch.from_numpy(start).to(device)
+        )
+        loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
+        result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
 
 
-def make_bank(bodies: Bodies, settings: TrainSettings, device: torch.device) -> ViewBank:
+def make_bank(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewBank:
     """The views of a run, kept for the next one. Where each image has a camera of its own, keeping gains nothing."""
     if is_fresh(settings):
         samples = settings.samples or FRESH_SAMPLES
@@ -132,16 +136,5 @@ def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, de
     """What draws and builds a run's batches."""
     bodies, backgrounds = material.bodies, material.backgrounds
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-    bank = make_bank(bodies, settings, device)
+    bank = make_bank(bodies, settings.views, device)
     return Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)
-
-
-@contextlib.contextmanager
-def _threads(count: int | None) -> Iterator[None]:
-    before = torch.get_num_threads()
-    if count is not None:
-        torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

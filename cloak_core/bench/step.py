@@ -17,7 +17,6 @@ import torch
 from cloak_core.attack.batches import Batcher, Prefetcher
 from cloak_core.attack.events import EventLog
 from cloak_core.attack.losses import disappearance
-from cloak_core.attack.memory import keep_freed_memory
 from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler, is_fresh
@@ -58,13 +57,12 @@ def run_bench_step(
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     settings = settings or make_settings("best")
-    settings = dataclasses.replace(settings, epochs=None, steps=1_000_000)
-    keep_freed_memory()
+    settings = settings.changed(epochs=None, steps=1_000_000)
     with torch_threads(threads):
         bench = _Bench(bodies, logo_faces, backgrounds, settings)
         return {detector.spec: bench.measure(detector, repeats) for detector in detectors} | {
             "threads": threads,
-            "machine": machine(settings.device),
+            "machine": machine(settings.compute.device),
         }
 
 
@@ -91,11 +89,11 @@ class _Bench:
         self, bodies: Bodies, logo_faces: np.ndarray | None, backgrounds: Backgrounds, settings: TrainSettings
     ) -> None:
         self.settings = settings
-        self.device = torch.device(settings.device)
+        self.device = torch.device(settings.compute.device)
         faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
         self.logo = make_logo(bodies, faces)
         self.sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-        bank = make_bank(bodies, settings, self.device)
+        bank = make_bank(bodies, settings.views, self.device)
         self.batcher = Batcher(settings, self.sampler, bank, self.logo.face_ids, backgrounds, self.device)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
@@ -104,18 +102,18 @@ class _Bench:
     def measure(self, detector: Detector, repeats: int) -> dict:
         settings = self.settings
         objective = Objective(settings, self.logo, [detector], self.device)
-        optimizer = ColorOptimizer(settings, torch.full((len(self.logo), 3), 0.5, device=self.device))
+        optimizer = ColorOptimizer(settings.optimization, torch.full((len(self.logo), 3), 0.5, device=self.device))
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)
 
         def floor() -> None:
             ready.grad = None
-            disappearance(detector(ready), settings.loss, settings.reduce).backward()
+            disappearance(detector(ready), settings.objective.loss, settings.objective.reduce).backward()
 
         def step(number: int) -> None:
             figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures
-            optimizer.update(settings.lr)
+            optimizer.update(settings.optimization.lr)
             log.write({"type": "step", "step": number, "time": 0.0} | dataclasses.asdict(figures))
             prefetcher.finish()
 
@@ -126,7 +124,7 @@ class _Bench:
         def update() -> None:
             optimizer.clear()
             objective.total_variation(optimizer.colors()).backward()
-            optimizer.update(settings.lr)
+            optimizer.update(settings.optimization.lr)
             log.write({"type": "step", "step": 0, "time": 0.0})
 
         clock = _Clock(self.device)
@@ -142,14 +140,16 @@ class _Bench:
                 batches.clear()
         prefetcher.close()
         views = "fresh" if is_fresh(settings) else "kept"
-        return {"name": detector.name} | clock.record(settings.batch) | {"views": views, "logo_faces": len(self.logo)}
+        return (
+            {"name": detector.name} | clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
+        )
 
     def _warm_up_steps(self) -> int:
         sampler = self.sampler
         views = sampler.pose_count * len(sampler.angles) * sampler.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
         wanted = 0 if is_fresh(self.settings) else views * (np.log(views) + 3)
-        return int(np.ceil(wanted / self.settings.batch)) + 1
+        return int(np.ceil(wanted / self.settings.run.batch)) + 1
 
 
 class _Clock:

@@ -5,20 +5,25 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
-from tyro.conf import OmitArgPrefixes, UseAppendAction
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.attack.settings import PRESETS, TrainSettings, make_settings
+from cloak_core.attack.settings import COMPONENTS, Preset, TrainSettings, components_from_record, merge
+from cloak_core.attack.settings.augmentation import AugmentationSettings
+from cloak_core.attack.settings.loss import LossSettings
+from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.run import ComputeSettings, RunSettings
+from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.commands.base import RANK, Command, Stopped, open_scene, out
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.tensorboard import TensorBoardEvents
 from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_toml
-
-DEFAULT_PRESET = "best"
 
 
 @dataclass(kw_only=True)
@@ -45,24 +50,45 @@ class Train(Command):
     """TOML file of settings (the options below, without dashes); options given here win."""
     tensorboard: bool = False
     """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
-    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
-    settings: OmitArgPrefixes[TrainSettings] = field(default_factory=lambda: make_settings(DEFAULT_PRESET))
+    preset: Preset = "best"
+    """What the settings below start from: the paper's text, its reference code, or what was measured to work best."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
+    views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
+    augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]
+    objective: Annotated[OmitArgPrefixes[LossSettings], arg(name="loss")]
+    optimization: Annotated[OmitArgPrefixes[OptimizerSettings], arg(name="optimiser")]
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")]
 
     @classmethod
     def default(cls, arguments: list[str]) -> Train:
-        """What the options default to: the preset, then the TOML file, both looked up before the rest is parsed."""
-        changes: dict = {}
-        config = _value_of("--config", arguments)
+        """What the options default to: the preset, then the TOML file. Nothing is checked before they are laid over it."""
+        in_file: dict = {}
+        config = _value_of("config", arguments)
         if config is not None:
-            changes = {key.replace("-", "_"): value for key, value in read_toml(Path(config)).items()}
-        in_file = changes.pop("preset", DEFAULT_PRESET)
-        preset = _value_of("--preset", arguments) or in_file
-        # --steps and --epochs replace each other, whichever of them the preset has.
-        for given, replaced in (("--steps", "epochs"), ("--epochs", "steps")):
-            if _value_of(given, arguments) is not None:
-                changes |= {given[2:]: 1, replaced: None}
-        missing = dict.fromkeys(("scene", "logo", "out"), tyro.MISSING)
-        return cls(**missing, settings=make_settings(preset, **changes))
+            in_file = {key.replace("-", "_"): value for key, value in read_toml(Path(config)).items()}
+        given = {name: _value_of(name, arguments) for name in ("preset", "steps", "epochs")}
+        # A number that the option replaces: of --steps and --epochs the one that is given counts.
+        given = {name: value if name == "preset" else 1 for name, value in given.items() if value is not None}
+        try:
+            settings = components_from_record(merge(in_file, given))
+        except InputError as error:
+            raise InputError(f"{config}: {error}" if config else str(error)) from None
+        settings["length"] = settings.pop("run")
+        return cls(**dict.fromkeys(("scene", "logo", "out"), tyro.MISSING), **settings)
+
+    @classmethod
+    def of(cls, settings: TrainSettings, **inputs: object) -> Train:
+        """Training with these settings; `inputs` are the other options, by name."""
+        return cls(
+            length=settings.run, **{name: vars(settings)[name] for name in vars(settings) if name != "run"}, **inputs
+        )
+
+    @property
+    def settings(self) -> TrainSettings:
+        """All of them together. InputError: they are out of bounds, or do not go together."""
+        parts = {name: getattr(self, name) for name in COMPONENTS if name != "run"}
+        return TrainSettings(preset=self.preset, run=self.length, **parts)
 
     def run(self) -> dict:
         from cloak_core.attack.training import train
@@ -70,6 +96,7 @@ class Train(Command):
         from cloak_core.scene.logos.logo import make_logo
 
         settings = self.settings
+        prepare_process(settings.compute)
         listeners = [TrainingProgress(silent=bool(RANK))]
         if self.tensorboard and not RANK:
             listeners.append(TensorBoardEvents(self.out))
@@ -79,7 +106,7 @@ class Train(Command):
         bodies = open_scene(self.scene)
         logo = make_logo(bodies, face_ids(read_face_list(self.logo, bodies), bodies))
         specs = self.detector or ("builtin",)
-        detectors = self.options.load(specs, settings.device)
+        detectors = self.options.load(specs, settings.compute.device)
         backgrounds = open_backgrounds(self.backgrounds)
         inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
         with contextlib.ExitStack() as stack:
@@ -109,13 +136,12 @@ class Train(Command):
             raise Stopped(result["stopped"])
 
 
-def _value_of(flag: str, arguments: list[str]) -> str | None:
-    for at, argument in enumerate(arguments):
-        if argument == flag and at + 1 < len(arguments):
-            return arguments[at + 1]
-        if argument.startswith(flag + "="):
-            return argument[len(flag) + 1 :]
-    return None
-
-
-assert DEFAULT_PRESET in PRESETS
+def _value_of(name: str, arguments: list[str]) -> str | None:
+    """What the last --NAME in the arguments was given."""
+    found = None
+    for argument, following in zip(arguments, [*arguments[1:], None], strict=True):
+        if argument == f"--{name}":
+            found = following
+        elif argument.startswith(f"--{name}="):
+            found = argument.partition("=")[2]
+    return found

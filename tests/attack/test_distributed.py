@@ -36,22 +36,22 @@ def say(event):
             (out / "cancel").touch()
 if os.environ["RANK"] == "1" and plan["die_at"] and os.environ["TORCHELASTIC_RESTART_COUNT"] == "0":
     # This rank vanishes in the middle of a step; not again after a restart.
-    before = trainer.gradient_step
+    before = loop.gradient_step
     calls = []
     def dying(*args, **kwargs):
         calls.append(1)
         if len(calls) == plan["die_at"]:
             os._exit(9)
         return before(*args, **kwargs)
-    trainer.gradient_step = dying
-class Telling(trainer.Trainer):
+    loop.gradient_step = dying
+class Telling(loop.TrainingLoop):
     def run_to_end(self, stop):
         result = super().run_to_end(stop)
         if self.sampler.hard_views:
             save_file(self.sampler.hard_views.state(), f"{out}.rank{self.world.rank}")
         return result
 from cloak_core.attack import training
-training.Trainer = Telling
+training.TrainingLoop = Telling
 try:
     run(out, batch=5, resume=True, threads=1, checkpoint_every=100, on_event=say, **plan["settings"])
 except InputError as error:

@@ -10,21 +10,21 @@ from cloak_core.attack.settings import make_settings
 
 
 def test_paper_schedule():
-    settings = make_settings("paper")
+    settings = make_settings("paper").optimization
     rates = [learning_rate(settings, 0, 1, epoch) for epoch in (0.0, 9.99, 10.0, 19.9, 20.0)]
     assert rates == pytest.approx([0.1, 0.1, 0.01, 0.01, 0.001])
 
 
 def test_other_schedules():
-    constant = make_settings("best", schedule="constant", lr=0.5)
+    constant = make_settings("best", schedule="constant", lr=0.5).optimization
     assert learning_rate(constant, 99, 100, 50.0) == 0.5
-    cosine = make_settings("best", schedule="cosine", lr=1.0)
+    cosine = make_settings("best", schedule="cosine", lr=1.0).optimization
     rates = [learning_rate(cosine, step, 100, 0.0) for step in (0, 50, 100)]
     assert rates == pytest.approx([1.0, 0.505, 0.01])
 
 
 def test_plain_sgd_is_the_formula_and_projected():
-    optimizer = ColorOptimizer(make_settings("paper"), torch.tensor([[0.5, 0.9, 0.1]]))
+    optimizer = ColorOptimizer(make_settings("paper").optimization, torch.tensor([[0.5, 0.9, 0.1]]))
     (optimizer.colors() * torch.tensor([[2.0, -2.0, 2.0]])).sum().backward()
     optimizer.update(0.1)
     assert torch.allclose(optimizer.colors(), torch.tensor([[0.3, 1.0, 0.0]]))
@@ -35,7 +35,7 @@ def test_plain_sgd_is_the_formula_and_projected():
 )
 def test_colours_stay_in_gamut_and_state_restores_exactly(optimizer, gamut):
     changes = {"optimizer": "sgd", "momentum": 0.9} if optimizer == "momentum" else {"optimizer": optimizer}
-    settings = make_settings("best", gamut=gamut, **changes)
+    settings = make_settings("best", gamut=gamut, **changes).optimization
     generator = torch.Generator().manual_seed(0)
     pushes = torch.randn(8, 4, 3, generator=generator)
 
@@ -59,7 +59,7 @@ def test_colours_stay_in_gamut_and_state_restores_exactly(optimizer, gamut):
 @pytest.mark.parametrize("kind", ["sgd", "momentum", "adam"])
 def test_updates_are_those_of_torch_to_the_bit(kind):
     changes = {"optimizer": "sgd", "momentum": 0.9} if kind == "momentum" else {"optimizer": kind}
-    ours = ColorOptimizer(make_settings("best", **changes), torch.full((50, 3), 0.5))
+    ours = ColorOptimizer(make_settings("best", **changes).optimization, torch.full((50, 3), 0.5))
     theirs = torch.full((50, 3), 0.5).requires_grad_()
     if kind == "adam":
         reference = torch.optim.Adam([theirs])
@@ -83,7 +83,7 @@ def test_training_does_not_load_torchs_compiler():
         "import sys; from cloak_core.attack.optimizing import ColorOptimizer; from cloak_core.attack import training;"
     )
     code += "from cloak_core.attack.settings import make_settings; import torch;"
-    code += "ColorOptimizer(make_settings('best'), torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"
+    code += "ColorOptimizer(make_settings('best').optimization, torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -93,7 +93,7 @@ def test_training_does_not_load_torchs_compiler():
      {"optimizer.step": torch.tensor(0.0)}, {"optimizer.step": torch.ones(2)}, {"optimizer.other": torch.zeros(4, 3)}],
 )  # fmt: skip
 def test_a_state_that_does_not_fit_is_refused(change):
-    optimizer = ColorOptimizer(make_settings("best"), torch.full((4, 3), 0.5))
+    optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((4, 3), 0.5))
     optimizer.colors().grad = torch.ones(4, 3)
     optimizer.update(0.1)
     state = {name: value for name, value in (optimizer.state() | change).items() if value is not None}
@@ -102,7 +102,7 @@ def test_a_state_that_does_not_fit_is_refused(change):
 
 
 def test_foreign_state_is_refused():
-    optimizer = ColorOptimizer(make_settings("best"), torch.full((4, 3), 0.5))
+    optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((4, 3), 0.5))
     with pytest.raises(ValueError, match="3 colours instead of 4"):
         optimizer.load({"parameter": torch.zeros(3, 3)})
     with pytest.raises(KeyError):
@@ -111,7 +111,9 @@ def test_foreign_state_is_refused():
 
 def test_initial_colours():
     clothing = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    assert torch.equal(initial_colors(make_settings("best", initial="clothing"), clothing), clothing)
-    assert (initial_colors(make_settings("best", initial="grey"), clothing) == 0.5).all()
-    random = [initial_colors(make_settings("best", initial="random", seed=seed), clothing) for seed in (1, 1, 2)]
+    assert torch.equal(initial_colors(make_settings("best", initial="clothing").optimization, clothing), clothing)
+    assert (initial_colors(make_settings("best", initial="grey").optimization, clothing) == 0.5).all()
+    random = [
+        initial_colors(make_settings("best", initial="random").optimization, clothing, seed) for seed in (1, 1, 2)
+    ]
     assert torch.equal(random[0], random[1]) and not torch.equal(random[0], random[2])

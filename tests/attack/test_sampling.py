@@ -58,7 +58,7 @@ def test_ranges_are_kept_and_used():
         assert low <= values.min() < low + 0.05 * spread and high - 0.05 * spread < values.max() <= high
     assert draws.elevation.mean() == pytest.approx(6, abs=0.1) and draws.elevation.std() == pytest.approx(1, abs=0.1)
     assert set(draws.outfit) == {0, 1}
-    assert is_fresh(of.settings) and not is_fresh(make_settings("paper"))
+    assert is_fresh(of.settings.views) and not is_fresh(make_settings("paper").views)
 
 
 def test_one_translation_per_batch():
@@ -80,16 +80,16 @@ def test_shares_make_up_the_batch():
 
 def test_equal_draws_give_equal_cameras():
     of = sampler(steps=50, angles="0")
-    assert len({camera for step in range(50) for camera in cameras(of.draw(step), of.settings)}) == 1
-    camera = cameras(of.draw(0), of.settings)[0]
+    assert len({camera for step in range(50) for camera in cameras(of.draw(step), of.settings.views)}) == 1
+    camera = cameras(of.draw(0), of.settings.views)[0]
     assert (camera.distance, camera.elevation, camera.azimuth, camera.width) == (2.2, 6.0, 0.0, 416)
 
 
 def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
     of = sampler(steps=360, batch=10, angles="0..360", elevation="-5:20")
     draws = whole_run(of)
-    assert len(of.angles) == 36 and is_fresh(of.settings)
+    assert len(of.angles) == 36 and is_fresh(of.settings.views)
     counts = np.histogram(draws.azimuth, np.arange(0, 361, 10))[0]
     assert (abs(counts - 100) <= 4).all()
     assert len(set(draws.azimuth)) == 3600 and draws.elevation.min() < -4 and draws.elevation.max() > 19
-    assert {type(camera.azimuth) for camera in cameras(of.draw(0), of.settings)} == {float}
+    assert {type(camera.azimuth) for camera in cameras(of.draw(0), of.settings.views)} == {float}

@@ -32,8 +32,8 @@ def test_every_combination_in_the_files_order(tmp_path):
         {"lr": 1, "detector": "a"},
         {"lr": 1, "detector": ["b", "c:d/e.cfg"]},
     ]
-    assert [run.settings.lr for run in runs] == [0.1, 0.1, 1.0, 1.0]
-    assert all(run.settings.tv_weight == 0 and run.settings.epochs is None for run in runs)
+    assert [run.settings.optimization.lr for run in runs] == [0.1, 0.1, 1.0, 1.0]
+    assert all(run.settings.objective.tv_weight == 0 and run.settings.run.epochs is None for run in runs)
     assert runs[1].detectors == ("b", "c:d/e.cfg") and runs[1].backgrounds == "procedural:train"
     assert len({run.name for run in runs}) == 4 and "/" not in runs[1].name and runs[0].name.startswith("lr=0.1,det")
     more = grid(tmp_path, BASE + "tv-weight = 0\n[grid]\nlr = [0.1, 1, 2]\ndetector = ['a', ['b', 'c:d/e.cfg']]\n")

@@ -342,7 +342,7 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
 
 def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch):
     """Every LIVE_SECONDS, without a checkpoint; here after every step."""
-    monkeypatch.setattr("cloak_core.attack.trainer.LIVE_SECONDS", 0.0)
+    monkeypatch.setattr("cloak_core.attack.loop.LIVE_SECONDS", 0.0)
     shown = []
 
     def watch(event):

@@ -95,7 +95,7 @@ def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> Non
 def test_each_detector_may_have_its_own_number_of_steps(materials: Materials, tmp_path: Path) -> None:
     lab = Lab(materials, options(tmp_path, steps=(2, 3)))
     faces = chest_thighs(materials.bodies)
-    length = lambda *specs: lab.train(faces, specs).settings.steps
+    length = lambda *specs: lab.train(faces, specs).settings.run.steps
     assert (length("red:a.cfg"), length("blue:b.cfg"), length("red:a.cfg", "blue:b.cfg")) == (2, 3, 3)
     assert lab.steps() == 2 and lab.options.counts()["steps"] == "2 / 3 by detector"
     with pytest.raises(InputError, match="--steps: 3 numbers for 2 detectors"):

@@ -40,7 +40,7 @@ def tv(lab: Lab) -> Outcome:
     tests = {"the trained body": one, "an unseen body": lab.materials.unseen.select_poses([0])}
     weights = PAPER_WEIGHTS if lab.options.quick else TV_WEIGHTS
     settings = lab.train_settings(angles=SINGLE)
-    every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.batch))  # 5 epochs
+    every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.run.batch))  # 5 epochs
     figure, axes = new_figure(columns=2, sharey=True)
     rows, pictures, results = [], {}, {name: [] for name in tests}
     for k, weight in enumerate(weights):
@@ -112,7 +112,7 @@ def _preview_figure(trained: dict[float, Trained]) -> object | None:
     figure.clear()
     axes = figure.subplots(len(files), columns, squeeze=False)
     for row, (weight, names) in zip(axes, files.items(), strict=True):
-        size = trained[weight].settings.size
+        size = trained[weight].settings.views.size
         near = slice(round(0.19 * size), round(0.76 * size))  # of the image's height and width: where the logo moves
         spaced = np.linspace(0, len(names) - 1, columns).round().astype(int)
         for axis, name in zip(row, (names[i] for i in spaced), strict=True):

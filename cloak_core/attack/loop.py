@@ -24,6 +24,7 @@ from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_s
 from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
 from cloak_core.attack.previews import save_preview
 from cloak_core.attack.run_folder import RunFolder
+from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.attack.world import LostProcess, World
 from cloak_core.detectors.scoring import max_person_score
@@ -75,11 +76,12 @@ class RunResult:
         return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
 
 
-class Trainer:
+class TrainingLoop:
     """One run from its last checkpoint (or its start) to its end."""
 
     def __init__(
         self,
+        settings: TrainSettings,
         run: RunFolder,
         batcher: Batcher,
         objective: Objective,
@@ -89,7 +91,7 @@ class Trainer:
         world: World,
     ) -> None:
         self.run, self.batcher, self.objective = run, batcher, objective
-        self.settings, self.sampler = batcher.settings, batcher.sampler
+        self.settings, self.sampler = settings, batcher.sampler
         self.optimizer, self.held_out, self.world = optimizer, held_out, world
         self.step = 0
         self._earlier = 0.0
@@ -131,7 +133,7 @@ class Trainer:
                 reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
                 if self._is_done() or reason:
                     self._save(final=True)
-                elif self._due(self.settings.checkpoint_every):
+                elif self._due(self.settings.run.checkpoint_every):
                     self._save()
                 else:
                     self._show()
@@ -176,7 +178,7 @@ class Trainer:
         return self._earlier + time.perf_counter() - self._started
 
     def _one_step(self) -> StepFigures:
-        lr = learning_rate(self.settings, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
+        lr = learning_rate(self.settings.optimization, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
         batch = self.batches.batch(self.step)
         share = len(batch) / self.sampler.images_of(self.step)
         step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
@@ -186,9 +188,9 @@ class Trainer:
         self.optimizer.update(lr)
         self.step += 1
         self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
-        if self.world.is_first and self._due(self.settings.preview_every):
+        if self.world.is_first and self._due(self.settings.run.preview_every):
             path = self.run.previews / f"step-{self.step:08d}.png"
-            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.threshold)
+            save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
             self._tell("preview", path=f"previews/{path.name}")
         return step.figures
 

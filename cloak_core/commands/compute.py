@@ -1,10 +1,26 @@
-"""Freed memory is kept for the next step instead of going back to the system."""
+"""What a command that computes does to its process, before it begins; nothing below the commands does.
+
+Who uses Cloak as a library decides on threads and memory alone.
+"""
 
 import ctypes
 import sys
 
+from cloak_core.attack.settings import check_settings
+from cloak_core.attack.settings.run import ComputeSettings
+
 _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 """Options of mallopt(3)."""
+
+
+def prepare_process(settings: ComputeSettings) -> None:
+    """From now on torch uses so many threads, and memory that was freed is kept. InputError: no such number."""
+    check_settings(settings)
+    keep_freed_memory()
+    if settings.threads is not None:
+        import torch
+
+        torch.set_num_threads(settings.threads)
 
 
 def keep_freed_memory() -> bool:

@@ -1,0 +1,34 @@
+"""Settings of `attack.batches` and `attack.distorting`: what happens to the logo and to the images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cloak_core.attack.settings.values import Range, Within
+
+
+@dataclass(frozen=True, kw_only=True)
+class AugmentationSettings:
+    """What makes every image another one."""
+
+    translation: Annotated[int, Within(0, 4096)] = 50
+    """The body is moved by up to this many pixels along both axes."""
+    translation_per: Literal["image", "batch"] = "image"
+    """What has a translation of its own."""
+    contrast: Annotated[Range, Within(ends="[)")] = Range(0.0, 1.0)
+    """LOW:HIGH of the factor on the colours; "1" switches it off."""
+    brightness: Range = Range(0.0, 1.0)
+    """LOW:HIGH of what is added to the colours; "0" switches it off."""
+    noise: Annotated[float, Within(0, 1)] = 0.1
+    """Amplitude of the uniform noise on the colours."""
+    photometric_on: Literal["logo", "render"] = "logo"
+    """Contrast, brightness and noise act on the logo (per face) or on the render (per pixel of the body)."""
+    occluders: Annotated[int, Within(0, 16)] = 0
+    """Up to so many rectangles, cut from other backgrounds, stand before each body."""
+    zoom: Annotated[Range, Within(0.25, 4)] = Range(1.0, 1.0)
+    """LOW:HIGH of the factor by which the finished image is enlarged about its centre; "1" switches it off."""
+    blur: Annotated[float, Within(0, 2)] = 0.0
+    """The finished image is blurred by a Gaussian of up to this standard deviation, pixels; 0 switches it off."""
+    jpeg: Annotated[Range | None, Within(1, 100)] = None
+    """LOW:HIGH of the JPEG quality (1..100) that the finished image goes through; None switches it off."""

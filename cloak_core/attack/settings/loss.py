@@ -1,0 +1,45 @@
+"""Settings of `attack.losses`, `attack.ensemble` and `attack.objective`: what is minimised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cloak_core.attack.settings.values import NotNegative, Weights, Within
+from cloak_core.files.errors import InputError
+
+Loss = Literal["score", "objectness", "log"]
+Reduce = Literal["max", "topk", "logsumexp"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossSettings:
+    """What training minimises."""
+
+    loss: Loss = "score"
+    """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), or the log
+    of the score, -log(1 - score), which keeps its gradient where the score saturates."""
+    reduce: Reduce = "max"
+    """From an image's boxes to one number: the largest, the mean of the ten best (topk), or a soft maximum."""
+    rpn_weight: NotNegative = 0.0
+    """Two-stage detectors: weight of the objectness that their first stage gives the proposals behind person boxes;
+    what lowers it kills the proposal itself."""
+    ensemble: Literal["mean", "max", "weighted"] = "mean"
+    """Of several detectors' losses for an image: the mean, the largest (the detector that sees most), or weighted."""
+    detector_weights: Weights | None = None
+    """For a weighted ensemble: one weight for each detector, A,B,C; only their ratios count."""
+    detectors_per_step: Annotated[int | None, Within(1, 4096)] = None
+    """Ask only so many of the detectors in each step, drawn anew; None asks all."""
+    tv_weight: NotNegative = 2.5
+    """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
+    nps_weight: NotNegative = 0.0
+    """Weight of non-printability: the mean distance of the colours to the nearest one of the palette."""
+    palette: str | None = None
+    """Palette file of what can be printed: a colour a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+
+    def check(self) -> None:
+        """InputError: values that do not go together."""
+        if self.nps_weight and self.palette is None:
+            raise InputError("--nps-weight: needs a --palette to measure against")
+        if (self.ensemble == "weighted") != (self.detector_weights is not None):
+            raise InputError("--ensemble weighted and --detector-weights: one needs the other")

@@ -1,0 +1,36 @@
+"""Settings of `attack.optimizing`: how the colours begin and move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cloak_core.attack.settings.values import Positive, Within
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimizerSettings:
+    """How the colours begin and move."""
+
+    optimizer: Literal["sgd", "adam"] = "sgd"
+    """What follows the gradient."""
+    lr: Positive = 0.1
+    """Learning rate, in units of colour [0, 1]."""
+    momentum: Annotated[float, Within(0, 1, "[)")] = 0.0
+    """Of SGD, [0, 1)."""
+    schedule: Literal["constant", "step", "cosine"] = "step"
+    """Learning rate over time: constant, times 0.1 every so many epochs (step), or a cosine that ends at 1 %."""
+    lr_epochs: Positive = 10.0
+    """Epochs between the drops of schedule step."""
+    gamut: Literal["projection", "sigmoid"] = "projection"
+    """Colours stay in [0, 1] by a projection after every update, or as the sigmoid of free parameters."""
+    initial: Literal["grey", "random", "clothing"] = "grey"
+    """First colours: grey, random (uniform per face and channel), or those of the first outfit."""
+    init: str | None = None
+    """Go on from these colours instead: a run folder of the same logo, or colours [L, 3] (`cloak logo transfer`)."""
+
+    def check(self) -> None:
+        """InputError: values that do not go together."""
+        if self.optimizer == "adam" and self.momentum:
+            raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")

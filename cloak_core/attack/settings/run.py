@@ -1,0 +1,57 @@
+"""Settings of `attack.loop`: how long a run is, what it keeps, and where it is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from cloak_core.attack.settings.values import Within
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComputeSettings:
+    """Where things are computed; the same for every command that computes. A command applies them, no function does."""
+
+    device: str = "cpu"
+    """Torch device: cpu, cuda, cuda:1."""
+    threads: Annotated[int | None, Within(1, 4096)] = None
+    """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """How long the run is, and what it keeps."""
+
+    epochs: Annotated[float | None, Within(ends="()")] = 100.0
+    """Passes over the data; an epoch shows every background once at every training angle. None when steps count."""
+    steps: Annotated[int | None, Within(1, 10_000_000)] = None
+    """Updates of the colours, instead of epochs."""
+    batch: Annotated[int, Within(1, 4096)] = 8
+    """Images per update."""
+    microbatch: Annotated[int | None, Within(1, 4096)] = None
+    """Images that a detector sees at a time, which bounds its memory; None shows it the whole batch. The gradient is
+    that of the whole batch either way, but for rounding."""
+    max_seconds: Annotated[float | None, Within(ends="()")] = None
+    """Stop in order (checkpoint written, resumable) after this much training time, seconds."""
+    held_out: Annotated[float, Within(0, 0.5)] = 0.0
+    """Share of the training poses and backgrounds that is set aside; the colours that do best on it are kept."""
+    held_out_every: Annotated[int, Within(1, 10_000_000)] = 50
+    """Steps between measurements on what is held out."""
+    patience: Annotated[int, Within(0, 10_000_000)] = 0
+    """End after so many measurements in a row without a better one; 0 trains to the end."""
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+    """Every random draw derives from it."""
+    threshold: Annotated[float, Within(0, 1, "()")] = 0.6
+    """A person counts as detected above this score (only for the success that events tell)."""
+    checkpoint_every: Annotated[int, Within()] = 100
+    """Steps between checkpoints; 0 writes one at the end alone."""
+    preview_every: Annotated[int, Within()] = 100
+    """Steps between preview pictures; 0 writes none."""
+
+    def check(self) -> None:
+        """InputError: values that do not go together."""
+        if (self.epochs is None) == (self.steps is None):
+            raise InputError("--steps and --epochs: give one of them")
+        if self.patience and not self.held_out:
+            raise InputError("--patience: needs a share to be set aside, --held-out 0.2 for instance")

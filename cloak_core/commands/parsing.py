@@ -1,0 +1,74 @@
+"""Options to a command, through tyro: text becomes values here, and once."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import sys
+import types
+import typing
+
+import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from cloak_core.attack.settings.values import Written
+from cloak_core.commands.base import Command
+from cloak_core.files.errors import InputError
+
+REGISTRY = ConstructorRegistry()
+
+
+@REGISTRY.primitive_rule
+def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+    """Ranges, angles and weights, as they spell themselves; None for every other type."""
+    kinds = typing.get_args(info.type) if info.type_origin in (types.UnionType, typing.Union) else (info.type,)
+    kind, optional = kinds[0], types.NoneType in kinds
+    if not (isinstance(kind, type) and issubclass(kind, Written)):
+        return None
+
+    def read(words: list[str]) -> Written | None:
+        return None if optional and words == ["None"] else kind.parse(words[0])
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="{None}|" * optional + kind.metavar,
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, kind) or (optional and value is None),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
+    """The command `cloak NAME` with these options; help is printed (SystemExit). InputError: tyro's box as one line."""
+    said = io.StringIO()
+    told = io.TextIOWrapper(io.BytesIO(), sys.stdout.encoding, "backslashreplace")  # as what it stands for
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(told):
+            default = {"default": cls.default(arguments)} if hasattr(cls, "default") else {}
+            config = (tyro.conf.FlagCreatePairsOff,)
+            return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **default)
+    except SystemExit as end:
+        if end.code:
+            raise InputError(f"{name}: {_one_line(said.getvalue())} (cloak {name} --help)") from None
+        told.seek(0)
+        print(_headed(told.read()), end="")
+        raise
+
+
+def _headed(text: str) -> str:
+    """Help with the headings that fields were given: tyro puts "options" behind each."""
+    return re.sub(r"^(╭─|\+-)? (\S.*) options (.)", r"\1 \2 \3\3\3\3\3\3\3\3\3", text, flags=re.MULTILINE)
+
+
+def _one_line(boxed: str) -> str:
+    """The first paragraph of tyro's boxed message, without the box."""
+    # Boxes are of plain characters where the terminal has no others.
+    lines = [re.sub(r"^[╭╰+][─-]+.*|^[│|] ?|\s*[│|]$", "", line).strip() for line in boxed.splitlines()]
+    kept: list[str] = []
+    for line in lines:
+        if kept and (line.startswith("For full helptext") or line == "Argument helptext:"):
+            break
+        if line.strip("─-"):
+            kept.append(line)
+    return " ".join(kept) or "not understood"
