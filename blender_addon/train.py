@@ -196,6 +196,7 @@ def train(
 ) -> None:
     """Export and train, with progress on standard output."""
     folder, words = runs.input_folder(run), request.options()
+    words += ["--made-from", "sample:train"] if options.sample else []
     if options.resume and folder.is_dir():
         done, words = read_export(folder), runs.remembered_options(folder.with_name(run.name))
         runs.require_same_topology(obj, done.topology)

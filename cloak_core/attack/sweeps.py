@@ -15,13 +15,15 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cloak_core.attack.events import OnEvent, read_events
-from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
+from cloak_core.attack.settings import TrainSettings, merge, settings_from_record, settings_record
+from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.training import train
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
@@ -41,7 +43,9 @@ INPUTS = ("scene", "logo", "detector", "backgrounds")
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
 WAIT_SECONDS = 0.5
+_log = logging.getLogger("cloak")
 Tell = Callable[[str], None]
+Prepare = Callable[[ComputeSettings], object]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,8 +63,8 @@ class SweepRun:
     @property
     def name(self) -> str:
         """Of its folder: readable, and different for whatever differs."""
-        record = dataclasses.asdict(self) | {"settings": settings_record(self.settings)}
-        del record["varied"]
+        record = {key: value for key, value in vars(self).items() if key != "varied"}
+        record["settings"] = settings_record(self.settings)
         digest = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:8]
         words = re.sub(r"[^\w.,=+-]+", "_", self.label.replace(", ", ","))
         return f"{words[:80]}-{digest}"
@@ -74,12 +78,12 @@ class SweepRun:
 # --- the grid --------------------------------------------------------------------------------------------------------
 
 
-def read_grid(path: str | Path) -> list[SweepRun]:
+def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> list[SweepRun]:
     """The runs of a grid file: every combination of the lists in [grid], over what [base] says. In the file's order.
 
     [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
     command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
-    to be trained against at once. InputError names the file and the key.
+    to be trained against at once. `changes` replace what [base] says. InputError names the file and the key.
     """
     path = Path(path)
     record = read_toml(path)
@@ -87,6 +91,7 @@ def read_grid(path: str | Path) -> list[SweepRun]:
         if name not in ("base", "grid") or not isinstance(record[name], dict):
             raise InputError(f"{path}: '{name}' is neither the table [base] nor [grid]")
     base, grid = (_keys(record.get(part, {}), path) for part in ("base", "grid"))
+    base |= changes or {}
     if not grid:
         raise InputError(f"{path}: no [grid] to sweep over")
     for key, values in grid.items():
@@ -114,9 +119,9 @@ def _keys(table: dict, path: Path) -> dict:
 
 
 def _run(base: dict, varied: dict, path: Path) -> SweepRun:
-    values = base | varied
+    base, varied_settings = dict(base), dict(varied)
     inputs = {"backgrounds": "procedural:train", "detector": "builtin"}
-    inputs |= {key: values.pop(key) for key in INPUTS if key in values}
+    inputs |= {key: table.pop(key) for table in (base, varied_settings) for key in INPUTS if key in table}
     for key in INPUTS:
         if key not in inputs:
             raise InputError(f"{path}: {key} is missing (in [base] or [grid])")
@@ -128,7 +133,7 @@ def _run(base: dict, varied: dict, path: Path) -> SweepRun:
     if not specs:
         raise InputError(f"{path}: detector: none given")
     try:
-        settings = make_settings(values.pop("preset", "best"), **values)
+        settings = settings_from_record(merge(base, varied_settings))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return SweepRun(varied=varied, detectors=tuple(specs), settings=settings, **inputs)
@@ -154,12 +159,12 @@ class _Opened:
         bodies = self._scenes.get(run.scene) or self._scenes.setdefault(run.scene, open_scene(run.scene))
         logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
         for spec in run.detectors:
-            if (spec, run.settings.device) not in self._detectors:
-                loaded = load_detector(spec, device=run.settings.device)
-                self._detectors[spec, run.settings.device] = loaded
+            if (spec, run.settings.compute.device) not in self._detectors:
+                loaded = load_detector(spec, device=run.settings.compute.device)
+                self._detectors[spec, run.settings.compute.device] = loaded
         if run.backgrounds not in self._backgrounds:
             self._backgrounds[run.backgrounds] = open_backgrounds(run.backgrounds)
-        detectors = [self._detectors[spec, run.settings.device] for spec in run.detectors]
+        detectors = [self._detectors[spec, run.settings.compute.device] for spec in run.detectors]
         return bodies, logo, detectors, self._backgrounds[run.backgrounds]
 
 
@@ -171,11 +176,12 @@ class Sweep:
         self._opened = _Opened()
         self._failed_before: dict[str, int] = {}
 
-    def run(self, tell: Tell = lambda line: None, on_event: OnEvent | None = None) -> str:
+    def run(self, tell: Tell = _log.info, on_event: OnEvent | None = None, prepare: Prepare | None = None) -> str:
         """Train what has no result yet; returns why it stopped early, "" when every run has ended.
 
         A run that fails (bad input, a loss that is not finite) is recorded with its message, and the others go on; the
-        next sweep tries it again. InputError before anything is trained: something in the grid cannot be opened.
+        next sweep tries it again. `prepare` is called before each of them. InputError before anything is trained:
+        something in the grid cannot be opened.
         """
         for run in self.runs:
             self._opened.open(run)
@@ -189,6 +195,8 @@ class Sweep:
             for run in left:
                 with self._held(run) as held:
                     if held and not self._is_settled(run):
+                        if prepare:
+                            prepare(run.settings.compute)
                         stopped = self._train(run, tell, on_event)
                         if stopped:
                             return stopped

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, UseAppendAction
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
+from cloak_core.attack.settings.values import Range
 from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.compute import keep_freed_memory
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.writing import write_text
 
@@ -60,7 +62,7 @@ class Step(Command):
     """Folder of images, or procedural[:train]."""
     batch: int = 8
     """Images per update."""
-    distance: str = "2.2"
+    distance: Range = Range(2.2, 2.2)
     """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
     samples: Literal[1, 4, 16, 64] | None = None
     """Samples per pixel; None takes what training would."""
@@ -79,6 +81,7 @@ class Step(Command):
         from cloak_core.detectors.loading import load_detector
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 
+        keep_freed_memory()
         result = run_bench_step(
             open_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
@@ -167,7 +170,7 @@ class Detectors(Command):
     """Torch device."""
     out: Path | None = None
     """New Markdown file for the table."""
-    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
 
     def run(self) -> dict:
         from cloak_core.bench.detectors import run_bench_detectors, write_table

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import OmitArgPrefixes, arg
 
 from cloak_core.attack.settings import make_settings
+from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, err, open_scene, out, warn
 from cloak_core.commands.blender import SCRIPT, train_in_blender
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
+from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.files.writing import write_text
 from cloak_core.scene.blender.executable import find_bpy
 
@@ -30,11 +36,13 @@ class Demo(Command):
     steps: int = 600
     """Updates of the colours."""
     seed: int = 0
-    """Of every random draw."""
+    """Every random draw derives from it."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.scene.logos.logo import select_region
 
+        prepare_process(self.compute)
         logo = self.out.parent / f"{self.out.name}-logo.npy"
         bodies = open_scene("sample:train")
         self.out.parent.mkdir(parents=True, exist_ok=True)
@@ -45,7 +53,13 @@ class Demo(Command):
         )
         if not (self.out / "report.html").exists():
             self._train(logo, bodies.pose_count)
-        result = Evaluate(run_folder=self.out, scene="sample:unseen", backgrounds="procedural:test").run()
+        result = Evaluate(
+            run_folder=self.out,
+            scene="sample:unseen",
+            backgrounds="procedural:test",
+            settings=EvaluateSettings(seed=self.seed),
+            compute=self.compute,
+        ).run()
         return result | Report(run_folder=self.out).run()
 
     def _train(self, logo: Path, poses: int) -> None:
@@ -55,13 +69,14 @@ class Demo(Command):
             warn("no Blender here (tools/setup_blender.sh brings one): training without, and no picture from it")
         started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()
         if blender is None or started_directly:
-            settings = make_settings("best", steps=self.steps, seed=self.seed, angles=ANGLES, **HARDER)
-            Train(scene="sample:train", logo=logo, out=self.out, settings=settings, resume=self.out.exists()).run()
+            changes = HARDER | {"steps": self.steps, "seed": self.seed, "angles": ANGLES} | vars(self.compute)
+            settings = make_settings("best", **changes)
+            Train.of(settings, scene="sample:train", logo=logo, out=self.out, resume=self.out.exists()).run()
             return
         config = self.out.parent.absolute() / f"{self.out.name}-settings.toml"
-        write_text(
-            config, "".join(f"{key} = {json.dumps(value)}\n" for key, value in (HARDER | {"seed": self.seed}).items())
-        )
+        further = HARDER | {"seed": self.seed}
+        further |= {} if self.compute.threads is None else {"threads": self.compute.threads}
+        write_text(config, "".join(f"{key} = {json.dumps(value)}\n" for key, value in further.items()))
         words = [
             "--sample",
             "--logo",
@@ -73,7 +88,7 @@ class Demo(Command):
             "--angles",
             ANGLES,
         ]
-        words += ["--steps", str(self.steps), "--config", str(config), "--resume"]
+        words += ["--steps", str(self.steps), "--device", self.compute.device, "--config", str(config), "--resume"]
         train_in_blender(blender, words, self.out)
 
     def show(self, result: dict) -> None:

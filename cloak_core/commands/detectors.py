@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, err, open_scene, out, require_new
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.errors import InputError
 
@@ -26,13 +30,15 @@ class Check(Command):
     """Bodies to render: scene folder, .npz, or sample:unseen."""
     backgrounds: str | None = None
     """With --scene: folder of images, or procedural:test."""
-    angles: str = "-10,0,10"
+    angles: Angles = Angles((-10.0, 0.0, 10.0))
     """With --scene: azimuths in degrees."""
-    device: str = "cpu"
-    """Torch device."""
-    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
+    seed: int = 0
+    """With --scene: every random draw derives from it."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
+        prepare_process(self.compute)
         if (self.image is None) == (self.scene is None):
             raise InputError("detectors check: give either --image, or --scene and --backgrounds")
         if self.image is not None:
@@ -40,16 +46,15 @@ class Check(Command):
 
             if self.out is not None:
                 require_new(self.out)
-            return check_image(self.options.load([self.spec], self.device)[0], self.image, out=self.out)
+            return check_image(self.options.load([self.spec], self.compute.device)[0], self.image, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
-        from cloak_core.attack.parsing import parse_angles
         from cloak_core.evaluate.clean import check_scene
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 
-        detector = self.options.load([self.spec], self.device)[0]
+        detector = self.options.load([self.spec], self.compute.device)[0]
         return check_scene(
-            detector, open_scene(self.scene), open_backgrounds(self.backgrounds), parse_angles(self.angles)
+            detector, open_scene(self.scene), open_backgrounds(self.backgrounds), self.angles, seed=self.seed
         )
 
     def show(self, result: dict) -> None:
@@ -91,11 +96,13 @@ class TrainBuiltin(Command):
     start_from: Path | None = None
     """Weights to go on from (.weights of the same network)."""
     seed: int = 0
-    """Of every random draw."""
+    """Every random draw derives from it."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.pretrain.builtin_training import train_builtin
 
+        prepare_process(self.compute)
         require_new(self.out)
         if self.steps < 1:
             raise InputError(f"--steps {self.steps}: at least 1 is needed")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from rich.progress import Progress
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, err, open_scene, out
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.exchange.colors import read_colors
@@ -34,29 +38,29 @@ class Evaluate(Command):
     """Folder of images, or procedural:test (the default after training on procedural:train)."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to judge with (default: those it was trained against)."""
-    angles: str = "-10:10:1"
+    angles: Angles = Angles.parse("-10:10:1")
     """Azimuths in degrees: A:B:STEP or a comma list."""
-    device: str = "cpu"
-    """Torch device."""
-    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
-    settings: OmitArgPrefixes[EvaluateSettings] = field(default_factory=EvaluateSettings)
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    settings: Annotated[OmitArgPrefixes[EvaluateSettings], arg(name="evaluation")] = field(
+        default_factory=EvaluateSettings
+    )
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        from cloak_core.attack.parsing import parse_angles
         from cloak_core.evaluate.evaluation import evaluate
         from cloak_core.evaluate.evaluation_folder import FOLDER
         from cloak_core.evaluate.provenance import training_record
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
         from cloak_core.scene.logos.logo import make_logo
 
+        prepare_process(self.compute)
         config = read_run(self.run_folder)
-        angles = parse_angles(self.angles)
         bodies = open_scene(self.scene or kept_back("scene", config))
         backgrounds = open_backgrounds(self.backgrounds or kept_back("backgrounds", config))
         logo = make_logo(bodies, face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies))
         colors = read_colors(self.run_folder / "colors.npy", len(logo.face_ids))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
-        detectors = dict(zip(specs, self.options.load(specs, self.device), strict=True))
+        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("evaluating", total=None)
             return evaluate(
@@ -65,7 +69,7 @@ class Evaluate(Command):
                 bodies,
                 backgrounds,
                 detectors,
-                angles,
+                self.angles,
                 self.settings,
                 training=training_record(self.run_folder),
                 out=self.run_folder / FOLDER,
@@ -95,7 +99,9 @@ def read_run(folder: Path) -> dict:
 
 def kept_back(kind: str, config: dict) -> str:
     """The embedded material that training did not see; for anything else the user must say."""
-    spec, _ = split_selection(config.get("inputs", {}).get(kind, ""))
+    inputs = config.get("inputs", {})
+    made_from = inputs.get("made_from", "") if kind == "scene" else ""
+    spec, _ = split_selection(made_from or inputs.get(kind, ""))
     head, mark, rest = spec.partition(":train")
     if mark and head in ("sample", "procedural"):
         return head + COUNTERPART[":train"][kind] + rest

@@ -8,9 +8,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from tyro.conf import OmitArgPrefixes
+from tyro.conf import OmitArgPrefixes, arg
 
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_face_list
@@ -115,32 +118,31 @@ class Heatmap(Command):
     """Heat map to write: float32, one number per face (.npy)."""
     backgrounds: str = "procedural:train"
     """Folder of images, or procedural[:train|test]."""
-    angles: str = "-10:10:5"
+    angles: Angles = Angles.parse("-10:10:5")
     """Azimuths in degrees: A:B:STEP or a comma list."""
     pick: float | None = None
     """Also take the most sensitive faces, this share of the body's area (0.2 = 20 %), into a face list."""
     logo: Path | None = None
     """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
-    device: str = "cpu"
-    """Torch device."""
-    options: OmitArgPrefixes[DetectorOptions] = field(default_factory=DetectorOptions)
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.attack.heatmap import heatmap
-        from cloak_core.attack.parsing import parse_angles
         from cloak_core.exchange.heat import hottest_faces
         from cloak_core.files.writing import write_npy
         from cloak_core.scene.backdrops.backgrounds import open_backgrounds
         from cloak_core.scene.geometry import face_areas
 
+        prepare_process(self.compute)
         logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
         if self.pick is not None and not 0 < self.pick <= 1:
             raise InputError(f"--pick {self.pick}: a share of the area in (0, 1] is needed")
         for path in [self.out] + [logo] * (self.pick is not None):
             require_new(path)
         bodies = open_scene(self.scene)
-        detector = self.options.load([self.detector], self.device)[0]
-        heat = heatmap(bodies, detector, open_backgrounds(self.backgrounds), parse_angles(self.angles))
+        detector = self.options.load([self.detector], self.compute.device)[0]
+        heat = heatmap(bodies, detector, open_backgrounds(self.backgrounds), self.angles)
         write_npy(self.out, np.asarray(heat, np.float32))
         result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}
         if self.pick is not None:

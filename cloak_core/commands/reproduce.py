@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional, UseAppendAction
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from cloak_core.attack.settings import Preset
+from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out, warn
+from cloak_core.commands.compute import prepare_process
 
 
 @dataclass(kw_only=True)
@@ -39,12 +43,13 @@ class Reproduce(Command):
     what the preset says)."""
     seeds: int | None = None
     """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
-    preset: str = "best"
+    seed: int = 0
+    """Every random draw derives from it; repetitions count on from it."""
+    preset: Preset = "best"
     """Training preset."""
     publish: Path | None = None
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
-    device: str = "cpu"
-    """Torch device."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.evaluate.cycles import NoBlender
@@ -54,13 +59,14 @@ class Reproduce(Command):
         from cloak_core.evaluate.experiments.materials import open_materials
         from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 
+        prepare_process(self.compute)
         materials = open_materials(
             self.detector or ("builtin",),
             scene=self.scene,
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
-            device=self.device,
+            device=self.compute.device,
         )
         options = Options(
             out=self.out,
@@ -68,7 +74,8 @@ class Reproduce(Command):
             preset=self.preset,
             steps=self.steps,
             seeds=self.seeds,
-            device=self.device,
+            seed=self.seed,
+            device=self.compute.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )
         lab = Lab(materials, options, lambda message: err.print(message))

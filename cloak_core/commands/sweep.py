@@ -8,6 +8,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from cloak_core.commands.base import RANK, Command, Stopped, err, out
+from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
@@ -26,12 +27,21 @@ class Sweep(Command):
     out: Path
     """Folder for the runs and their table; the same one goes on with what is left."""
 
+    device: str | None = None
+    """Torch device of every run (default: what the grid says, else cpu)."""
+    threads: int | None = None
+    """CPU threads of torch in every run (default: what the grid says)."""
+    seed: int | None = None
+    """Every random draw derives from it (default: what the grid says, else 0)."""
+
     def run(self) -> dict:
         from cloak_core.attack import sweeps
 
-        sweep = sweeps.Sweep(sweeps.read_grid(self.grid), self.out)
+        given = {"device": self.device, "threads": self.threads, "seed": self.seed}
+        changes = {name: value for name, value in given.items() if value is not None}
+        sweep = sweeps.Sweep(sweeps.read_grid(self.grid, changes), self.out)
         with TrainingProgress(silent=bool(RANK)) as progress:
-            stopped = sweep.run(tell=lambda line: err.print(line), on_event=progress)
+            stopped = sweep.run(tell=err.print, on_event=progress, prepare=prepare_process)
         result = {"out": str(self.out)} | sweep.write_results()
         failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]
         if failed:

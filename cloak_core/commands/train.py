@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.attack.settings import COMPONENTS, Preset, TrainSettings, components_from_record, merge
+from cloak_core.attack.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
@@ -42,6 +42,8 @@ class Train(Command):
     """What to hide from: builtin, darknet:CFG:WEIGHTS[@SIZE], python:FILE.py:FUNCTION ... (default: builtin)."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
+    made_from: str | None = None
+    """What --scene was made from, where that is embedded (sample:train): evaluation then knows what was kept back."""
     out: Path
     """Run folder to write; a new one unless --resume."""
     resume: bool = False
@@ -62,27 +64,24 @@ class Train(Command):
 
     @classmethod
     def default(cls, arguments: list[str]) -> Train:
-        """What the options default to: the preset, then the TOML file. Nothing is checked before they are laid over it."""
-        in_file: dict = {}
-        config = _value_of("config", arguments)
-        if config is not None:
-            in_file = {key.replace("-", "_"): value for key, value in read_toml(Path(config)).items()}
-        given = {name: _value_of(name, arguments) for name in ("preset", "steps", "epochs")}
-        # A number that the option replaces: of --steps and --epochs the one that is given counts.
-        given = {name: value if name == "preset" else 1 for name, value in given.items() if value is not None}
+        """What the options default to: the preset, then the TOML file, not checked before the options replace them."""
+        preset, config = _value_of("preset", arguments), _value_of("config", arguments)
+        # Any number: the option itself replaces it. Of --steps and --epochs the one that is given counts.
+        given: dict = {name: 1 for name in ("steps", "epochs") if _value_of(name, arguments) is not None}
+        given |= {"preset": preset} if preset in PRESETS else {}
+        in_file = {} if config is None else read_toml(Path(config))
         try:
-            settings = components_from_record(merge(in_file, given))
+            settings = components_from_record(merge({k.replace("-", "_"): v for k, v in in_file.items()}, given))
         except InputError as error:
-            raise InputError(f"{config}: {error}" if config else str(error)) from None
+            raise InputError(f"{config}: {error}") from None
         settings["length"] = settings.pop("run")
         return cls(**dict.fromkeys(("scene", "logo", "out"), tyro.MISSING), **settings)
 
     @classmethod
     def of(cls, settings: TrainSettings, **inputs: object) -> Train:
         """Training with these settings; `inputs` are the other options, by name."""
-        return cls(
-            length=settings.run, **{name: vars(settings)[name] for name in vars(settings) if name != "run"}, **inputs
-        )
+        parts = dict(vars(settings))
+        return cls(length=parts.pop("run"), **parts, **inputs)
 
     @property
     def settings(self) -> TrainSettings:
@@ -109,6 +108,7 @@ class Train(Command):
         detectors = self.options.load(specs, settings.compute.device)
         backgrounds = open_backgrounds(self.backgrounds)
         inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
+        inputs |= {"made_from": self.made_from} if self.made_from else {}
         with contextlib.ExitStack() as stack:
             for listener in listeners:
                 stack.enter_context(listener)

@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 
-from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint, sweep
+from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, remove_unfinished, save_checkpoint
 from cloak_core.files.errors import InputError
 from tests.attack import children
 
@@ -124,5 +124,5 @@ def test_killed_while_writing_there_is_always_a_whole_one(tmp_path):
         assert damaged == []
         assert found.step >= announced[-1]
         assert (found.tensors["parameter"] == found.step).all()
-        sweep(folder)
+        remove_unfinished(folder)
         assert all(p.name.startswith("step-") for p in folder.iterdir())

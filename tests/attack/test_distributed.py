@@ -23,7 +23,7 @@ import json, os, sys
 from pathlib import Path
 from safetensors.torch import save_file
 from cloak_core.files.errors import InputError
-from cloak_core.attack import hard_views, trainer
+from cloak_core.attack import hard_views, loop
 from tests.attack.test_training import run
 plan = json.loads(sys.argv[1])
 out = Path(plan["out"])

@@ -73,7 +73,7 @@ def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
 def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
     detectors = [Proposing(seed) for seed in range(4)]
     chosen = {"detectors_per_step": 2, "steps": 8, "checkpoint_every": 3}
-    draws = lambda seed: [asked(Ensemble(tiny_settings(**chosen, seed=seed), 4), step) for step in range(200)]
+    draws = lambda seed: [asked(Ensemble(tiny_settings(**chosen).objective, 4, seed), step) for step in range(200)]
     drawn = draws(0)
     assert all(len(set(numbers)) == 2 for numbers in drawn) and len(set(drawn)) == 6
     assert drawn == draws(0) and drawn != draws(1)

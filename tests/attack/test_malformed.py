@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
 from cloak_core.attack.events import read_events, rewind_events
-from cloak_core.attack.settings import make_settings, settings_from_record
+from cloak_core.attack.settings import make_settings, settings_from_record, settings_record
 from cloak_core.files.errors import InputError
 from tests.attack.test_training import run
 
@@ -83,7 +83,7 @@ quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCh
 
 
 @quick
-@given(st.sampled_from(list(make_settings("best").__dataclass_fields__)), json_values)
+@given(st.sampled_from(list(settings_record(make_settings("best")))), json_values)
 def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
     record = {"epochs": None, "steps": 5} | {name: value}
     try:

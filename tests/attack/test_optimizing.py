@@ -83,7 +83,8 @@ def test_training_does_not_load_torchs_compiler():
         "import sys; from cloak_core.attack.optimizing import ColorOptimizer; from cloak_core.attack import training;"
     )
     code += "from cloak_core.attack.settings import make_settings; import torch;"
-    code += "ColorOptimizer(make_settings('best').optimization, torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"
+    code += "settings = make_settings('best').optimization;"
+    code += "ColorOptimizer(settings, torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -11,7 +11,9 @@ from cloak_core.files.errors import InputError
 
 @dataclass(frozen=True, kw_only=True)
 class ComputeSettings:
-    """Where things are computed; the same for every command that computes. A command applies them, no function does."""
+    """Where to compute."""
+
+    # A command prepares its process by them (`commands.compute`); functions leave the process as it is.
 
     device: str = "cpu"
     """Torch device: cpu, cuda, cuda:1."""

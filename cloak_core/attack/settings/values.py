@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import types
 import typing
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -22,8 +23,8 @@ SECTOR = 10.0
 class Within:
     """Bounds of a number, or of both ends of a range; stands in a field's annotation."""
 
-    low: float = 0
-    high: float = math.inf
+    low: float | int = 0
+    high: float | int = math.inf
     ends: Literal["[]", "[)", "(]", "()"] = "[]"
     """Which of the bounds belong."""
 
@@ -48,7 +49,7 @@ class Written:
     metavar: ClassVar[str]
 
     @classmethod
-    def parse(cls, text: str) -> typing.Self:
+    def parse(cls, text: str) -> Written:
         raise NotImplementedError
 
 
@@ -105,7 +106,7 @@ class Angles(tuple[float, ...], Written):
         return cls._checked((first + i * step for i in range(count)), text)
 
     @classmethod
-    def _checked(cls, degrees: typing.Iterable[float], text: str) -> Angles:
+    def _checked(cls, degrees: Iterable[float], text: str) -> Angles:
         angles = cls(round(angle, 9) + 0.0 for angle in degrees)
         if max(map(abs, angles)) > 360:
             raise ValueError(f"{text!r} leaves [-360, 360] degrees")
@@ -114,11 +115,9 @@ class Angles(tuple[float, ...], Written):
         return angles
 
     def __str__(self) -> str:
-        if len(self) > 2 and self[1] > self[0]:
-            steps = _spelled((self[0], self[-1], round(self[1] - self[0], 9)), ":")
-            if Angles.parse(steps) == self:
-                return steps
-        return _spelled(self, ",")
+        step = round(self[1] - self[0], 9) if len(self) > 2 else 0.0
+        even = step > 0 and all(round(self[0] + i * step, 9) == angle for i, angle in enumerate(self))
+        return _spelled((self[0], self[-1], step), ":") if even else _spelled(self, ",")
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ def _numbers(text: str, separator: str | None, whole: str | None = None) -> tupl
     return tuple(numbers)
 
 
-def _spelled(numbers: typing.Iterable[float], separator: str) -> str:
+def _spelled(numbers: Iterable[float], separator: str) -> str:
     return separator.join(repr(float(number)).removesuffix(".0") for number in numbers)
 
 

@@ -67,6 +67,8 @@ class Options:
     """Images per update; None: what the preset says."""
     seeds: int | None = None
     """Repetitions of every training with another seed; None: 1 when quick, else 3."""
+    seed: int = 0
+    """Of the first repetition, and of every evaluation."""
     images_per_view: int | None = None
     """Test images per body and angle; None: 2 when quick, else 8."""
     size: int = 416
@@ -80,7 +82,7 @@ class Options:
 
     @property
     def seed_list(self) -> tuple[int, ...]:
-        return tuple(range(self.seeds or (1 if self.quick else 3)))
+        return tuple(range(self.seed, self.seed + (self.seeds or (1 if self.quick else 3))))
 
     @property
     def test_images(self) -> int:
@@ -229,6 +231,7 @@ class Lab:
             samples=options.samples,
             controls=CONTROLS,
             shift=min(50, options.size // 8),
+            seed=options.seed,
         )
         return replace(settings, **changes)
 

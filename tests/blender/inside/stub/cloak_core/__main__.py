@@ -69,7 +69,18 @@ def check(spec: str, image: Path) -> None:
 def train(words: list[str]) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("command", choices=["train"])
-    for name in ("scene", "logo", "detector", "backgrounds", "angles", "preset", "device", "out", "config"):
+    for name in (
+        "scene",
+        "logo",
+        "detector",
+        "backgrounds",
+        "angles",
+        "preset",
+        "device",
+        "out",
+        "config",
+        "made-from",
+    ):
         parser.add_argument(f"--{name}")
     parser.add_argument("--steps", type=int, default=20)
     parser.add_argument("--json", action="store_true")
