@@ -15,22 +15,22 @@ EARLY = {"held_out": 0.3, "tv_weight": 0, "held_out_every": 2, "patience": 2, "s
 
 def test_what_is_set_aside_is_apart_and_drawn_by_the_seed():
     material = TrainingData(box_bodies(5), noise_backgrounds(10))
-    trained, held = set_aside(tiny_settings(held_out=0.3), material)
+    trained, held = set_aside(tiny_settings(held_out=0.3).run, material)
     for count, share, names in ((5, 2, lambda m: m.bodies.names), (10, 3, lambda m: m.backgrounds.names)):
         assert len(names(held)) == share and len(names(trained)) == count - share
         assert not set(names(held)) & set(names(trained))
-    again = set_aside(tiny_settings(held_out=0.3), material)[1]
-    other = set_aside(tiny_settings(held_out=0.3, seed=1), material)[1]
+    again = set_aside(tiny_settings(held_out=0.3).run, material)[1]
+    other = set_aside(tiny_settings(held_out=0.3, seed=1).run, material)[1]
     assert again.backgrounds.names == held.backgrounds.names != other.backgrounds.names
-    assert set_aside(tiny_settings(), material) == (material, None)
+    assert set_aside(tiny_settings().run, material) == (material, None)
 
 
 def test_little_material():
-    trained, held = set_aside(tiny_settings(held_out=0.01), TrainingData(box_bodies(1), noise_backgrounds(2)))
+    trained, held = set_aside(tiny_settings(held_out=0.01).run, TrainingData(box_bodies(1), noise_backgrounds(2)))
     assert len(trained.backgrounds) == len(held.backgrounds) == 1
     assert trained.bodies.pose_count == held.bodies.pose_count == 1
     with pytest.raises(InputError, match=r"--held-out 0\.2: a single background"):
-        set_aside(tiny_settings(held_out=0.2), TrainingData(box_bodies(1), noise_backgrounds(1)))
+        set_aside(tiny_settings(held_out=0.2).run, TrainingData(box_bodies(1), noise_backgrounds(1)))
 
 
 def told(folder, kind):

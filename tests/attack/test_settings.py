@@ -174,7 +174,7 @@ def test_values_are_read_as_they_are_spelled(value):
     st.fixed_dictionaries(
         {"preset": st.sampled_from(list(PRESETS))},
         optional={
-            "angles": st.one_of(angles, sweeps).map(str),
+            "angles": st.one_of(angles, sweeps).map(Azimuths).map(str),
             "elevation": ranges.filter(lambda r: -85 <= r.low and r.high <= 85).map(str),
             "contrast": ranges.filter(lambda r: r.low >= 0).map(str),
             "jpeg": st.none() | ranges.filter(lambda r: 1 <= r.low and r.high <= 100).map(str),
