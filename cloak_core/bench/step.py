@@ -139,7 +139,7 @@ class _Bench:
                 clock.time("update", update)
                 batches.clear()
         prefetcher.close()
-        views = "fresh" if is_fresh(settings) else "kept"
+        views = "fresh" if is_fresh(settings.views) else "kept"
         return (
             {"name": detector.name} | clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
         )
@@ -148,7 +148,7 @@ class _Bench:
         sampler = self.sampler
         views = sampler.pose_count * len(sampler.angles) * sampler.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
-        wanted = 0 if is_fresh(self.settings) else views * (np.log(views) + 3)
+        wanted = 0 if is_fresh(self.settings.views) else views * (np.log(views) + 3)
         return int(np.ceil(wanted / self.settings.run.batch)) + 1
 
 

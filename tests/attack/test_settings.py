@@ -128,7 +128,9 @@ def test_an_epoch_is_every_background_at_every_angle():
 def test_whole_numbers_are_taken_where_numbers_are_meant():
     settings = make_settings("best", lr=1, angles=0, distance=2, batch=4.0)
     assert settings.optimization.lr == 1.0 and isinstance(settings.optimization.lr, float)
-    assert settings.views.angles.starts == (0,) and settings.views.distance == Range(2.0, 2.0) and settings.run.batch == 4
+    assert (
+        settings.views.angles.starts == (0,) and settings.views.distance == Range(2.0, 2.0) and settings.run.batch == 4
+    )
 
 
 def test_settings_are_frozen():
