@@ -1,0 +1,143 @@
+"""What a thing is: the same however it is held, another as soon as anything differs that decides a result."""
+
+import dataclasses
+import pickle
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core.exchange.bodies import Bodies, frozen
+from cloak_core.files import identity
+from cloak_core.files.identity import TRAINING, code_hash, package_versions, sha256_arrays, sha256_record, source_hash
+
+
+def bodies(**changes: object) -> Bodies:
+    numbers = np.random.default_rng(0)
+    values: dict[str, object] = {
+        "vertices": numbers.normal(size=(2, 4, 3)).astype(np.float32),
+        "triangles": np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3]]),
+        "triangle_face": np.array([0, 0, 1]),
+        "face_colors": numbers.uniform(0, 1, (2, 2, 3)),
+        "uv": numbers.uniform(0, 1, (4, 2)),
+        "triangle_uv": np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3]]),
+        "textures": {"skin": numbers.integers(0, 255, (5, 4, 3), np.uint8)},
+        "outfit_textures": ("skin", ""),
+    }
+    return Bodies(**(values | changes))
+
+
+def nudged(array: np.ndarray) -> np.ndarray:
+    changed = np.array(array)
+    changed.flat[-1] = changed.flat[-2]
+    return changed
+
+
+@pytest.mark.parametrize(
+    "part",
+    ["vertices", "triangles", "triangle_face", "face_colors", "uv", "triangle_uv", "textures", "outfit_textures"],
+)
+def test_whatever_an_image_depends_on_is_in_the_bodies_identity(part: str) -> None:
+    ours = bodies()
+    value = getattr(ours, part)
+    other = {
+        "textures": lambda: {"skin": nudged(value["skin"])},
+        "outfit_textures": lambda: ("", "skin"),
+        "triangle_face": lambda: np.array([0, 1, 1]),
+    }.get(part, lambda: nudged(value))()
+    assert dataclasses.replace(ours, **{part: other}).identity != ours.identity
+
+
+def test_names_and_memory_do_not_count_in_the_bodies_identity() -> None:
+    ours = bodies()
+    held = {key: np.asfortranarray(getattr(ours, key)) for key in ("vertices", "face_colors", "triangles", "uv")}
+    wide = {"vertices": held["vertices"].astype(">f8"), "triangle_face": ours.triangle_face.astype(np.uint64)}
+    for other in (bodies(**held), bodies(**wide), bodies(name="other", names=("a", "b")), ours.select_poses([0, 1])):
+        assert other.identity == ours.identity
+    assert ours.select_poses([1, 0]).identity != ours.identity
+    assert pickle.loads(pickle.dumps(ours)).identity == ours.identity
+
+
+def test_arrays_of_bodies_cannot_be_written_to_and_nobody_elses_memory_is_kept_or_frozen() -> None:
+    vertices = bodies().vertices.copy()
+    ours = bodies(vertices=vertices)
+    vertices[0] = 7  # still theirs to write
+    assert ours.identity == bodies().identity
+    again = pickle.loads(pickle.dumps(ours))
+    for one in (ours, again, ours.select_poses([0]), bodies(vertices=np.broadcast_to(vertices, vertices.shape))):
+        for array in (one.vertices, one.triangles, one.triangle_face, one.face_colors, one.uv, one.textures["skin"]):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1
+    shared = frozen(vertices.copy())
+    assert bodies(vertices=shared).vertices is shared  # what nobody can write to is not copied
+
+
+def test_large_bodies_are_hashed_once_and_quickly() -> None:
+    large = Bodies(np.zeros((30, 13_500, 3), np.float32), np.arange(40_500 // 3 * 3).reshape(-1, 3) % 13_500)
+    started = time.perf_counter()
+    first = large.identity
+    once = time.perf_counter() - started
+    assert once < 1
+    started = time.perf_counter()
+    assert all(large.identity is first for _ in range(100)) and time.perf_counter() - started < once
+
+
+def test_an_array_is_the_same_however_it_lies_in_memory() -> None:
+    array = np.arange(12.0, dtype=np.float32).reshape(3, 4)
+    same = [np.asfortranarray(array), array.astype(">f4"), np.arange(24, dtype=np.float32)[::2].reshape(3, 4) / 2]
+    assert {sha256_arrays(other) for other in same} == {sha256_arrays(array)}
+    assert len({sha256_arrays(a) for a in (array, array.T, array.ravel(), array.astype(np.float64), array + 1)}) == 5
+    assert sha256_arrays(np.zeros((0, 3)), np.array(1.0), np.array(["a", "bc"])) != sha256_arrays(np.zeros((3, 0)))
+
+
+def test_a_record_is_the_same_in_any_order() -> None:
+    assert sha256_record({"a": 1, "b": [1, 2]}) == sha256_record({"b": [1, 2], "a": 1}) != sha256_record({"a": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        sha256_record({"a": float("nan")})
+
+
+def test_the_code_of_a_room_is_all_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identity, "_PROJECT", tmp_path)
+    (tmp_path / "render" / "inner").mkdir(parents=True)
+    (tmp_path / "render" / "inner" / "loops.py").write_text("a = 1\n")
+    (tmp_path / "other.py").write_text("b = 1\n")
+    fresh = code_hash.__wrapped__
+    before = fresh("render"), fresh("render", "other.py")
+    (tmp_path / "other.py").write_text("b = 2\n")
+    assert fresh("render") == before[0] and fresh("render", "other.py") != before[1]
+    (tmp_path / "render" / "inner" / "loops.py").write_text("a = 2\n")
+    assert fresh("render") != before[0]
+    with pytest.raises(FileNotFoundError):
+        fresh("renamed.py")
+
+
+def test_our_own_code_is_hashed_quickly() -> None:
+    started = time.perf_counter()
+    assert len(code_hash.__wrapped__(*TRAINING)) == 64 and time.perf_counter() - started < 1
+
+
+def test_a_python_file_is_known_with_what_it_imports_from_its_folder(tmp_path: Path) -> None:
+    first = tmp_path / "first"
+    (first / "parts").mkdir(parents=True)
+    (first / "detector.py").write_text("import os\nimport near\ndef make():\n    from parts.head import Head\n")
+    (first / "near.py").write_text("import further\n")
+    (first / "further.py").write_text("x = 1\n")
+    (first / "parts" / "__init__.py").write_text("")
+    (first / "parts" / "head.py").write_text("class Head: pass\n")
+    (first / "bystander.py").write_text("y = 1\n")
+    before = source_hash(first / "detector.py")
+    moved = shutil.copytree(first, tmp_path / "moved")
+    (moved / "detector.py").rename(moved / "renamed.py")
+    (moved / "bystander.py").write_text("y = 2\n")
+    assert source_hash(moved / "renamed.py") == before
+    for name in ("renamed.py", "near.py", "further.py", "parts/__init__.py", "parts/head.py"):
+        content = (moved / name).read_text()
+        (moved / name).write_text(content + "z = 3\n")
+        assert source_hash(moved / "renamed.py") != before, name
+        (moved / name).write_text(content)
+
+
+def test_versions_of_packages() -> None:
+    assert package_versions("numpy", "no-such-package") == {"numpy": np.__version__}
