@@ -12,7 +12,7 @@ from cloak_core.detectors.darknet.cfg import parse_cfg
 from cloak_core.detectors.darknet.layers import BatchNorm, Convolution, WeightedShortcut
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import open_regular
+from cloak_core.files.reading import open_regular, read_bytes
 from cloak_core.files.writing import write_bytes, write_text
 
 WRITTEN_VERSION = (0, 2, 5)
@@ -70,9 +70,7 @@ def read_weights(network: Network, path: Path) -> Network:
     """
     header, revision = check_size(network, path)
     stored = stored_tensors(network)
-    with open_regular(path) as file:
-        numbers = np.fromfile(file, dtype="<f4", offset=header)
-    values = torch.from_numpy(numbers.astype(np.float32, copy=False))
+    values = torch.from_numpy(np.frombuffer(read_bytes(path), "<f4", offset=header).astype(np.float32))
     offset = 0
     for index, name, tensor in stored:
         part = values[offset : offset + tensor.numel()]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_npy, read_npz
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.reading import open_regular, read_npy, read_npz
 
 BODY_JOINTS = 22
 """Joints that SMPL (24), SMPL+H (52) and SMPL-X (55) have in common, from the root on."""
@@ -16,6 +16,8 @@ HANDS_FROM = {52: 22, 55: 25}
 """Where the 30 finger joints begin in models that have them."""
 SHAPES = 10
 MAX_POSES = 10_000_000
+MAX_POSE_BYTES = 64 << 20
+"""Of a table of poses as text or .mat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,10 @@ def read_surreal(path: Path, joint_count: int) -> Read:
     except ImportError:
         raise InputError(f"{path}: reading .mat files needs scipy (pip install scipy)") from None
     try:
-        arrays = loadmat(path, variable_names=["pose", "shape"])
+        with open_regular(path, MAX_POSE_BYTES) as file:
+            arrays = loadmat(file, variable_names=["pose", "shape"])
+    except InputError:
+        raise
     except Exception as error:  # scipy raises whatever a damaged file leads it into
         raise InputError(f"{path}: not a readable .mat file ({type(error).__name__}: {error})") from None
     pose, shape = (numbers(path, name, arrays.get(name)) for name in ("pose", "shape"))
@@ -92,9 +97,12 @@ def read_rows(path: Path, joint_count: int) -> Read:
         rows = np.atleast_2d(numbers(path, "rows", read_npy(path), ranks=(1, 2)))
     else:
         try:
-            rows = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
-        except (ValueError, OSError) as error:
-            raise InputError(f"{path}: {str(error).splitlines()[0]}") from None
+            with open_regular(path, MAX_POSE_BYTES) as file:
+                rows = np.loadtxt(file, delimiter=",", ndmin=2, comments="#")
+        except InputError:
+            raise
+        except ValueError as error:
+            raise InputError(f"{path}: {first_line(error)}") from None
     width = 3 * joint_count
     if rows.shape[1] < width:
         raise InputError(f"{path}: rows of {rows.shape[1]} numbers, but {joint_count} joints need {width} (and betas)")

@@ -1,0 +1,53 @@
+"""Files are read and written through `cloak_core.files`, pictures through `scene.pictures`: nobody opens one by hand."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+CORE = Path(__file__).parents[2] / "cloak_core"
+APART = ("files", "bench", "pretrain", "scene/pictures.py", "scene/blender/inside.py")
+"""The rooms for it, what measures and made the data, and a script that runs in Blender without Cloak."""
+OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
+OF_MODULES = {
+    "np": {"load", "save", "savez", "savez_compressed", "fromfile", "memmap", "loadtxt", "genfromtxt"},
+    "os": {"replace", "rename", "mkfifo"},
+    "tempfile": {"mkstemp", "NamedTemporaryFile"},
+    "Image": {"open"},
+    "io": {"open"},
+    "json": {"load", "loads"},
+    "tomllib": {"load", "loads"},
+    "pickle": {"load", "loads"},
+}
+
+
+def by_hand(call: ast.Call) -> bool:
+    match call.func:
+        case ast.Name(id="open"):
+            return True
+        case ast.Attribute(value=ast.Name(id=owner), attr=name) if owner in OF_MODULES:
+            return name in OF_MODULES[owner]
+        case ast.Attribute(attr="open", value=owner):
+            modes = [a.value for a in call.args[:1] if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+            return not (isinstance(owner, ast.Name) and owner.id == "os") and (bool(modes) or not call.args)
+        case ast.Attribute(attr=name):
+            return name in OF_PATHS
+    return False
+
+
+def files() -> list[Path]:
+    return [p for p in sorted(CORE.rglob("*.py")) if not p.relative_to(CORE).as_posix().startswith(APART)]
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda path: path.relative_to(CORE).as_posix())
+def test_nobody_opens_files_by_hand(path: Path) -> None:
+    found = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Call)]
+    assert not [f"{path.name}:{call.lineno}: {ast.unparse(call)[:80]}" for call in found if by_hand(call)]
+
+
+@pytest.mark.parametrize(
+    "code",
+    ["open(p)", "p.open()", "p.open('rb')", "np.load(p)", "Image.open(p)", "p.read_text('utf-8')", "os.replace(a, b)"],
+)
+def test_the_ways_by_hand_are_known(code: str) -> None:
+    assert by_hand(ast.parse(code).body[0].value)
