@@ -111,11 +111,11 @@ def test_pipes_devices_and_link_loops_are_refused_at_once(name: str, tmp_path: P
         path.unlink()
 
     os.mkfifo(path)
-    refused("not a regular file|No such device")  # a pipe that nobody reads cannot be written to either
+    refused("not a regular file|No such device|no such file")  # a pipe that nobody reads cannot be written to either
     path.symlink_to("/dev/zero")
-    refused("not a regular file")
+    refused("not a regular file|no such file")
     path.symlink_to(path)
-    refused("symbolic links|cannot be written|no such scene")
+    refused("symbolic links|cannot be written|no such")
 
 
 def test_a_pipe_is_not_written_over(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Files are read and written through `cloak_core.files`, pictures through `scene.pictures`: nobody opens one by hand."""
+"""Files are read and written through `cloak_core.files`, pictures through `scene.pictures`, never by hand."""
 
 import ast
 from pathlib import Path
@@ -10,7 +10,7 @@ APART = ("files", "bench", "pretrain", "scene/pictures.py", "scene/blender/insid
 """The rooms for it, what measures and made the data, and a script that runs in Blender without Cloak."""
 OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
 OF_MODULES = {
-    "np": {"load", "save", "savez", "savez_compressed", "fromfile", "memmap", "loadtxt", "genfromtxt"},
+    "np": {"load", "save", "savez", "savez_compressed", "fromfile", "memmap", "genfromtxt"},
     "os": {"replace", "rename", "mkfifo"},
     "tempfile": {"mkstemp", "NamedTemporaryFile"},
     "Image": {"open"},
