@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,8 @@ MEASURING = (*TRAINING, *(f"evaluate/{name}.py" for name in ("controls", "cycles
 """The code that decides what an evaluation measures."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
 CONTROLS = (*STANDARD, *NATURAL)
+SINGLE, MULTI = "0", "-10:10:5"
+"""Training angles of the paper."""
 QUICK_STEPS = 150
 
 
@@ -141,7 +143,16 @@ class Lab:
         except ValueError as error:
             raise InputError(f"settings: {error}") from None
 
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """The paper's test angles: 21 whole degrees in -10..10; every second one when quick."""
+        return tuple(float(a) for a in range(-10, 11, 2 if self.options.quick else 1))
+
     # --- training
+
+    def repeat(self, faces: np.ndarray, specs: Sequence[str], **changes: object) -> list[Trained]:
+        """`train` once per seed."""
+        return [self.train(faces, specs, seed=seed, **changes) for seed in self.options.seed_list]
 
     def train(
         self,
@@ -218,9 +229,10 @@ class Lab:
     ) -> Repeats:
         """The trainings (repetitions of one thing) on the same unseen images, beside all controls."""
         bodies = bodies or self.materials.unseen
-        specs = tuple(specs or self.specs)
         settings = self.evaluate_settings(**changes)
-        return Repeats([self._measure(one, bodies, specs, tuple(map(float, angles)), settings) for one in trained])
+        asked = (bodies, tuple(specs or self.specs), tuple(map(float, angles)), settings)
+        made = (partial(self.stage, one, angles, settings, bodies) for one in trained)
+        return Repeats([self.measured(stage, one, *asked) for stage, one in zip(made, trained, strict=True)])
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
         """The options' counts and all controls, with changes by name."""
@@ -247,13 +259,6 @@ class Lab:
         logo = make_logo(bodies, trained.logo.face_ids)
         backgrounds = self.materials.unseen_backgrounds
         return make_stage(trained.colors, logo, bodies, backgrounds, self.materials.detectors, angles, settings)
-
-    def _measure(
-        self, trained: Trained, bodies: Bodies, specs: tuple[str, ...], angles: tuple, settings: EvaluateSettings
-    ) -> Measurement:
-        return self.measured(
-            lambda: self.stage(trained, angles, settings, bodies), trained, bodies, specs, angles, settings
-        )
 
     def measured(
         self,
@@ -318,6 +323,15 @@ def _clocked(folder: Path) -> Iterator[None]:
 def _cpu_seconds(folder: Path) -> float:
     path = folder / "cost.json"
     return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
+
+
+def times(trained: Sequence[Trained]) -> dict[str, float | None]:
+    """Mean `seconds` by the clock on the wall and `cpu_seconds` of the processor, one decimal; None: not measured.
+
+    The second hardly counts what others do on the machine.
+    """
+    mean = {name: float(np.mean([getattr(t, name) for t in trained])) for name in ("seconds", "cpu_seconds")}
+    return {name: None if np.isnan(value) else round(value, 1) for name, value in mean.items()}
 
 
 def _is_done(folder: Path) -> bool:

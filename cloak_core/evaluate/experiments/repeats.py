@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Bool
 
 from cloak_core.detectors.scoring import THRESHOLD
-from cloak_core.evaluate.controls import CLOTHING, STANDARD
+from cloak_core.evaluate.controls import CLOTHING, LOGO, STANDARD
 from cloak_core.evaluate.intervals import Rate, clustered_rate
 from cloak_core.evaluate.measurement import Measurement
 from cloak_core.evaluate.rates import average_precision, threshold_curves
 
 CURVES = "curves"
-"""Of a row: success by threshold, logo and controls. No column: `write_outcome` makes a table of its own of them."""
+"""Of a row: success by threshold, logo and controls. No column: `write_numbers` makes a table of its own of them."""
 
 
 class Repeats:
@@ -29,7 +29,7 @@ class Repeats:
     def rate(
         self,
         spec: str,
-        control: str = "logo",
+        control: str = LOGO,
         *,
         angle: float | None = None,
         distance: float | None = None,
@@ -66,8 +66,10 @@ class Repeats:
     def curves(self, spec: str) -> dict[str, list[float]]:
         """Success of logo and controls at every one of `THRESHOLDS`, over all repetitions."""
         each = [threshold_curves(m, self.specs.index(spec)) for m in self.measurements]
-        mean = lambda t, control: round(float(np.mean([curve[t][control] for curve in each])), 4)
-        return {control: [mean(t, control) for t in each[0]] for control in self.controls}
+        return {
+            control: [round(float(np.mean([curve[t][control] for curve in each])), 4) for t in each[0]]
+            for control in self.controls
+        }
 
     def spread(self, spec: str, threshold: float = THRESHOLD) -> list[float]:
         """Success of each repetition."""
@@ -80,33 +82,44 @@ class Repeats:
         found = self.measurements[0].score[d, clean] > threshold
         return self._pooled([m.score[d, 0] <= threshold for m in self.measurements], found)
 
+    def rate_row(self, spec: str, control: str = LOGO, **where: float) -> dict:
+        """Success, rounded, with its interval and count."""
+        rate = self.rate(spec, control, **where)
+        return rounded({"success": rate.value, "low": rate.low, "high": rate.high, "n": rate.n})
+
+    def rows_at(self, spec: str, column: str, values: Sequence[float], **where: float) -> list[dict]:
+        """One row per angle or distance: success with interval, every control beside it."""
+        rows = []
+        for value in values:
+            place = where | {column: value}
+            shares = {control: self.share(spec, control, **place) for control in self.controls[1:]}
+            rows.append({"detector": spec, column: value} | self.rate_row(spec, **place) | rounded(shares))
+        return rows
+
     def row(self, spec: str) -> dict:
         """Everything a table says about these repetitions under one detector: plain numbers, ready for CSV."""
-        logo = self.rate(spec)
-        d = self.specs.index(spec)
-        row = {
-            "detector": spec,
-            "success": logo.value,
-            "low": logo.low,
-            "high": logo.high,
-            "n": logo.n,
+        d, first, spread = self.specs.index(spec), self.measurements[0], self.spread(spec)
+        clean = first.controls.index(CLOTHING)
+        more = {
             "success_iou": self.rate(spec, on_body=True).value,
             "conditional": self.conditional(spec).value,
             # Does not stop at 0 or 100 % where success does.
             "mean_score": float(np.mean([m.score[d, 0] for m in self.measurements])),
         }
-        row |= {control: self.share(spec, control) for control in self.controls[1:]}
-        row["clean_detection"] = 1 - row[CLOTHING]
-        precision = [average_precision(m, d, 0) for m in self.measurements]
-        row["average_precision"] = float(np.mean(precision))
-        row["clean_average_precision"] = average_precision(self.measurements[0], d, self.controls.index(CLOTHING))
-        row["false_alarms"] = float((self.measurements[0].bare[d] > THRESHOLD).mean())
-        spread = self.spread(spec)
-        row |= {"seeds": len(spread), "worst_seed": min(spread), "best_seed": max(spread)}
-        return {key: _round(value) for key, value in row.items()} | {CURVES: self.curves(spec)}
+        more |= {control: self.share(spec, control) for control in self.controls[1:]}
+        more |= {
+            "clean_detection": 1 - more[CLOTHING],
+            "average_precision": float(np.mean([average_precision(m, d, 0) for m in self.measurements])),
+            "clean_average_precision": average_precision(first, d, clean),
+            "false_alarms": float((first.bare[d] > THRESHOLD).mean()),
+            "seeds": len(spread),
+            "worst_seed": min(spread),
+            "best_seed": max(spread),
+        }
+        return {"detector": spec} | self.rate_row(spec) | rounded(more) | {CURVES: self.curves(spec)}
 
 
-def _round(value: object) -> object:
-    if isinstance(value, float):
-        return None if np.isnan(value) else round(value, 4)
-    return value
+def rounded(row: dict) -> dict:
+    """Four digits for numbers, None for those that are none."""
+    numbers = {key: value for key, value in row.items() if isinstance(value, float)}
+    return row | {key: None if np.isnan(value) else round(value, 4) for key, value in numbers.items()}

@@ -48,6 +48,16 @@ def short_name(spec: str) -> str:
     return f"{family} {name}" + (f" @{size}" if size else "")
 
 
+def said(row: dict) -> str:
+    """A row's success with its interval and count."""
+    return f"{percent(row['success'])} (95 % interval {interval([row['low'], row['high']])}, n = {row['n']:,})"
+
+
+def file_name(spec: str) -> str:
+    """A detector's name as part of a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", short_name(spec).lower()).strip("-")
+
+
 def lede(summary: dict) -> str:
     """The result of the first detector in one sentence, with its interval and its controls."""
     spec, rates = next(iter(summary["detectors"].items()))
