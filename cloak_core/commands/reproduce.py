@@ -6,7 +6,7 @@ import shlex
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
@@ -14,6 +14,10 @@ from cloak_core.attack.settings import Preset
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out, warn
 from cloak_core.commands.compute import prepare_process
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.evaluate.experiments.lab import Lab
 
 
 @dataclass(kw_only=True)
@@ -51,15 +55,57 @@ class Reproduce(Command):
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
+    redraw: bool = False
+    """Train and evaluate nothing: draw figures and write words again from the numbers in --out."""
+
     def run(self) -> dict:
-        from cloak_core.evaluate.cycles import NoBlender
         from cloak_core.evaluate.experiments.index_page import make_page
-        from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
         from cloak_core.evaluate.experiments.markdown import publish
-        from cloak_core.evaluate.experiments.materials import open_materials
+
+        done, skipped = self._redraw() if self.redraw else self._measure()
+        published = {"published": str(publish(self.out, self.publish))} if self.publish else {}
+        return {"page": str(make_page(self.out)), "experiments": done, "skipped": skipped} | published
+
+    def _measure(self) -> tuple[dict, dict]:
+        """Records by name, and why others were left out."""
+        from cloak_core.evaluate.cycles import NoBlender
+        from cloak_core.evaluate.experiments.lab import Interrupted
         from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
 
         prepare_process(self.compute)
+        lab = self._lab()
+        done, skipped = {}, {}
+        for name in EXPERIMENTS if self.name == "all" else [self.name]:
+            try:
+                done[name] = run_experiment(name, lab)
+            except Interrupted as stop:
+                raise Stopped(str(stop)) from None
+            except NoBlender as missing:
+                if self.name != "all":
+                    raise
+                warn(f"{missing}; left out")
+                skipped[name] = str(missing)
+        return done, skipped
+
+    def _redraw(self) -> tuple[dict, dict]:
+        """The same, from the numbers alone."""
+        from cloak_core.evaluate.experiments.registry import draw_again, finished
+
+        if self.name != "all":
+            return {self.name: draw_again(self.name, self.out)}, {}
+        done, skipped = {}, {}
+        for name in finished(self.out):
+            try:
+                done[name] = draw_again(name, self.out)
+            except InputError as earlier:
+                warn(f"{earlier}; left as it is")
+                skipped[name] = str(earlier)
+        return done, skipped
+
+    def _lab(self) -> Lab:
+        from cloak_core.evaluate.experiments.lab import Lab, Options
+        from cloak_core.evaluate.experiments.materials import open_materials
+
         materials = open_materials(
             self.detector or ("builtin",),
             scene=self.scene,
@@ -78,20 +124,7 @@ class Reproduce(Command):
             device=self.compute.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )
-        lab = Lab(materials, options, lambda message: err.print(message))
-        done, skipped = {}, {}
-        for name in EXPERIMENTS if self.name == "all" else [self.name]:
-            try:
-                done[name] = run_experiment(name, lab)
-            except Interrupted as stop:
-                raise Stopped(str(stop)) from None
-            except NoBlender as missing:
-                if self.name != "all":
-                    raise
-                warn(f"{missing}; left out")
-                skipped[name] = str(missing)
-        published = {"published": str(publish(self.out, self.publish))} if self.publish else {}
-        return {"page": str(make_page(self.out)), "experiments": done, "skipped": skipped} | published
+        return Lab(materials, options, lambda message: err.print(message))
 
     def show(self, result: dict) -> None:
         for name, record in result["experiments"].items():

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_centres
 
 LOGO = "logo"
 CLOTHING = "clothing"
@@ -36,7 +37,7 @@ def control_colors(
     elif control == "grey":
         colors = np.full_like(trained, 0.5)
     elif control in NATURAL:
-        colors = _two_tone(trained, _pattern(control, face_centers(bodies)[face_ids]))
+        colors = _two_tone(trained, _pattern(control, face_centres(bodies)[face_ids]))
     else:
         raise InputError(f"control {control!r}: not one of {', '.join((*STANDARD, *NATURAL))}")
     return np.broadcast_to(np.asarray(colors, np.float32), (bodies.outfit_count, *trained.shape))
@@ -45,14 +46,6 @@ def control_colors(
 def random_colors(seed: int, image: int, count: int) -> Float[np.ndarray, "L 3"]:
     """Uniform random colours of one image, from the seed and the image's number alone."""
     return np.random.default_rng([seed, image]).random((count, 3), np.float32)
-
-
-def face_centers(bodies: Bodies) -> Float[np.ndarray, "F 3"]:
-    """Mean of each face's triangles' centres in the first pose, metres."""
-    centers = bodies.vertices[0][bodies.triangles].mean(1)
-    count = np.maximum(np.bincount(bodies.triangle_face, minlength=bodies.face_count), 1)
-    sums = [np.bincount(bodies.triangle_face, weights=centers[:, k], minlength=bodies.face_count) for k in range(3)]
-    return (np.stack(sums, 1) / count[:, None]).astype(np.float32)
 
 
 def _pattern(control: str, centers: Float[np.ndarray, "L 3"]) -> np.ndarray:

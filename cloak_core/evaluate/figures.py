@@ -93,10 +93,17 @@ def new_figure(width: float = WIDTH, height: float = 2.9, columns: int = 1, **ax
 
 
 def percent_axis(axis: object, label: str = "attack success") -> None:
-    """A y axis from 0 to 100 %."""
+    """Rates along y, from 0 to 100 %."""
     axis.set_ylim(-0.03, 1.03)
     axis.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
     axis.set_ylabel(label)
+
+
+def percent_along_x(axis: object) -> None:
+    """Rates along x, their marks short enough for panels beside each other."""
+    axis.set_xlim(-0.02, 1.02)
+    axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "25", "50", "75", "100 %"])
+    axis.set_xlabel("attack success")
 
 
 def panel_title(axis: object, name: str, panels: int = 1) -> None:
@@ -118,8 +125,8 @@ def degree_ticks(axis: object) -> None:
 def legend_above(figure: Figure) -> None:
     """One legend for the figure, above its axes, in as many columns as its width holds."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    text = lambda label: TextPath((0, 0), label, size=LEGEND).get_extents().width / 72  # inches
-    widths = [text(label) + 0.62 for label in labels]  # with handle and space
+    texts = [TextPath((0, 0), label, size=LEGEND).get_extents().width for label in labels]  # points
+    widths = [text / 72 + 0.62 for text in texts]  # inches, with handle and space
     room = figure.get_figwidth() - 0.1
     columns = len(labels) if sum(widths) <= room else max(1, int(room / max(widths)))
     figure.set_figheight(figure.get_figheight() + 0.17 * (-(-len(labels) // columns) - 1))  # not at the axes' cost

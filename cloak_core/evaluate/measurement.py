@@ -110,13 +110,14 @@ def read_measurement(path: Path) -> Measurement:
     arrays = read_npz(path)
     if str(arrays.get("format")) != FORMAT:
         raise InputError(f"{path}: not a {FORMAT}")
-    part = lambda kind, name: kind(**{f.name: arrays[f"{name}_{f.name}"] for f in fields(kind)})
     try:
+        trials = Trials(**{f.name: arrays[f"trials_{f.name}"] for f in fields(Trials)})
+        boxes = Boxes(**{f.name: arrays[f"boxes_{f.name}"] for f in fields(Boxes)})
         return Measurement(
             **{k: tuple(map(str, arrays[k])) for k in ("specs", "controls", "body_names", "background_names")},
             **{k: arrays[k] for k in ("score", "score_on", "bare")},
-            trials=part(Trials, "trials"),
-            boxes=part(Boxes, "boxes"),
+            trials=trials,
+            boxes=boxes,
         )
     except KeyError as error:
         raise InputError(f"{path}: {error} is missing") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,21 +37,19 @@ def write_pictures(
     the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
     under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
     """
-    shoot = lambda trial, control: _shoot(folder, stage, int(trial), control, detectors, threshold)
-    pair = lambda trial: shoot_pair(folder, stage, int(trial), detectors, threshold)
+    told, judges = (folder, stage), (detectors, threshold)
     shown = gallery_trials(stage.trials)
     middle = shown[len(shown) // (2 * len(np.unique(stage.trials.pose[shown])))]
+    failures, worst = {}, {}
+    for d, spec in enumerate(measurement.specs):
+        failures[spec] = [shoot_pair(*told, i, *judges) for i in failure_trials(measurement, d, threshold)]
+        trials = worst_trials(measurement, d, threshold)
+        worst[spec] = [shoot_pair(*told, trial, *judges) | {"success": rate} for trial, rate in trials]
     return {
-        "gallery": [pair(trial) for trial in shown],
-        "failures": {
-            spec: [pair(trial) for trial in failure_trials(measurement, d, threshold)]
-            for d, spec in enumerate(measurement.specs)
-        },
-        "worst": {
-            spec: [pair(trial) | {"success": rate} for trial, rate in worst_trials(measurement, d, threshold)]
-            for d, spec in enumerate(measurement.specs)
-        },
-        "controls": _label(stage, middle) | {"images": {c: shoot(middle, c) for c in measurement.controls}},
+        "gallery": [shoot_pair(*told, trial, *judges) for trial in shown],
+        "failures": failures,
+        "worst": worst,
+        "controls": _label(stage, middle) | {"images": _shoot(*told, middle, measurement.controls, *judges)},
         "flat": {side: _flat(folder, stage, side, azimuth) for side, azimuth in SIDES.items()},
     }
 
@@ -58,16 +57,19 @@ def write_pictures(
 @torch.no_grad()
 def shoot_pair(folder: Path, stage: Stage, trial: int, detectors: dict[str, Detector], threshold: float) -> dict:
     """One trial in own clothing and cloaked: both pictures written into `folder`, what they show and what was found."""
-    shots = {c: _shoot(folder, stage, trial, c, detectors, threshold) for c in (CLOTHING, LOGO)}
-    return _label(stage, trial) | shots
+    return _label(stage, trial) | _shoot(folder, stage, trial, (CLOTHING, LOGO), detectors, threshold)
 
 
 def gallery_trials(trials: Trials) -> list[int]:
     """The first image of each shown body (three, evenly spaced) at each shown angle (five, likewise), in that order."""
-    spaced = lambda values, count: values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
-    angles, bodies = spaced(np.unique(trials.angle), ANGLES), spaced(np.unique(trials.pose), BODIES)
-    first = lambda p, a: int(np.flatnonzero((trials.pose == p) & (trials.angle == a))[0])
-    return [first(p, a) for p in bodies for a in angles]
+    angles, bodies = _spaced(np.unique(trials.angle), ANGLES), _spaced(np.unique(trials.pose), BODIES)
+    shown = [np.flatnonzero((trials.pose == p) & (trials.angle == a)) for p in bodies for a in angles]
+    return [int(images[0]) for images in shown]
+
+
+def _spaced(values: np.ndarray, count: int) -> np.ndarray:
+    """At most so many of the values, evenly."""
+    return values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
 
 
 def failure_trials(measurement: Measurement, detector: int, threshold: float) -> list[int]:
@@ -101,18 +103,20 @@ def _label(stage: Stage, trial: int) -> dict:
 
 
 def _shoot(
-    folder: Path, stage: Stage, trial: int, control: str, detectors: dict[str, Detector], threshold: float
-) -> dict:
-    """Render one trial, write it, and record what each detector sees in it."""
-    image = stage.images([trial], control)
-    name = f"{trial:05d}-{control}.jpg"
-    save_picture(folder / name, to_pil(image[0]), quality=92, subsampling=0)
-    boxes, scores = {}, {}
-    for spec, detector in detectors.items():
-        detections = detector(image)
-        scores[spec] = round(float(max_person_score(detections)[0]), 4)
-        boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(detections, threshold)[0].tolist()]
-    return {"file": name, "boxes": boxes, "scores": scores}
+    folder: Path, stage: Stage, trial: int, controls: Sequence[str], detectors: dict[str, Detector], threshold: float
+) -> dict[str, dict]:
+    """Render one trial under these controls, write the pictures, and record what each detector sees in them."""
+    shots = {}
+    for control, image in zip(controls, stage.compose(stage.views([trial]), [trial], controls), strict=True):
+        name = f"{trial:05d}-{control}.jpg"
+        save_picture(folder / name, to_pil(image[0]), quality=92, subsampling=0)
+        boxes, scores = {}, {}
+        for spec, detector in detectors.items():
+            found = detector(image)
+            scores[spec] = round(float(max_person_score(found)[0]), 4)
+            boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, threshold)[0].tolist()]
+        shots[control] = {"file": name, "boxes": boxes, "scores": scores}
+    return shots
 
 
 def _flat(folder: Path, stage: Stage, side: str, azimuth: float) -> str:

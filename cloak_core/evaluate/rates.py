@@ -63,8 +63,8 @@ def rate_record(
     gone_on = measurement.score_on[detector, control] <= threshold
     clean = measurement.controls.index(CLOTHING)
     seen = mask & (measurement.score[detector, clean] > threshold)
-    rate = lambda hits, where: _rate(measurement, hits, where, resamples)
-    anywhere, on_body, conditional = rate(gone, mask), rate(gone_on, mask), rate(gone, seen)
+    asked = ((gone, mask), (gone_on, mask), (gone, seen))
+    anywhere, on_body, conditional = (_rate(measurement, hits, where, resamples) for hits, where in asked)
     return {
         "success": _finite(anywhere.value),
         "success_iou": _finite(on_body.value),

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from cloak_core.evaluate.controls import STRIPE, control_colors, face_centers, random_colors
+from cloak_core.evaluate.controls import STRIPE, control_colors, random_colors
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_centres
 
 
 def wall() -> Bodies:
@@ -42,7 +43,7 @@ def test_natural_patterns_are_as_strong_as_the_trained_one(control: str) -> None
 
 def test_stripes_run_around_and_checks_alternate() -> None:
     bodies = wall()
-    center = face_centers(bodies)
+    center = face_centres(bodies)
     row, column = np.floor(center[:, 1] / STRIPE), np.floor(center[:, 0] / STRIPE)
     stripes = control_colors("stripes", TRAINED, bodies, ALL)[0, :, 0]
     assert all(len(np.unique(stripes[row == r])) == 1 for r in np.unique(row))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,16 +12,17 @@ import torch
 from made_evaluation import CONTROLS, make_measurement
 from torch import Tensor
 
+from cloak_core.cli import main
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluate.experiments import lab as lab_module
-from cloak_core.evaluate.experiments.attacks import repeated
+from cloak_core.evaluate.experiments import materials as materials_module
 from cloak_core.evaluate.experiments.index_page import make_page
 from cloak_core.evaluate.experiments.lab import Interrupted, Lab, Options
 from cloak_core.evaluate.experiments.logos import PAPER_SHARES, chest_thighs, paper_logos, shapes, trimmed
 from cloak_core.evaluate.experiments.markdown import publish
 from cloak_core.evaluate.experiments.materials import Materials, open_materials
-from cloak_core.evaluate.experiments.outcome import threshold_rows
-from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
+from cloak_core.evaluate.experiments.numbers import threshold_rows
+from cloak_core.evaluate.experiments.registry import EXPERIMENTS, draw_again, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import open_backgrounds
@@ -67,13 +69,13 @@ def test_trainings_and_evaluations_are_made_once(
 ) -> None:
     faces = chest_thighs(materials.bodies)
     first = Lab(materials, options(tmp_path))
-    trained = repeated(first, faces, ["red:a.cfg"])
+    trained = first.repeat(faces, ["red:a.cfg"])
     rates = first.evaluate(trained, (0.0, 5.0))
     assert len({t.folder for t in trained}) == 2  # one per seed
     for name in ("train", "measure"):
         monkeypatch.setattr(lab_module, name, lambda *_, **__: pytest.fail("made again"))
     again = Lab(materials, options(tmp_path))
-    found = repeated(again, faces, ["red:a.cfg"])
+    found = again.repeat(faces, ["red:a.cfg"])
     assert [t.folder for t in found] == [t.folder for t in trained]
     assert np.array_equal(again.evaluate(found, (0.0, 5.0)).measurements[1].score, rates.measurements[1].score)
     # Whatever decides the result names another run.
@@ -102,9 +104,16 @@ def test_each_detector_may_have_its_own_number_of_steps(materials: Materials, tm
         Lab(materials, options(tmp_path, steps=(1, 2, 3)))
 
 
-def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> None:
-    record = run_experiment("transfer", Lab(materials, options(tmp_path)))
-    folder = tmp_path / "transfer"
+@pytest.fixture(scope="module")
+def finished(materials: Materials, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    """A folder in which `transfer` was run, and its record."""
+    out = tmp_path_factory.mktemp("out")
+    return out, run_experiment("transfer", Lab(materials, options(out)))
+
+
+def test_transfer_writes_everything(materials: Materials, finished: tuple[Path, dict], tmp_path: Path) -> None:
+    out, record = finished
+    folder = out / "transfer"
     assert {p.name for p in folder.iterdir()} == {
         "config.json", "numbers.json", "numbers.csv", "words.md", "matrix.png", "matrix.svg",
         "thresholds.csv", "thresholds.png", "thresholds.svg",
@@ -121,14 +130,37 @@ def test_transfer_writes_everything(materials: Materials, tmp_path: Path) -> Non
         assert {"clothing", "grey", "random", "stripes", "checks", "clean_detection", "average_precision"} <= row.keys()
     config = json.loads((folder / "config.json").read_text())
     assert config["quick"] and config["detectors"].keys() == materials.detectors.keys()
-    page = make_page(tmp_path).read_text("utf-8")
+    page = make_page(out).read_text("utf-8")
     assert "Transfer between detectors" in page and "Not run yet: table1" in page
     assert 'src="http' not in page and "<script" not in page
-    text = publish(tmp_path, tmp_path / "docs").read_text("utf-8")
-    assert "## transfer: Transfer between detectors" in text and "![" in text and str(tmp_path) not in text
+    text = publish(out, tmp_path / "docs").read_text("utf-8")
+    assert "## transfer: Transfer between detectors" in text and "![" in text and str(out) not in text
     assert {p.name for p in (tmp_path / "docs").iterdir()} == {
         "tables.md", "transfer-matrix.png", "transfer-thresholds.png"
     }  # fmt: skip
+
+
+def test_figures_and_words_come_from_the_numbers_alone(
+    finished: tuple[Path, dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    shutil.copytree(finished[0] / "transfer", tmp_path / "transfer")
+    drawn_again("transfer", tmp_path)
+    # By the command, too, which opens no detector for it. What an earlier version wrote is left as it is.
+    monkeypatch.setattr(materials_module, "load_detector", lambda *_, **__: pytest.fail("opened"))
+    (tmp_path / "cost").mkdir()
+    record = json.loads((tmp_path / "transfer/numbers.json").read_text())
+    earlier = json.dumps({key: value for key, value in record.items() if key not in ("format", "facts", "pictures")})
+    (tmp_path / "cost/numbers.json").write_text(earlier.replace('"transfer-', '"cost-'))
+    for file in record["figures"]:
+        (tmp_path / "cost" / file).write_bytes((tmp_path / "transfer" / file).read_bytes())
+    with pytest.raises(SystemExit, match="0"):
+        main(["reproduce", "all", "--redraw", "--out", str(tmp_path), "--json"])
+    result = json.loads(capsys.readouterr().out)
+    assert result["experiments"].keys() == {"transfer"}
+    assert result["skipped"].keys() == {"cost"} and (tmp_path / "cost/numbers.json").read_text() == earlier
+    with pytest.raises(SystemExit, match="2"):
+        main(["reproduce", "cost", "--redraw", "--out", str(tmp_path)])
+    assert "not a cloak experiment" in capsys.readouterr().err
 
 
 def test_thresholds_of_every_control_are_a_table_of_their_own() -> None:
@@ -153,6 +185,23 @@ def test_every_experiment_runs(name: str, materials: Materials, tmp_path_factory
     assert record["rows"] and record["words"] and record["figures"]
     json.dumps(record, allow_nan=False)
     assert record["title"] in make_page(out).read_text("utf-8")
+    drawn_again(name, out)
+
+
+def drawn_again(name: str, out: Path) -> None:
+    """Figures and words come back, byte by byte, from numbers.json alone; pictures are no figures, and stay."""
+    folder = out / name
+    record = (folder / "numbers.json").read_bytes()
+    made = ["words.md", *(file for file in json.loads(record)["figures"] if not file.endswith(".jpg"))]
+    before = {file: (folder / file).read_bytes() for file in made}
+    assert len(made) >= 3
+    for file in (*made, "numbers.csv", "config.json"):
+        (folder / file).rename(folder / f"{file}.away")
+    draw_again(name, out)
+    assert {file: (folder / file).read_bytes() for file in made} == before
+    assert (folder / "numbers.json").read_bytes() == record
+    for file in ("numbers.csv", "config.json"):
+        (folder / f"{file}.away").rename(folder / file)
 
 
 def test_unknown_experiment(materials: Materials, tmp_path: Path) -> None:

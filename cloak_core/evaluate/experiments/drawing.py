@@ -21,6 +21,7 @@ from cloak_core.evaluate.figures import (
     degree_ticks,
     legend_above,
     new_figure,
+    percent_along_x,
     percent_axis,
 )
 from cloak_core.evaluate.rates import THRESHOLDS
@@ -50,7 +51,7 @@ def clothing_line(axis: Axes, x: Sequence[float], rows: Rows, color: str = INK) 
     axis.plot(x, column(rows, CLOTHING), color=color, lw=1.2, ls=":", marker=own.marker, label=own.label)
 
 
-def rate_bars(axis: Axes, rows: Rows, at: Sequence[float], color: str, marker: str = "o", label: str = "") -> None:
+def rate_bars(axis: Axes, rows: Rows, at: Sequence, color: str, marker: str = "o", label: str = "") -> None:
     """Rates along x with their intervals, one below the other at the heights `at`."""
     axis.errorbar(
         column(rows), at, xerr=errors(rows), fmt=marker, color=color, lw=1.2, label=label or None, clip_on=False
@@ -59,9 +60,7 @@ def rate_bars(axis: Axes, rows: Rows, at: Sequence[float], color: str, marker: s
 
 def rates_along_x(axis: Axes, names: Sequence[str]) -> None:
     """Success along x, and a name for each line down y."""
-    axis.set_xlim(-0.02, 1.02)
-    axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "25", "50", "75", "100 %"])
-    axis.set_xlabel("attack success")
+    percent_along_x(axis)
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.grid(axis="y", visible=False)

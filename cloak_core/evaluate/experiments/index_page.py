@@ -35,21 +35,13 @@ HEADS = {
     "image_bias": "bias",
     "tv_weight": "weight",
 }
-COUNTED = {
-    "n",
-    "seeds",
-    "level",
-    "logo_faces",
-    "seconds",
-    "angle",
-    "distance",
-    "tv_weight",
-    "samples",
-    "steps",
-    "cpu_seconds",
-}
-"""Numbers that are no shares of one."""
-DIGITS = {"mean_score": "{:.3f}", "image_rms": "{:.3f}", "image_inside": "{:.3f}", "image_bias": "{:+.3f}"}
+FORMATS = {
+    "mean_score": "{:.3f}",
+    "image_rms": "{:.3f}",
+    "image_inside": "{:.3f}",
+    "image_bias": "{:+.3f}",
+} | dict.fromkeys(("angle", "distance", "tv_weight", "seconds", "cpu_seconds"), "{:g}")
+"""Of numbers that are neither counts nor shares of one."""
 SPECS = {"detector", "trained_on", "tested_on"}
 
 
@@ -112,10 +104,10 @@ def cell(key: str, row: dict) -> str:
         return short_name(str(value))
     if isinstance(value, (str, bool)):
         return str(value)
-    if key in DIGITS:
-        return DIGITS[key].format(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    if key in FORMATS:
+        return FORMATS[key].format(value)
     if key == "gap":
         return f"{100 * value:+.1f}".replace("-", "\N{MINUS SIGN}")
-    if key not in COUNTED:
-        return f"{100 * value:.1f} %" if key == "area_share" else percent(value)
-    return f"{value:,}" if isinstance(value, int) else f"{value:g}"
+    return f"{100 * value:.1f} %" if key == "area_share" else percent(value)

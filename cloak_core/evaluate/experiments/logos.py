@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,8 @@ def paper_logos(bodies: Bodies, folder: Path) -> dict[str, FaceIds]:
     whole = chest_thighs(bodies)
     smiley = draw_smiley(folder / "smiley.png")
     return {
-        "letter G": with_share(lambda h: project_text(bodies, "G", height=h), bodies, PAPER_SHARES["letter G"]),
-        "smiley": with_share(lambda h: project_mask(bodies, smiley, height=h), bodies, PAPER_SHARES["smiley"]),
+        "letter G": with_share(partial(project_text, bodies, "G"), bodies, PAPER_SHARES["letter G"]),
+        "smiley": with_share(partial(project_mask, bodies, smiley), bodies, PAPER_SHARES["smiley"]),
         "chest + thighs, small": trimmed(bodies, whole, PAPER_SHARES["chest + thighs"]),
         "chest + thighs": whole,
     }
@@ -48,11 +49,11 @@ def shirt_trousers(bodies: Bodies) -> FaceIds:
 
 def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
     """A family of shapes on the chest at growing shares of the body's area, up to what the front of the trunk holds."""
-    drawn = {"disc": draw_disc(folder / "disc.png"), "smiley": draw_smiley(folder / "smiley.png")}
-    makers: dict[str, Callable[[float], FaceIds]] = {
-        name: lambda h, path=path: project_mask(bodies, path, height=h) for name, path in drawn.items()
+    makers: dict[str, Callable[..., FaceIds]] = {
+        "disc": partial(project_mask, bodies, draw_disc(folder / "disc.png")),
+        "smiley": partial(project_mask, bodies, draw_smiley(folder / "smiley.png")),
+        "letter G": partial(project_text, bodies, "G"),
     }
-    makers["letter G"] = lambda h: project_text(bodies, "G", height=h)
     kept = ("disc", "letter G") if quick else tuple(makers)
     shares = (0.01, PAPER_SHARES["letter G"]) if quick else (0.005, 0.01, 0.02, PAPER_SHARES["letter G"], 0.06)
     logos = {}
@@ -67,14 +68,14 @@ def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
     return logos
 
 
-def with_share(make: Callable[[float], FaceIds], bodies: Bodies, share: float) -> FaceIds:
+def with_share(make: Callable[..., FaceIds], bodies: Bodies, share: float) -> FaceIds:
     """The stamp whose height (metres, by bisection up to 1 m) gives it this share of the body's area, or near it."""
     low, high = 0.0, 1.0
     best, distance = None, np.inf
     for _ in range(14):
         height = (low + high) / 2
         try:
-            ids = make(height)
+            ids = make(height=height)
             found = area_share(bodies, ids)
         except InputError:  # too small to cover the centre of any face
             ids, found = None, 0.0

@@ -84,5 +84,5 @@ def _only(row: dict, *kept: str) -> dict:
 def grid(rows: list[dict]) -> list[str]:
     """A Markdown table, and an empty line after it."""
     shown = table(rows)
-    line = lambda cells: "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
-    return [line(shown["heads"]), line("---" for _ in shown["heads"]), *map(line, shown["rows"]), ""]
+    lines = [shown["heads"], ["---"] * len(shown["heads"]), *shown["rows"]]
+    return ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |" for cells in lines] + [""]

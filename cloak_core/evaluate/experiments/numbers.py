@@ -8,6 +8,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -104,7 +105,7 @@ def select(rows: Rows, **values: object) -> Rows:
     return [row for row in rows if all(row.get(key) == value for key, value in values.items())]
 
 
-def group(rows: Rows, key: str) -> dict[str, Rows]:
+def group(rows: Rows, key: str) -> dict[Any, Rows]:
     """The rows by what they have under `key`, in order."""
     return {value: select(rows, **{key: value}) for value in dict.fromkeys(row[key] for row in rows)}
 

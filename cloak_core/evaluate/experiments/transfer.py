@@ -32,7 +32,10 @@ def tell(numbers: Numbers) -> list[str]:
     ]
     off = _between(numbers.rows)
     if not off:
-        return [*words, "Only one detector was given, so there is no transfer to speak of: name several with --detector."]
+        return [
+            *words,
+            "Only one detector was given, so there is no transfer to speak of: name several with --detector.",
+        ]
     best = best_row(off)
     words.append(
         f"Between different detectors success lies between {percent(min(column(off)))} and {percent(best['success'])} "

@@ -27,7 +27,7 @@ def measure(lab: Lab) -> Numbers:
     spec, one = lab.specs[0], lab.materials.bodies.select_poses([0])
     tests = {"the trained body": one, "an unseen body": lab.materials.unseen.select_poses([0])}
     settings = lab.train_settings(angles=SINGLE)
-    every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.batch))  # 5 epochs
+    every = max(1, round(5 * settings.epoch_images(len(lab.materials.backgrounds)) / settings.run.batch))  # 5 epochs
     changes = {"bodies": one, "angles": SINGLE, "preview_every": every}
     images = 4 * lab.options.test_images  # one body instead of several
     whole, rows, first = [], [], {}
@@ -101,7 +101,7 @@ def _preview_sheet(trained: dict[float, Trained]) -> dict[str, Image.Image]:
     rows = []
     for weight, run in trained.items():
         files = sorted((run.folder / "previews").glob("step-*.png"))
-        size, cells = run.settings.size, []
+        size, cells = run.settings.views.size, []
         near = tuple(round(share * size) for share in (0.19, 0.19, 0.76, 0.76))  # where the logo moves
         for k in np.linspace(0, len(files) - 1, min(len(files), PICTURES)).round().astype(int):
             image = Image.fromarray(read_picture(files[k])).crop(near).resize((SIDE, SIDE))
@@ -109,4 +109,3 @@ def _preview_sheet(trained: dict[float, Trained]) -> dict[str, Image.Image]:
         rows.append((f"weight {weight:g}", cells))
     columns = min(len(cells) for _, cells in rows)
     return {"pictures-logos": draw_sheet([""] * columns, rows, SIDE)} if columns else {}
-

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from cloak_core.evaluate.figures import CYCLE, SERIES, WIDTH, degree_ticks, legend_above, new_figure, percent_axis
+from cloak_core.evaluate.figures import (
+    CYCLE,
+    SERIES,
+    WIDTH,
+    degree_ticks,
+    legend_above,
+    new_figure,
+    percent_along_x,
+    percent_axis,
+)
 from cloak_core.evaluate.intervals import Rate
 from cloak_core.evaluate.measurement import Measurement
 from cloak_core.evaluate.rates import group_rates
@@ -78,9 +87,7 @@ def success_by_body(measurement: Measurement, detector: int, threshold: float) -
         error = np.abs(np.array([[r.low, r.high] for r in rates]).T - value)
         look = SERIES[control]
         axis.errorbar(value, at, xerr=error, fmt=look.marker, color=look.color, label=look.label, lw=1.2, clip_on=False)
-    axis.set_xlim(-0.02, 1.02)
-    axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
-    axis.set_xlabel("attack success")
+    percent_along_x(axis)
     axis.set_yticks(np.arange(len(bodies)), [measurement.body_names[int(p)] for p in bodies])
     axis.set_ylim(len(bodies) - 0.45, -0.55)
     axis.grid(axis="y", visible=False)
@@ -99,9 +106,7 @@ def _success_sorted(measurement: Measurement, detector: int, threshold: float) -
         axis.step(
             np.arange(len(rates)) + 1, rates, where="mid", color=look.color, linestyle=look.dash, label=look.label
         )
-    axis.set_ylim(-0.02, 1.02)
-    axis.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
-    axis.set_ylabel("attack success")
+    percent_axis(axis)
     axis.set_xlabel("bodies, from the worst to the best")
     legend_above(figure)
     return figure

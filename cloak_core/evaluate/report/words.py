@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import PureWindowsPath
 
 from cloak_core.evaluate.figures import SERIES
@@ -89,15 +90,15 @@ def setting_rows(config: dict) -> list[tuple[str, str]]:
 
 def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
     """What was trained, on what, how long, with which versions."""
-    part = lambda key: config.get(key) if isinstance(config.get(key), dict) else {}
-    scene, logo, environment = part("scene"), part("logo"), part("environment")
+    parts = (config.get(key) for key in ("scene", "logo", "environment", "backgrounds"))
+    scene, logo, environment, backgrounds = (part if isinstance(part, dict) else {} for part in parts)
     rows = [
         ("steps", f"{history.step:,}" if history.step else "none"),
         ("training time", duration(history.seconds) if history.seconds else ""),
         ("ended", history.outcome),
         ("scene", _join(scene.get("name"), _count(scene.get("poses"), "body", "bodies"))),
         ("logo", _join(_number(logo.get("faces"), "faces"), _of(scene.get("faces")))),
-        ("backgrounds", _number(part("backgrounds").get("count"), "images")),
+        ("backgrounds", _number(backgrounds.get("count"), "images")),
         ("topology", str(config.get("topology", ""))),
         ("cloak", str(config.get("cloak", ""))),
     ]
