@@ -43,13 +43,14 @@ def measure(lab: Lab) -> Numbers:
         stage.trials = replace(stage.trials, outfit=np.zeros_like(stage.trials.outfit))
         frames = render_frames(stage, (LOGO, *CONTROLS), lab.options.out / "frames", paths, lab.tell)
         stages = {OURS: stage} | {light: CyclesStage(stage, frames, light) for light in LIGHTS}
+        found = {}
         for name, shown in stages.items():
             more = {} if name == OURS else {"frames": frames.name, "light": name}
             asked = (trained, lab.materials.unseen, (spec,), angles, settings)
-            result = Repeats([lab.measured(_already(shown), *asked, outfit=0, **more)])
-            row = {"render": NAMES[name]} | result.row(spec)
-            ours = row["success"] if name == OURS else ours
-            rows.append(row | _gap(ours - row["success"], stage, shown))
+            found[name] = Repeats([lab.measured(_already(shown), *asked, outfit=0, **more)]).row(spec)
+        for name, row in found.items():
+            points = found[OURS]["success"] - row["success"]
+            rows.append({"render": NAMES[name]} | row | _gap(points, stage, stages[name]))
         pictures[f"renders-{file_name(spec)}"] = _sheet(stages)
     return Numbers(rows, {"bodies": lab.materials.unseen.pose_count, "angles": len(angles), "paths": paths}, pictures)
 
