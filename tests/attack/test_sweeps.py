@@ -167,3 +167,31 @@ def test_table_of_runs_with_different_ends():
     assert lines[0] == "| a | steps | seconds | loss | success | held-out success | run |"
     assert lines[2] == "| x+y\\|z | 3 | 2 | 0.5000 | 1.0000 | 0.2500 | runs/a |"
     assert lines[3] == "| 2 |  |  |  |  |  | failed: no |"
+
+
+def test_base_and_grid_are_merged_before_they_are_checked(tmp_path):
+    base = "[base]\nscene = 'sample'\nlogo = 'chest.npy'\n"
+    runs = grid(tmp_path, base + "epochs = 2\n[grid]\nsteps = [3, 4]\n")
+    assert [(run.settings.run.steps, run.settings.run.epochs) for run in runs] == [(3, None), (4, None)]
+    runs = grid(tmp_path, base + "momentum = 0.9\n[grid]\noptimizer = ['sgd']\n")
+    assert runs[0].settings.optimization.momentum == 0.9
+    runs = grid(tmp_path, base + "size = 64\n[grid]\ntranslation = [4, 8]\n")
+    assert [run.settings.augmentation.translation for run in runs] == [4, 8]
+    with pytest.raises(InputError, match=r"grid.toml: --momentum: Adam"):
+        grid(tmp_path, base + "momentum = 0.9\n[grid]\nlr = [1]\n")
+
+
+def test_options_replace_what_the_base_says(tmp_path):
+    path = tmp_path / "grid.toml"
+    path.write_text(BASE + "seed = 1\n[grid]\nlr = [1, 2]\n")
+    assert {(run.settings.run.seed, run.settings.compute.threads) for run in read_grid(path)} == {(1, None)}
+    changed = read_grid(path, {"seed": 5, "threads": 2})
+    assert {(run.settings.run.seed, run.settings.compute.threads) for run in changed} == {(5, 2)}
+    with pytest.raises(InputError, match="'lr' stands in"):
+        read_grid(path, {"lr": 3})
+
+
+def test_each_run_is_prepared_for(tmp_path, runs):
+    asked = []
+    Sweep(runs[:2], tmp_path / "out").run(prepare=asked.append)
+    assert asked == [run.settings.compute for run in runs[:2]]

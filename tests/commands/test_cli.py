@@ -1,6 +1,7 @@
 """The command line's manners: exit codes, one line for bad input, JSON alone on standard output."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -53,8 +54,6 @@ def test_json_alone_on_standard_output(scene):
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
-    import re
-
     assert re.search(words, bad(*arguments))
 
 
@@ -80,6 +79,57 @@ def test_help_names_every_command():
 def test_help_is_quick_because_torch_is_not_imported():
     code = "import sys\nfrom cloak_core import cli\ntry: cli.main(['--help'])\nexcept SystemExit: pass\n"
     code += "print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "False", done.stderr
+
+
+def flags_of(text: str) -> dict[str, list[str]]:
+    """The options that a help shows, by the heading they stand under."""
+    found: dict[str, list[str]] = {}
+    for line in text.splitlines():  # boxes have lines where the stream can show them
+        inner = line.strip("│╭╮─ ")
+        if inner.startswith("--") and inner.strip("-"):
+            found[next(reversed(found))].append(inner.split("  ")[0])
+        elif re.match(r"(╭─)? \w", line):
+            found[inner] = []
+    return found
+
+
+def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
+    with pytest.raises(SystemExit):
+        cli.parse(name, ["--help"])
+    return flags_of(capsys.readouterr().out)
+
+
+def test_help_has_headings_and_choices(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    shown = help_of("train", capsys)
+    parts = ["the run", "views", "augmentation", "loss", "optimiser", "computing"]
+    assert list(shown) == ["options", "detectors", *parts]
+    assert "--preset {paper,reference,best}" in shown["options"]
+    assert {"--outfits {random,first}", "--samples {None,1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["views"])
+    assert {"--loss {score,objectness,log}", "--ensemble {mean,max,weighted}"} <= set(shown["loss"])
+    assert {"--optimizer {sgd,adam}", "--schedule {constant,step,cosine}"} <= set(shown["optimiser"])
+    assert {"--translation-per {image,batch}", "--jpeg {None}|LOW:HIGH"} <= set(shown["augmentation"])
+    shown = help_of("evaluate", capsys)
+    assert list(shown) == ["positional arguments", "options", "detectors", "evaluation", "computing"]
+    assert "--preset {paper,reference,best}" in help_of("reproduce", capsys)["options"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "detectors train-builtin", "logo heatmap"],
+)
+def test_every_command_that_computes_takes_threads_and_device(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    flags = {flag.split(" ")[0] for flags in help_of(name, capsys).values() for flag in flags}
+    assert {"--threads", "--device"} <= flags
+    assert "--seed" in flags or name == "logo heatmap"  # which draws nothing
+
+
+def test_help_of_a_command_does_not_wait_for_torch():
+    code = "import sys\nfrom cloak_core import cli\nfor name in ('train', 'evaluate', 'reproduce', 'sweep', 'demo'):\n"
+    code += "  try: cli.parse(name, ['--help'])\n  except SystemExit: pass\nprint('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "False", done.stderr
 

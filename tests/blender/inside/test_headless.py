@@ -103,6 +103,8 @@ def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
 def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
     done = train(tmp_path, "--sample", "--logo", "chest", "--out", "A", "--steps", 2, "--frames", "1:2:1", python=stub)
     assert done.returncode == 0 and "exported 2 poses, 4 faces" in done.stdout, done.stderr
+    remembered = json.loads((tmp_path / "A.input" / "command.json").read_text())["options"]
+    assert remembered[-2:] == ["--made-from", "sample:train"]
     save_body(tmp_path, [4, 5, 6])
     obj = bpy.data.objects["Body"]
     faces.new_logo(obj, "back", np.isin(np.arange(len(obj.data.polygons)), [9]))

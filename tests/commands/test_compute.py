@@ -1,0 +1,116 @@
+"""Where to compute: every command takes it, the command alone changes the process; and what a demo is judged on."""
+
+import ctypes
+import json
+
+import pytest
+import torch
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.training import train
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.demo import Demo
+from cloak_core.commands.evaluate import Evaluate, kept_back
+from cloak_core.commands.train import Train
+from cloak_core.exchange.scenes import write_scene
+from cloak_core.files.errors import InputError
+from cloak_core.scene.people.samples import sample_bodies
+from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
+
+
+@pytest.fixture
+def threads():
+    """The process's own, put back afterwards."""
+    before = torch.get_num_threads()
+    yield before
+    torch.set_num_threads(before)
+
+
+def test_a_command_prepares_its_process(threads):
+    prepare_process(ComputeSettings(threads=threads + 1))
+    assert torch.get_num_threads() == threads + 1
+    prepare_process(ComputeSettings())
+    assert torch.get_num_threads() == threads + 1
+    with pytest.raises(InputError, match="--threads: 0 is not in"):
+        prepare_process(ComputeSettings(threads=0))
+
+
+def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
+    asked, library, set_threads = [], ctypes.CDLL, torch.set_num_threads
+
+    def opened(name, *arguments, **options):
+        assert name is not None, "the C library's own settings (mallopt) are the command's to change"
+        return library(name, *arguments, **options)
+
+    monkeypatch.setattr(ctypes, "CDLL", opened)
+    monkeypatch.setattr(torch, "set_num_threads", lambda count: (asked.append(count), set_threads(count)))
+    bodies, chosen = box_bodies(), tiny_settings(steps=1, threads=threads + 7)
+    train(chosen, bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds(), tmp_path / "run")
+    assert torch.get_num_threads() == threads and threads + 7 not in asked
+
+
+@pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "TrainBuiltin", "Heatmap", "Reproduce"])
+def test_commands_prepare_their_process_before_anything_else(command, tmp_path, monkeypatch):
+    from cloak_core.attack.settings import make_settings
+    from cloak_core.commands import demo, detectors, evaluate, logo, reproduce
+    from cloak_core.commands import train as training
+
+    wanted = ComputeSettings(threads=3)
+    made = {
+        "Train": lambda: Train.of(make_settings("best", threads=3), scene="s", logo=tmp_path, out=tmp_path),
+        "Evaluate": lambda: Evaluate(run_folder=tmp_path, compute=wanted),
+        "Demo": lambda: Demo(out=tmp_path, compute=wanted),
+        "Check": lambda: detectors.Check(spec="builtin", compute=wanted),
+        "TrainBuiltin": lambda: detectors.TrainBuiltin(out=tmp_path, compute=wanted),
+        "Heatmap": lambda: logo.Heatmap(scene="s", detector="builtin", out=tmp_path, compute=wanted),
+        "Reproduce": lambda: reproduce.Reproduce(name="all", compute=wanted),
+    }[command]()
+
+    class Prepared(Exception):
+        pass
+
+    def prepare(settings):
+        assert settings == wanted
+        raise Prepared
+
+    for module in (training, evaluate, demo, detectors, logo, reproduce):
+        monkeypatch.setattr(module, "prepare_process", prepare)
+    with pytest.raises(Prepared):
+        made.run()
+
+
+def test_what_was_kept_back_is_known_either_way():
+    directly = {"scene": "sample:train", "backgrounds": "procedural:train:64"}
+    through_blender = directly | {"scene": "/runs/demo.input/scene", "made_from": "sample:train"}
+    for inputs in (directly, through_blender):
+        assert kept_back("scene", {"inputs": inputs}) == "sample:unseen"
+        assert kept_back("backgrounds", {"inputs": inputs}) == "procedural:test:64"
+    with pytest.raises(InputError, match="--scene: say what to evaluate on"):
+        kept_back("scene", {"inputs": {"scene": "/runs/demo.input/scene"}})
+
+
+def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp_path, monkeypatch, capsys):
+    """As a demo through Blender leaves it."""
+    from cloak_core import cli
+    from cloak_core.exchange.face_lists import write_face_list
+    from cloak_core.scene.logos.logo import select_region
+
+    bodies = sample_bodies("train")
+    write_scene(tmp_path / "scene", bodies.select_poses([0]))
+    write_face_list(tmp_path / "logo.npy", select_region(bodies, "chest"), bodies.topology)
+    run = tmp_path / "run"
+    words = ["--scene", tmp_path / "scene", "--made-from", "sample:train", "--logo", tmp_path / "logo.npy"]
+    words += ["--out", run, "--steps", 1, "--batch", 1, "--size", 64, "--translation", 5, "--samples", 1]
+    words += ["--angles", 0, "--backgrounds", "procedural:train:1", "--preview-every", 0]
+    cli.parse("train", [*map(str, words)]).run()
+    assert json.loads((run / "config.json").read_text())["inputs"]["made_from"] == "sample:train"
+
+    class Opened(Exception):
+        pass
+
+    def open_scene(spec):
+        raise Opened(spec)
+
+    monkeypatch.setattr("cloak_core.commands.evaluate.open_scene", open_scene)
+    with pytest.raises(Opened, match="sample:unseen"):
+        Evaluate(run_folder=run).run()
