@@ -70,7 +70,7 @@ def face_lists() -> Iterator[Case]:
 
 
 def scenes() -> Iterator[Case]:
-    nan = np.full((1, 4, 3), np.nan, np.float32)
+    nan, none = np.full((1, 4, 3), np.nan, np.float32), saved(np.zeros((0, 3), np.int32))
     bad = {
         "empty": b"",
         "pickle": pickle.dumps(Evil()),
@@ -94,6 +94,11 @@ def scenes() -> Iterator[Case]:
         "names of nobody": scene_arrays(names=np.array(["a", "b"])),
         "coordinates of nothing": scene_arrays(uv=np.zeros((4, 2), np.float32)),
         "a region of numbers": scene_arrays(region_x=np.arange(4)),
+        "2^40 poses of nothing": archive(
+            {"vertices.npy": array("(1099511627776, 0, 3)", "<f4"), "triangles.npy": none}
+        ),
+        "two million poses": scene_arrays(vertices=np.zeros((1 << 21, 1, 3), np.float32), triangles=[[0, 0, 0]]),
+        "a bomb of just under 1 GiB": bomb(GIB - (1 << 24)),
     }
     for name, data in bad.items():
         yield Case(f"scene: {name}", put("bad.npz", data), "scene info bad.npz")
@@ -114,6 +119,8 @@ def meshes() -> Iterator[Case]:
         "nothing": "",
         "a pickle": pickle.dumps(Evil()).decode("latin1"),
         "faces of no vertices": "f 1 2 3\n",
+        "a vertex index of 20 digits": "v 0 0 0\nf 1 10000000000000000000 1\n",
+        "a vertex index of 5,000 digits": "v 0 0 0\nf 1 " + "1" * 5000 + " 1\n",
         "a vertex index of 10^18": "v 0 0 0\nf 1 1000000000000000000 1\n",
         "a negative index beyond": "v 0 0 0\nf -9 -9 -9\n",
         "vertices of text": "v a b c\nf 1 1 1\n",
@@ -143,7 +150,15 @@ def meshes() -> Iterator[Case]:
     loop["nodes"] = [{"mesh": 0, "children": [0]}]
     buffers = gltf()
     buffers["buffers"][0]["byteLength"] = 10**13
+    many = gltf()
+    many["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}}] * 200_000}]
+    unfolding = gltf(count=100_000)
+    del unfolding["accessors"][0]["bufferView"]
+    unfolding["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}}] * 10_000}]
     documents = {
+        "200,000 primitives": many,
+        "a thousand million vertices from nothing": unfolding,
+        "an integer of 5,000 digits": gltf(count=int("1" * 4000)),
         "10^12 vertices": gltf(count=10**12),
         "a negative count": gltf(count=-3),
         "an unknown component": gltf(componentType=9),

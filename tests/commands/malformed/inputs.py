@@ -1,11 +1,13 @@
 """What else a training reads: detectors, pictures, settings, grids, palettes."""
 
+import os
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 
-from tests.commands.malformed.making import CHECK, TRAIN, WEIGHTS, Case, Evil, archive, cfg, png_of, put
+from tests.commands.malformed.making import CHECK, RESUME, TRAIN, WEIGHTS, Case, Evil, archive, cfg, png_of, put
 
 
 def detectors() -> Iterator[Case]:
@@ -82,12 +84,49 @@ def pictures() -> Iterator[Case]:
         yield Case(f"stamp: {name}", put("bad.png", data), stamp, may)
 
 
+SPECIAL = {
+    "a pipe": lambda path: os.mkfifo(path),
+    "a link to /dev/zero": lambda path: path.symlink_to("/dev/zero"),
+    "a link to itself": lambda path: path.symlink_to(path.name),
+    "a folder": lambda path: path.mkdir(),
+}
+READ_BY = {
+    "photo.png": CHECK + " photo.png", "net.cfg": CHECK + " photo.png", "net.weights": CHECK + " photo.png",
+    "net.names": CHECK + " photo.png", "whole.npz": "scene info whole.npz", "scene/scene.json": "scene info scene",
+    "scene/bodies.npz": "scene info scene", "logo.npy": TRAIN, "logo.json": TRAIN, "photos/0.png": TRAIN,
+    "settings.toml": TRAIN + "--config settings.toml", "grid.toml": "sweep grid.toml --out new",
+    "palette.txt": TRAIN + "--palette palette.txt --nps-weight 1",
+    "triangle.obj": "scene import triangle.obj --out new",
+    "triangle.gltf": "scene import triangle.gltf --out new", "run/config.json": RESUME, "run/events.jsonl": RESUME,
+    "run/.lock": RESUME, "run/colors.npy": "print run --out new",
+}  # fmt: skip
+
+
+def special_files() -> Iterator[Case]:
+    """What is no regular file, in the place of every file that a command reads."""
+
+    def swapped(name: str, make: Callable[[Path], None]) -> Callable[[Path], None]:
+        def swap(folder: Path) -> None:
+            (folder / name).unlink(missing_ok=True)
+            make(folder / name)
+
+        return swap
+
+    for name, line in READ_BY.items():
+        for kind, make in SPECIAL.items():
+            may = name in ("net.names", "run/.lock", "run/events.jsonl")  # done without
+            yield Case(f"{kind} as {name}", swapped(name, make), line, may)
+
+
 def settings() -> Iterator[Case]:
     bad = {
         "nothing known": "colour = 1\n",
         "not TOML": "lr = = 1\n",
         "not text": b"\xff\xfe\x00",
         "deep": "lr = " + "[" * 50000,
+        "a key of 30,000 parts": "a." * 30000 + "a = 1\n",
+        "an integer of 5,000 digits": "batch = " + "9" * 5000 + "\n",
+        "a hexadecimal integer of 5,000 digits": "batch = 0x" + "f" * 5000 + "\n",
         "a table": "[lr]\nx = 1\n",
         "a date": "lr = 2020-01-01\n",
         "not a number": "lr = nan\n",
