@@ -49,7 +49,7 @@ def read_face_list(path: str | os.PathLike, bodies: Bodies | None = None) -> Fac
         raise InputError(f"{path}: duplicate face id {ids[counts.argmax()]} ({counts.max()} times)")
     index_of, topology = "triangle" if path.suffix == ".idx" else "polygon", None
     sidecar = path.with_suffix(".json")
-    if sidecar.exists():
+    if sidecar.exists() or sidecar.is_symlink():
         record = read_json(sidecar)
         check_version(record, "cloak face list", sidecar)
         index_of, topology = record.get("index_of", index_of), record.get("topology")
