@@ -90,7 +90,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(joined)
 
 
-def choice_of(options: argparse.Namespace, scene: bpy.types.Scene) -> PoseChoice:
+def choice_of(options: argparse.Namespace) -> PoseChoice:
     """Which poses the options ask for."""
     if options.actions and options.frames:
         raise InputError("--frames and --actions: give one of them")
@@ -201,7 +201,7 @@ def train(
         done, words = read_export(folder), runs.remembered_options(folder.with_name(run.name))
         runs.require_same_topology(obj, done.topology)
     else:
-        done = export(bpy.context, obj, logo, choice_of(options, bpy.context.scene), folder, options.clothing)
+        done = export(bpy.context, obj, logo, choice_of(options), folder, options.clothing)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
     command = train_command(python, words, done.scene, done.face_list, run)

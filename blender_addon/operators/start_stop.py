@@ -37,7 +37,7 @@ class CLOAK_OT_train_start(CloakOperator):
         run = runs.new_run(output_folder(settings), obj.name, logo)
         done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
         runs.remember_options(run, request.options())
-        begin(context, obj, run, train_command(python, request.options(), done.scene, done.face_list, run))
+        begin(obj, run, train_command(python, request.options(), done.scene, done.face_list, run))
         return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}"
 
 
@@ -69,7 +69,7 @@ class CLOAK_OT_train_resume(CloakOperator):
         runs.require_same_topology(obj, done.topology)
         options = runs.remembered_options(run)
         command = train_command(chosen_python(), options, done.scene, done.face_list, run)
-        begin(context, obj, run, [*command, "--resume"])
+        begin(obj, run, [*command, "--resume"])
         return f"Resuming {run}"
 
 
@@ -83,7 +83,7 @@ def resumable_run(obj: bpy.types.Object) -> Path:
     return run
 
 
-def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command: list[str]) -> TrainingJob:
+def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
     """Launch the training and wire its live colours."""
     folder = runs.input_folder(run)
     watch = Watch(obj, run, read_export(folder))
@@ -91,7 +91,6 @@ def begin(context: bpy.types.Context, obj: bpy.types.Object, run: Path, command:
     obj.cloak.run, obj.cloak.verdict = str(run), ""
     jobs.on_tick[:] = [watch.tick]
     launch(job)
-    return job
 
 
 class Watch:
