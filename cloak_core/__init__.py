@@ -1,7 +1,84 @@
 """Cloak: adversarial face colours for human meshes, trained against person detectors.
 
-Importing this package imports no torch; its rooms (`scene`, `render`, `detectors`, `attack`, `evaluate`, ...) are
-imported one by one.
+The names below are the library's interface; docs/library.md tells how they go together. Each is imported when it is
+first asked for, so that importing this package imports neither torch nor numpy.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cloak_core.attack.loop import RunResult
+    from cloak_core.attack.settings import TrainSettings, make_settings
+    from cloak_core.detectors.loading import load_detector
+    from cloak_core.detectors.protocol import Detections, Detector
+    from cloak_core.evaluate.report import make_report
+    from cloak_core.evaluate.settings import EvaluateSettings
+    from cloak_core.exchange.bodies import Bodies
+    from cloak_core.files.errors import InputError
+    from cloak_core.library import evaluate, train
+    from cloak_core.output.printing import print_logo
+    from cloak_core.scene.backdrops.backgrounds import Backgrounds
+    from cloak_core.scene.backdrops.backgrounds import open_backgrounds as load_backgrounds
+    from cloak_core.scene.logos.logo import Logo, load_logo, make_logo
+    from cloak_core.scene.opening import open_scene as load_scene
+
 __version__ = "0.1.0"
+__all__ = [
+    "Backgrounds",
+    "Bodies",
+    "Detections",
+    "Detector",
+    "EvaluateSettings",
+    "InputError",
+    "Logo",
+    "RunResult",
+    "TrainSettings",
+    "evaluate",
+    "load_backgrounds",
+    "load_detector",
+    "load_logo",
+    "load_scene",
+    "make_logo",
+    "make_report",
+    "make_settings",
+    "print_logo",
+    "train",
+]
+
+_PLACES = {
+    "Backgrounds": "scene.backdrops.backgrounds:Backgrounds",
+    "Bodies": "exchange.bodies:Bodies",
+    "Detections": "detectors.protocol:Detections",
+    "Detector": "detectors.protocol:Detector",
+    "EvaluateSettings": "evaluate.settings:EvaluateSettings",
+    "InputError": "files.errors:InputError",
+    "Logo": "scene.logos.logo:Logo",
+    "RunResult": "attack.loop:RunResult",
+    "TrainSettings": "attack.settings:TrainSettings",
+    "evaluate": "library:evaluate",
+    "load_backgrounds": "scene.backdrops.backgrounds:open_backgrounds",
+    "load_detector": "detectors.loading:load_detector",
+    "load_logo": "scene.logos.logo:load_logo",
+    "load_scene": "scene.opening:open_scene",
+    "make_logo": "scene.logos.logo:make_logo",
+    "make_report": "evaluate.report:make_report",
+    "make_settings": "attack.settings:make_settings",
+    "print_logo": "output.printing:print_logo",
+    "train": "library:train",
+}
+"""Public name -> MODULE:NAME."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, _, attribute = _PLACES[name].partition(":")
+    found = globals()[name] = getattr(import_module(f"{__name__}.{module}"), attribute)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PLACES])

@@ -12,18 +12,10 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, err, open_scene, out
+from cloak_core.commands.base import Command, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.evaluate.settings import EvaluateSettings
-from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import face_ids, read_face_list
-from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_json
-from cloak_core.scene.selection import split_selection
-
-COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
-"""What was kept back from training on embedded material."""
 
 
 @dataclass(kw_only=True)
@@ -47,65 +39,26 @@ class Evaluate(Command):
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        from cloak_core.evaluate.evaluation import evaluate
-        from cloak_core.evaluate.evaluation_folder import FOLDER
-        from cloak_core.evaluate.provenance import training_record
-        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
-        from cloak_core.scene.logos.logo import make_logo
+        from cloak_core.evaluate.trained_run import read_run
+        from cloak_core.library import evaluate
 
         prepare_process(self.compute)
         config = read_run(self.run_folder)
-        bodies = open_scene(self.scene or kept_back("scene", config))
-        backgrounds = open_backgrounds(self.backgrounds or kept_back("backgrounds", config))
-        logo = make_logo(bodies, face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies))
-        colors = read_colors(self.run_folder / "colors.npy", len(logo.face_ids))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
-        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("evaluating", total=None)
             return evaluate(
-                colors,
-                logo,
-                bodies,
-                backgrounds,
-                detectors,
-                self.angles,
-                self.settings,
-                training=training_record(self.run_folder),
-                out=self.run_folder / FOLDER,
+                self.run_folder,
+                self.scene,
+                self.backgrounds,
+                dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
+                angles=self.angles,
+                settings=self.settings,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
             )
 
     def show(self, result: dict) -> None:
         show_success(result)
-
-
-def read_run(folder: Path) -> dict:
-    """A run's config.json; InputError when this is no finished run."""
-    if not (folder / "config.json").exists():
-        raise InputError(f"{folder}: not a run folder (no config.json in it)")
-    if not (folder / "colors.npy").exists():
-        raise InputError(f"{folder}: has no trained colours yet (no colors.npy in it)")
-    config = read_json(folder / "config.json")
-    inputs, detectors = config.get("inputs", {}), config.get("detectors")
-    if not isinstance(inputs, dict) or not all(isinstance(value, str) for value in inputs.values()):
-        raise InputError(f"{folder / 'config.json'}: inputs is not a record of names")
-    if not isinstance(detectors, list) or not all(
-        isinstance(d, dict) and isinstance(d.get("spec"), str) for d in detectors
-    ):
-        raise InputError(f"{folder / 'config.json'}: detectors is not a list of records, each with its spec")
-    return config
-
-
-def kept_back(kind: str, config: dict) -> str:
-    """The embedded material that training did not see; for anything else the user must say."""
-    inputs = config.get("inputs", {})
-    made_from = inputs.get("made_from", "") if kind == "scene" else ""
-    spec, _ = split_selection(made_from or inputs.get(kind, ""))
-    head, mark, rest = spec.partition(":train")
-    if mark and head in ("sample", "procedural"):
-        return head + COUNTERPART[":train"][kind] + rest
-    raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
 
 
 BOXES = {True: "white", False: "black", None: "?"}
@@ -166,6 +119,7 @@ class Report(Command):
 
     def run(self) -> dict:
         from cloak_core.evaluate.report import make_report
+        from cloak_core.evaluate.trained_run import read_run
 
         read_run(self.run_folder)
         return {"report": str(make_report(self.run_folder))}

@@ -9,9 +9,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from cloak_core.commands.base import Command, open_scene, out
-from cloak_core.commands.evaluate import read_run
 from cloak_core.exchange.colors import read_colors
-from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 
 
@@ -35,7 +33,9 @@ class Print(Command):
     """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
 
     def run(self) -> dict:
+        from cloak_core.evaluate.trained_run import read_run
         from cloak_core.output.printing import print_logo
+        from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.logos.palette import read_palette
 
         palette = None if self.palette is None else read_palette(self.palette)
@@ -44,7 +44,7 @@ class Print(Command):
         if not scene:
             raise InputError("--scene: say which body (the run does not record it)")
         bodies = open_scene(scene)
-        ids = face_ids(read_face_list(self.run_folder / "logo.npy", bodies), bodies)
+        ids = load_logo(bodies, self.run_folder / "logo.npy").face_ids
         colors = read_colors(self.run_folder / "colors.npy", len(ids))
         report = print_logo(
             bodies,

@@ -16,12 +16,11 @@ from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.views import ViewSettings
-from cloak_core.commands.base import RANK, Command, Stopped, open_scene, out
+from cloak_core.commands.base import RANK, Command, Stopped, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.tensorboard import TensorBoardEvents
-from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_toml
 
@@ -90,9 +89,7 @@ class Train(Command):
         return TrainSettings(preset=self.preset, run=self.length, **parts)
 
     def run(self) -> dict:
-        from cloak_core.attack.training import train
-        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
-        from cloak_core.scene.logos.logo import make_logo
+        from cloak_core.library import train
 
         settings = self.settings
         prepare_process(settings.compute)
@@ -102,26 +99,20 @@ class Train(Command):
         # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
         if self.out.exists() and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
-        bodies = open_scene(self.scene)
-        logo = make_logo(bodies, face_ids(read_face_list(self.logo, bodies), bodies))
-        specs = self.detector or ("builtin",)
-        detectors = self.options.load(specs, settings.compute.device)
-        backgrounds = open_backgrounds(self.backgrounds)
-        inputs = {"scene": self.scene, "logo": str(self.logo), "backgrounds": self.backgrounds}
-        inputs |= {"made_from": self.made_from} if self.made_from else {}
+        detectors = self.options.load(self.detector or ("builtin",), settings.compute.device)
         with contextlib.ExitStack() as stack:
             for listener in listeners:
                 stack.enter_context(listener)
             result = train(
-                settings,
-                bodies,
-                logo,
+                self.scene,
+                self.logo,
                 detectors,
-                backgrounds,
-                self.out,
+                self.backgrounds,
+                out=self.out,
+                settings=settings,
                 resume=self.resume,
                 on_event=lambda event: [listener(event) for listener in listeners],
-                inputs=inputs,
+                inputs={"made_from": self.made_from} if self.made_from else None,
             )
         return result.record()
 

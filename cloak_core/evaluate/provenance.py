@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
-from cloak_core.files.reading import read_json
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
-
-
-def training_record(run: Path) -> dict:
-    """What a run was trained on: its config.json."""
-    return read_json(run / "config.json")
 
 
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:

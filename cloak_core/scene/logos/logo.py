@@ -9,6 +9,7 @@ pose. Boxes, pictures and areas refer to the first pose, in metres.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -17,11 +18,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64, Integer
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_areas, face_centres, face_normals, inner_edges
 from cloak_core.scene.logos.stamping import project_mask, project_text
 
-__all__ = ["Logo", "area_share", "make_logo", "project_mask", "project_text", "select_box", "select_region"]
+__all__ = [
+    "Logo",
+    "area_share",
+    "load_logo",
+    "make_logo",
+    "project_mask",
+    "project_text",
+    "select_box",
+    "select_region",
+]
 
 FRONT_BY_DEFAULT = ("chest", "thighs")
 FACETS = ("front", "back", "all")
@@ -61,6 +72,17 @@ def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
         raise InputError(f"face id {beyond} is beyond the {bodies.face_count} faces of scene '{bodies.name}'")
     edges, lengths = inner_edges(bodies, ids)
     return Logo(ids, bodies.face_count, bodies.topology, edges, lengths)
+
+
+def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: str | None = None) -> Logo:
+    """The logo of a face list (.npy, from Blender or `cloak logo`), or of named regions: `region="chest+thighs"`.
+
+    Raises `InputError`: the list belongs to another body or is damaged, the body has no such region.
+    """
+    if (path is None) == (region is None):
+        raise TypeError("load_logo takes either the path of a face list, or region=")
+    ids = face_ids(read_face_list(path, bodies), bodies) if region is None else select_region(bodies, region)
+    return make_logo(bodies, ids)
 
 
 def area_share(bodies: Bodies, ids: Integer[np.ndarray, " logo"]) -> float:

@@ -1,0 +1,134 @@
+"""Training and evaluation as one call each: for notebooks and programs, and for the commands, which call the same.
+
+Nothing of the process is changed: no number of threads, no seed, no logging, no signal handler that stays. Everything
+may be called twice, and from any thread.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from cloak_core.attack.events import OnEvent
+from cloak_core.attack.loop import RunResult
+from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.attack.settings.values import Angles, from_plain
+from cloak_core.attack.training import train as train_logo
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluate.evaluation import evaluate as evaluate_logo
+from cloak_core.evaluate.evaluation_folder import FOLDER
+from cloak_core.evaluate.inference import OnProgress
+from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.evaluate.trained_run import kept_back, read_run
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.logos.logo import Logo, load_logo
+from cloak_core.scene.opening import open_scene
+
+Named = str | os.PathLike
+"""What the command line takes: a path, or a spec such as sample:train."""
+
+
+def train(
+    scene: Bodies | Named,
+    logo: Logo | Named,
+    detectors: Sequence[Detector | str] = ("builtin",),
+    backgrounds: Backgrounds | Named = "procedural:train",
+    *,
+    out: Named,
+    settings: TrainSettings | None = None,
+    resume: bool = False,
+    on_event: OnEvent | None = None,
+    inputs: Mapping[str, str] | None = None,
+    **changes: object,
+) -> RunResult:
+    """Train the logo's colours against the detectors, into the run folder `out`.
+
+    scene, logo, detectors and backgrounds are given as they are or by name; names are recorded in the run's
+    config.json, and `inputs` beside them. How to train: `settings`, or `changes` of a preset by the names of `cloak
+    train`'s options (`preset="best", steps=100, angles="-10:10:5"`). `on_event` hears every event that goes to
+    events.jsonl, in the calling thread. SIGINT (in the main thread), a file `cancel` in `out` or the time budget end it
+    after the current step with a checkpoint; `resume` goes on from there to the bit-identical result.
+
+    Returns how the run ended; its `colors` [L, 3] are sRGB in [0, 1], in the order of `logo.face_ids`. Raises
+    InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
+    folder that exists and is not resumed is refused.
+    """
+    if settings is not None and changes:
+        raise TypeError(f"settings are given: change {', '.join(changes)} there")
+    settings = settings or make_settings(**changes)
+    named = {"scene": scene, "logo": logo, "backgrounds": backgrounds}
+    bodies = scene if isinstance(scene, Bodies) else open_scene(scene)
+    return train_logo(
+        settings,
+        bodies,
+        logo if isinstance(logo, Logo) else load_logo(bodies, logo),
+        [_detector(detector, settings.compute.device) for detector in detectors],
+        backgrounds if isinstance(backgrounds, Backgrounds) else open_backgrounds(backgrounds),
+        out,
+        resume=resume,
+        on_event=on_event,
+        inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
+    )
+
+
+def evaluate(
+    run: RunResult | Named,
+    scene: Bodies | Named | None = None,
+    backgrounds: Backgrounds | Named | None = None,
+    detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
+    *,
+    angles: Sequence[float] | str = "-10:10:1",
+    settings: EvaluateSettings | None = None,
+    device: str = "cpu",
+    on_progress: OnProgress | None = None,
+    **changes: object,
+) -> dict:
+    """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation.
+
+    scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
+    training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
+    loaded on `device`; None takes those that the run was trained against. angles: azimuths in degrees. How to evaluate:
+    `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
+    `on_progress` hears (images done, images in all), in the calling thread.
+
+    Returns what `cloak evaluate --json` prints: success under the logo and each control, in [0, 1], per detector and by
+    angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
+    finished run, a scene of another topology, nothing to evaluate on.
+    """
+    if settings is not None and changes:
+        raise TypeError(f"settings are given: change {', '.join(changes)} there")
+    folder = Path(run.out if isinstance(run, RunResult) else run)
+    config = read_run(folder)
+    if isinstance(angles, str):
+        angles = from_plain("angles", angles, Angles)
+    if not isinstance(detectors, Mapping):
+        given = [entry["spec"] for entry in config["detectors"]] if detectors is None else detectors
+        detectors = {_spec(detector): _detector(detector, device) for detector in given}
+    bodies = scene if isinstance(scene, Bodies) else open_scene(scene or kept_back("scene", config))
+    if not isinstance(backgrounds, Backgrounds):
+        backgrounds = open_backgrounds(backgrounds or kept_back("backgrounds", config))
+    logo = load_logo(bodies, folder / "logo.npy")
+    return evaluate_logo(
+        read_colors(folder / "colors.npy", len(logo)),
+        logo,
+        bodies,
+        backgrounds,
+        dict(detectors),
+        angles,
+        settings or EvaluateSettings(**changes),
+        training=config,
+        out=folder / FOLDER,
+        on_progress=on_progress,
+    )
+
+
+def _detector(detector: Detector | str, device: str) -> Detector:
+    return load_detector(detector, device=device) if isinstance(detector, str) else detector
+
+
+def _spec(detector: Detector | str) -> str:
+    return detector if isinstance(detector, str) else detector.spec
