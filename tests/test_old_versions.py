@@ -1,0 +1,104 @@
+"""What earlier versions wrote is still read: scenes, face lists, finished runs and runs to go on with."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core.attack.events import read_events
+from cloak_core.cli import main
+from cloak_core.evaluate.provenance import seen_in_training
+from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.scenes import read_scene
+from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from tests.attack.test_run_identity import picture
+
+OLD = Path(__file__).parent / "old_versions" / "v0.1.0"
+SETTINGS = {"size": "96", "translation": "8", "batch": "2", "preview-every": "0", "seed": "3", "distance": "2.0:2.4"}
+SETTINGS |= {"detector": "builtin@96", "backgrounds": "procedural:train:4", "angles": "-10:10:10"}
+AS_BEFORE = [*(f"--{name}={value}" for name, value in SETTINGS.items()), "--steps=400"]
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """The files, to be written to."""
+    return Path(shutil.copytree(OLD, tmp_path / "old"))
+
+
+def told(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, dict, str]:
+    """Exit code, the object that --json prints, and what stands on standard error."""
+    with pytest.raises(SystemExit) as end:
+        main([*arguments, "--json"])
+    said = capsys.readouterr()
+    return end.value.code or 0, json.loads(said.out or "{}"), said.err
+
+
+def test_a_scene_and_face_lists() -> None:
+    bodies = read_scene(OLD / "scene")
+    config = json.loads((OLD / "done" / "config.json").read_text())
+    assert bodies.topology == config["topology"] and (bodies.pose_count, bodies.face_count) == (2, 96)
+    assert list(bodies.pose_hashes) == config["scene"]["pose_sha256"]
+    assert len(read_face_list(OLD / "logo.npy", bodies).ids) == 16
+    reference = read_face_list(OLD / "reference.idx")
+    assert len(reference.ids) and not reference.topology
+
+
+def train(old: Path, out: str, *more: str) -> list[str]:
+    return ["train", "--scene", str(old / "scene"), "--logo", str(old / "logo.npy"), "--out", str(old / out), *more]
+
+
+def test_a_stopped_run_goes_on_with_the_same_settings(
+    old: Path, capsys: pytest.CaptureFixture, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = (old / "stopped" / "config.json").read_bytes()
+    code, result, said = told(train(old, "stopped", *AS_BEFORE, "--resume", "--max-seconds", "2"), capsys)
+    assert code == 3, said
+    assert result["step"] > 1 and np.load(old / "stopped" / "colors.npy").shape == (16, 3)
+    assert (old / "stopped" / "config.json").read_bytes() == before
+    (resumed,) = [event for event in read_events(old / "stopped" / "events.jsonl") if event["type"] == "resume"]
+    assert resumed["step"] == 1 and resumed["changes"][0] == "other code (of Cloak 0.1.0)"
+    assert "began with other code" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        (("--tv-weight", "1"), "tv_weight = 2.5, not 1.0"),
+        (("--detector", "builtin@64"), "the number of detectors = 1, not 2"),
+        (("--backgrounds", "procedural:train:5"), "the number of backgrounds.identities = 4, not 5"),
+    ],
+)
+def test_a_stopped_run_does_not_go_on_with_others(
+    old: Path, capsys: pytest.CaptureFixture, changed: tuple[str, str], named: str
+) -> None:
+    code, _, said = told(train(old, "stopped", *AS_BEFORE, "--resume", *changed), capsys)
+    assert code == 2 and named in " ".join(said.split())
+
+
+def test_colours_of_a_finished_run_start_another(old: Path, capsys: pytest.CaptureFixture) -> None:
+    short = [*AS_BEFORE[:-1], "--steps=1", "--init", str(old / "done")]
+    code, result, said = told(train(old, "new", *short), capsys)
+    assert code == 0 and result["step"] == 1, said
+
+
+def test_a_finished_run_is_evaluated_and_reported(old: Path, capsys: pytest.CaptureFixture) -> None:
+    assert told(["report", str(old / "done")], capsys)[0] == 0
+    options = ["--angles", "0", "--images-per-view", "2", "--size", "96", "--shift", "8", "--resamples", "100"]
+    arguments = ["evaluate", str(old / "done"), "--scene", str(old / "scene"), "--backgrounds", "procedural:train:4"]
+    code, result, said = told([*arguments, *options], capsys)
+    assert code == 0, said
+    assert result["unseen"] == {"bodies": False, "backgrounds": False} and result["white_box"] == {"builtin@96": True}
+
+
+def test_backgrounds_that_were_known_by_their_files_are_recognized(old: Path, tmp_path: Path) -> None:
+    for i in range(2):
+        picture(tmp_path / "pictures", f"{i}.png", i)
+    backgrounds = open_backgrounds(tmp_path / "pictures", (32, 32))
+    config = json.loads((old / "done" / "config.json").read_text())
+    config["backgrounds"] = {"count": 1, "identities": [backgrounds.pictures[1].file]}
+    unseen, warnings = seen_in_training(config, read_scene(old / "scene"), backgrounds)
+    assert unseen == {"bodies": False, "backgrounds": False} and "(1.png)" in warnings[1]
+    unseen, _ = seen_in_training(config, read_scene(old / "scene"), backgrounds.subset([0]))
+    assert unseen["backgrounds"] is True
