@@ -1,7 +1,7 @@
 """The record of what a run was started with, and whether a training is the one that was recorded."""
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -113,13 +113,13 @@ def device_kind(device: str | torch.device) -> str:
 # --- is it the same training? ----------------------------------------------------------------------------------------
 
 
-def check_same(recorded: dict, config: dict, path: Path) -> None:
+def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = tuple(DECISIVE)) -> None:
     """InputError names the first of what decides the result in which `config` is not what the run at `path` recorded.
 
     What versions before this one did not record is not compared.
     """
-    for part, keys in DECISIVE.items():
-        old, new = recorded.get(part), config[part]
+    for part in parts:
+        keys, old, new = DECISIVE[part], recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
             try:

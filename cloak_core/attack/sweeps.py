@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from cloak_core.attack.events import OnEvent, read_events
+from cloak_core.attack.run_config import check_same, run_config
 from cloak_core.attack.settings import TrainSettings, merge, settings_from_record, settings_record
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.training import train
@@ -40,6 +41,8 @@ from cloak_core.scene.opening import open_scene
 MOST_RUNS = 10_000
 INPUTS = ("scene", "logo", "detector", "backgrounds")
 """What a grid may name beside settings."""
+CONTENT = ("topology", "scene", "logo", "detectors", "backgrounds")
+"""Of a run's configuration: what the files named in a grid may have changed in, and the grid does not show."""
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
 WAIT_SECONDS = 0.5
@@ -181,10 +184,9 @@ class Sweep:
 
         A run that fails (bad input, a loss that is not finite) is recorded with its message, and the others go on; the
         next sweep tries it again. `prepare` is called before each of them. InputError before anything is trained:
-        something in the grid cannot be opened.
+        something in the grid cannot be opened, or is not what runs that are done were made of.
         """
-        for run in self.runs:
-            self._opened.open(run)
+        self._check_inputs()
         with written(self.out):
             for folder in ("runs", "results"):
                 (self.out / folder).mkdir(parents=True, exist_ok=True)
@@ -248,6 +250,17 @@ class Sweep:
         write_json(self._result_path(run), record)
         self.write_results()
         return ""
+
+    def _check_inputs(self) -> None:
+        """InputError: some input cannot be opened, or a run is done whose inputs held something else."""
+        known: dict[tuple, dict] = {}
+        for run in self.runs:
+            opened, inputs = self._opened.open(run), (run.scene, run.logo, run.backgrounds, run.detectors)
+            config = self.out / "runs" / run.name / "config.json"
+            if self._result_path(run).exists() and config.exists():
+                if inputs not in known:
+                    known[inputs] = run_config(run.settings, *opened, {})
+                check_same(read_json(config), known[inputs], config.parent, CONTENT)
 
     def _is_settled(self, run: SweepRun) -> bool:
         """Done, or failed since this sweep began."""

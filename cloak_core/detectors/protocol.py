@@ -110,12 +110,13 @@ def at_least_float32(x: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
 
 def detector_record(detector: Detector) -> dict[str, object]:
     """All that decides a detector's answers: its tensors ("sha256", see `state_hash`), "precision", "compiled",
-    "source" and the versions of its "packages"; wherever its files lie, and whatever it is called."""
+    "source" and the versions of its "packages"; wherever its files lie, and whatever it is called. Of one that no
+    family loaded, the spec stands for its source."""
     return {
         "sha256": state_hash(detector),
         "precision": detector.precision,
         "compiled": detector.compiled,
-        "source": detector.source,
+        "source": detector.source or {"spec": detector.spec},
         "packages": package_versions(*detector.packages),
     }
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
@@ -72,9 +72,10 @@ def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> d
         return dict.fromkeys(detectors)
     found: dict[str, bool | None] = {}
     for spec, detector in detectors.items():
-        same = [entry for entry in trained if entry.get("sha256") == state_hash(detector)]
+        ours = detector_record(detector)
+        same = [entry for entry in trained if entry.get("sha256") == ours["sha256"]]
         if not detector.state_dict():
-            same = [entry for entry in same if entry.get("source", detector.source) == detector.source]
+            same = [entry for entry in same if entry.get("source", ours["source"]) == ours["source"]]
         found[spec] = bool(same)
     return found
 

@@ -1,5 +1,6 @@
 """Sweeps: grids read or refused by name, runs shared out, skipped and gone on with."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -98,6 +99,19 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     heard.clear()
     assert Sweep(runs, tmp_path / "out").run(on_event=heard.append) == ""
     assert heard == []
+
+
+def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, monkeypatch):
+    Sweep(runs[:1], tmp_path / "out").run()
+    same = sweeps._Opened.open
+
+    def edited(self, run):
+        bodies, *others = same(self, run)
+        return dataclasses.replace(bodies, face_colors=bodies.face_colors[::-1]), *others
+
+    monkeypatch.setattr(sweeps._Opened, "open", edited)
+    with pytest.raises(InputError, match=r"runs/lr=0.02,seed=0-\w+: was started with scene\.identity = "):
+        Sweep(runs, tmp_path / "out").run()
 
 
 def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):

@@ -25,6 +25,7 @@ from cloak_core.evaluate.experiments.numbers import threshold_rows
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, draw_again, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import TRAINING
 from cloak_core.scene.backdrops.backgrounds import open_backgrounds
 from cloak_core.scene.logos.logo import area_share
 from cloak_core.scene.people.samples import sample_bodies
@@ -82,6 +83,36 @@ def test_trainings_and_evaluations_are_made_once(
     for spec, changes in (("blue:b.cfg", {}), ("red:a.cfg", {"tv_weight": 1.0})):
         with pytest.raises(pytest.fail.Exception, match="made again"):
             again.train(faces, [spec], **changes)
+
+
+def test_whatever_computes_a_result_is_in_its_key(
+    materials: Materials, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The renderer, a loss, a wrapper of detectors, a package: each names other trainings and evaluations."""
+    lab = Lab(materials, options(tmp_path))
+    key = lambda rooms: lab._key({"settings": 1}, rooms)
+    training, measuring = key(TRAINING), key(lab_module.MEASURING)
+    assert training != measuring
+    for room in lab_module.MEASURING:
+        code = lambda *parts, room=room: "edited" if room in parts else "as ever"
+        monkeypatch.setattr(lab_module, "code_hash", lambda *parts: "as ever")
+        before = key(TRAINING), key(lab_module.MEASURING)
+        monkeypatch.setattr(lab_module, "code_hash", code)
+        assert (key(TRAINING) != before[0]) == (room in TRAINING) and key(lab_module.MEASURING) != before[1]
+    assert {"render", "attack", "detectors", "scene"} <= set(TRAINING)
+    monkeypatch.undo()
+    assert (key(TRAINING), key(lab_module.MEASURING)) == (training, measuring)
+    monkeypatch.setattr(lab_module, "package_versions", lambda *names: {"torch": "1.0"})
+    assert key(TRAINING) != training
+
+
+def test_a_detector_run_by_another_source_is_measured_anew(materials: Materials, tmp_path: Path) -> None:
+    before = Lab(materials, options(tmp_path))._detector_records["red:a.cfg"]
+    other = Glow("red", 0)
+    other.source = {"cfg": "edited"}
+    edited = replace(materials, detectors={"red:a.cfg": other})
+    after = Lab(edited, options(tmp_path))._detector_records["red:a.cfg"]
+    assert after["sha256"] == before["sha256"] and after != before
 
 
 def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> None:
