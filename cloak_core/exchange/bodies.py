@@ -195,7 +195,8 @@ class Bodies:
         for array in [*state.values(), *state["regions"].values(), *state["textures"].values()]:
             if isinstance(array, np.ndarray):
                 frozen(array)
-        self.__dict__.update(state)
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
 
     def select_poses(self, indices: object) -> Bodies:
         """The same bodies with only these poses (indices, in this order)."""

@@ -5,11 +5,13 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from made_evaluation import CONTROLS, make_measurement
+from PIL import Image
 from torch import Tensor
 
 from cloak_core.cli import main
@@ -24,6 +26,7 @@ from cloak_core.evaluate.experiments.materials import Materials, open_materials
 from cloak_core.evaluate.experiments.numbers import threshold_rows
 from cloak_core.evaluate.experiments.registry import EXPERIMENTS, draw_again, run_experiment
 from cloak_core.evaluate.experiments.repeats import Repeats
+from cloak_core.evaluate.experiments.tv import PICTURES, SIDE, preview_sheet
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import TRAINING
 from cloak_core.scene.backdrops.backgrounds import open_backgrounds
@@ -283,3 +286,18 @@ def test_repetitions_are_pooled_and_their_spread_is_shown() -> None:
     assert row["clean_detection"] == pytest.approx(1 - row["clothing"], abs=1e-4)
     at = repeats.rate("builtin", angle=-10.0, pose=1)
     assert at.n == 2 * 4
+
+
+def test_previews_of_every_weight_stand_in_rows(tmp_path: Path) -> None:
+    settings = SimpleNamespace(views=SimpleNamespace(size=100))
+    trained = {}
+    for weight, color in ((0.0, "red"), (2.5, "blue")):
+        folder = tmp_path / f"{weight}"
+        (folder / "previews").mkdir(parents=True)
+        for step in range(0, 90, 10):
+            Image.new("RGB", (200, 200), color).save(folder / "previews" / f"step-{step:06d}.png")
+        trained[weight] = SimpleNamespace(folder=folder, settings=settings)
+    (sheet,) = preview_sheet(trained).values()
+    area = {color: count for count, color in sheet.getcolors(1 << 16)}
+    assert area[(255, 0, 0)] == area[(0, 0, 255)] == PICTURES * SIDE * SIDE
+    assert preview_sheet({0.0: SimpleNamespace(folder=tmp_path / "none", settings=settings)}) == {}

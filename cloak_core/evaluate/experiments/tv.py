@@ -39,7 +39,7 @@ def measure(lab: Lab) -> Numbers:
             label = {"tv_weight": weight, "test": name}
             whole.append(label | {"angle": "all"} | result.row(spec))
             rows += [label | row for row in result.rows_at(spec, "angle", lab.angles)]
-    return Numbers(whole + rows, pictures=_preview_sheet(first))
+    return Numbers(whole + rows, pictures=preview_sheet(first))
 
 
 def tell(numbers: Numbers) -> list[str]:
@@ -96,7 +96,7 @@ def _angle_figure(rows: Rows) -> Figure:
     return figure
 
 
-def _preview_sheet(trained: dict[float, Trained]) -> dict[str, Image.Image]:
+def preview_sheet(trained: dict) -> dict[str, Image.Image]:
     """The logo in the first image of some of each weight's previews (one every 5 epochs), as training went on."""
     rows = []
     for weight, run in trained.items():
