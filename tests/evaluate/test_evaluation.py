@@ -217,7 +217,6 @@ def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path
         ({"threshold": 1.0}, "--threshold: 1.0"),
         ({"shift": 32}, "--shift: 32"),
         ({"distances": (0.0,)}, "--distances"),
-        ({"controls": ("plaid",)}, "'plaid'"),
     ],
 )
 def test_bad_settings_name_their_option(change: dict, message: str) -> None:
