@@ -8,7 +8,7 @@ from PIL import Image
 
 from cloak_core.evaluate.contact_sheet import Cell, draw_sheet
 from cloak_core.evaluate.experiments.drawing import azimuth_axis, errors, look
-from cloak_core.evaluate.experiments.lab import SINGLE, Lab, Trained
+from cloak_core.evaluate.experiments.lab import SINGLE, Lab
 from cloak_core.evaluate.experiments.logos import chest_thighs
 from cloak_core.evaluate.experiments.numbers import Numbers, Rows, best_row, column, group, select
 from cloak_core.evaluate.figures import CYCLE, MARKERS, legend_above, new_figure, percent_axis
