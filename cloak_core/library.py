@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.loop import RunResult
@@ -17,9 +18,6 @@ from cloak_core.attack.settings.values import Angles, from_plain
 from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluate.evaluation import evaluate as evaluate_logo
-from cloak_core.evaluate.evaluation_folder import FOLDER
-from cloak_core.evaluate.inference import OnProgress
 from cloak_core.evaluate.settings import EvaluateSettings
 from cloak_core.evaluate.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
@@ -27,6 +25,9 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
 from cloak_core.scene.opening import open_scene
+
+if TYPE_CHECKING:
+    from cloak_core.evaluate.inference import OnProgress
 
 Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
@@ -99,6 +100,9 @@ def evaluate(
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
+    from cloak_core.evaluate.evaluation import evaluate as evaluate_logo  # brings matplotlib, which training needs not
+    from cloak_core.evaluate.evaluation_folder import FOLDER
+
     if settings is not None and changes:
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
     folder = Path(run.out if isinstance(run, RunResult) else run)
