@@ -71,4 +71,13 @@ def _one_line(boxed: str) -> str:
             break
         if line.strip("─-"):
             kept.append(line)
-    return " ".join(kept) or "not understood"
+    return re.sub(_CHOICE, _choice_words, " ".join(kept)).removeprefix("Error parsing ") or "not understood"
+
+
+_CHOICE = r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\."
+
+
+def _choice_words(found: re.Match) -> str:
+    """As settings word it; tyro has the choices in the order of a set."""
+    known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
+    return f"{found[2]}: {found[1]} is not one of {', '.join(known)}"

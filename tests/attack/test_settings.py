@@ -258,7 +258,7 @@ def test_preset_file_and_flags_are_merged_before_they_are_checked(tmp_path, toml
         ("colour = 1", [], "some.toml: --colour: no such setting"),
         ('optimizer = "rmsprop"', [], "some.toml: --optimizer: 'rmsprop' is not one of sgd, adam"),
         ('distance = "3:1"', [], "some.toml: --distance: '3:1' is an inverted range"),
-        ("", ["--optimizer", "rmsprop"], "train: .*'rmsprop'.*--optimizer.*sgd"),
+        ("", ["--optimizer", "rmsprop"], "train: --optimizer: 'rmsprop' is not one of adam, sgd"),
         ("", ["--distance", "3:1"], "train: .*--distance.*3:1.* inverted"),
         ("", ["--angles", "x"], "train: .*--angles.*'x'"),
         ("", ["--size", "3"], r"--size: 3 is not in \[16, 4096\]"),

@@ -1,7 +1,9 @@
 """`cloak train --tensorboard` and `cloak sweep`, through the command line."""
 
 import json
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -75,3 +77,16 @@ def test_sweep(logo, tmp_path, capsys):
     (tmp_path / "grid.toml").write_text("[base]\n[grid]\ncolour = [1]\n")
     code, _, said = cloak(capsys, "sweep", "grid.toml", "--out", "other")
     assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()
+
+
+def test_a_run_stopped_by_the_first_version_goes_on(tmp_path, capsys):
+    old = Path(__file__).parents[1] / "old_versions" / "v0.1.0"
+    shutil.copytree(old / "stopped", tmp_path / "run")
+    words = ["--scene", old / "scene", "--logo", old / "logo.npy", "--detector", "builtin@96", "--seed", 3]
+    words += ["--backgrounds", "procedural:train:4", "--steps", 400, "--batch", 2, "--angles", "-10:10:10"]
+    words += ["--size", 96, "--translation", 8, "--checkpoint-every", 1, "--preview-every", 0]
+    resume = ["train", *words, "--out", tmp_path / "run", "--resume", "--max-seconds", 1e-6, "--json"]
+    code, _, said = cloak(capsys, *resume, "--distance", 2.2)
+    assert code == 2 and "settings.distance = 2:2.4, not 2.2" in said
+    code, said, errors = cloak(capsys, *resume, "--distance", "2.0:2.4")
+    assert code == 3 and json.loads(said)["step"] == 2, errors
