@@ -17,6 +17,8 @@ _LOOK = re.compile(f"[0-9a-f]{{{2 * -(-_BITS // 8)}}}")
 LOOK_DISTANCE = 0.2
 """Share of a look's bits in which the same picture may differ. Measured on 53 photographs: at most 0.04 re-saved or
 smaller, 0.14 with 2 % cut off each side, but 0.33 or more for two different ones (procedural scenes: 0.31)."""
+_ENOUGH = 512
+"""Pixels along a side from which on not every one needs to be looked at."""
 _FLAT = 2.0
 """Grey levels (of 255, standard deviation) below which a picture has no look of its own."""
 POSE_DISTANCE = 1e-4
@@ -26,8 +28,9 @@ _LANDMARKS = 24
 
 def picture_look(pixels: np.ndarray) -> str:
     """The signs of a picture's lowest frequencies as hex digits; "" for one of a single colour. pixels: [H, W, 3]."""
-    grey = pixels.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    small = _averaging(grey.shape[0]) @ grey @ _averaging(grey.shape[1]).T
+    height, width = (max(1, extent // _ENOUGH) for extent in pixels.shape[:2])
+    grey = pixels[::height, ::width].astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+    small = _means(_means(grey).T).T
     if small.std() < _FLAT:
         return ""
     cosines = np.cos(np.pi * (2 * np.arange(_SIDE) + 1) * np.arange(_WAVES)[:, None] / (2 * _SIDE))
@@ -63,11 +66,13 @@ def similar_poses(known: Sequence[Sequence[float]], new: Sequence[Sequence[float
     return pairs
 
 
-def _averaging(length: int) -> np.ndarray:
-    """[32, length] float32: means over 32 equal stretches of a row of pixels."""
-    edges, pixel = np.linspace(0, length, _SIDE + 1), np.arange(length)
-    share = np.minimum(edges[1:, None], pixel + 1) - np.maximum(edges[:-1, None], pixel)
-    return (share.clip(0) * _SIDE / length).astype(np.float32)
+def _means(rows: np.ndarray) -> np.ndarray:
+    """[32, W] float64: means over 32 equal stretches of the rows [H, W]."""
+    sums = np.cumsum(np.concatenate([np.zeros_like(rows[:1]), rows]), axis=0, dtype=np.float64)
+    edges = np.linspace(0, len(rows), _SIDE + 1)
+    whole = np.minimum(edges.astype(int), len(rows) - 1)
+    part = (edges - whole)[:, None]
+    return np.diff(sums[whole] * (1 - part) + sums[whole + 1] * part, axis=0) * _SIDE / len(rows)
 
 
 def _signs(looks: Sequence[str]) -> np.ndarray:
