@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.detectors import IOU, THRESHOLD
+from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
 
@@ -27,14 +27,6 @@ def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
 def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, "B"]:
     """Whether any person box in the image scores above the threshold."""
     return max_person_score(detections).detach() > threshold
-
-
-def is_detected_on(
-    detections: Detections, boxes: Float[Tensor, "B 4"], threshold: float = THRESHOLD, iou: float = IOU
-) -> Bool[Tensor, "B"]:
-    """Whether a person box above the threshold overlaps the image's one true box (xyxy pixels) with IoU >= `iou`."""
-    overlap = box_iou(detections.boxes.detach(), boxes[:, None])
-    return ((detections.scores.detach() > threshold) & (overlap >= iou)).any(dim=1)
 
 
 def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Float[Tensor, "..."]:

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
+from cloak_core.detectors import IOU
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.scoring import IOU, box_iou, max_person_score, person_boxes
+from cloak_core.detectors.scoring import box_iou, max_person_score, person_boxes
 from cloak_core.evaluate.controls import CLOTHING, LOGO
 from cloak_core.evaluate.measurement import Boxes, Measurement
 from cloak_core.evaluate.settings import EvaluateSettings

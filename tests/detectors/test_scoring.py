@@ -12,7 +12,6 @@ from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import (
     box_iou,
     is_detected,
-    is_detected_on,
     max_objectness,
     max_person_score,
     person_boxes,
@@ -50,19 +49,7 @@ def test_no_boxes_at_all_keep_the_graph() -> None:
     best = max_person_score(detections)
     assert best.tolist() == [0.0, 0.0, 0.0]
     best.sum().backward()
-    assert is_detected_on(detections, torch.ones(3, 4)).tolist() == [False] * 3
     assert [len(boxes) for boxes in person_boxes(detections)] == [0, 0, 0]
-
-
-def test_detected_on_needs_overlap_and_score() -> None:
-    body = [0.0, 0.0, 10.0, 20.0]
-    shifted = [0.0, 0.0, 10.0, 10.0]  # IoU exactly 0.5
-    away = [0.0, 11.0, 10.0, 20.0]  # IoU 0.45
-    detections = found([[0.9, 0.3], [0.9, 0.7], [0.3, 0.9]], [[body, away], [away, shifted], [body, away]])
-    boxes = torch.tensor([body] * 3)
-    assert is_detected_on(detections, boxes).tolist() == [True, True, False]
-    assert is_detected_on(detections, boxes, iou=0.51).tolist() == [True, False, False]
-    assert is_detected_on(detections, boxes, threshold=0.2).tolist() == [True, True, True]
 
 
 @given(st.lists(st.floats(-50, 50, width=32), min_size=8, max_size=8))

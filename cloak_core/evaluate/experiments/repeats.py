@@ -24,25 +24,14 @@ class Repeats:
         self.measurements = list(measurements)
         first = self.measurements[0]
         self.specs, self.controls, self.trials = first.specs, first.controls, first.trials
-        self.body_names = first.body_names
 
-    def rate(
-        self,
-        spec: str,
-        control: str = LOGO,
-        *,
-        angle: float | None = None,
-        distance: float | None = None,
-        pose: int | None = None,
-        threshold: float = THRESHOLD,
-        on_body: bool = False,
-    ) -> Rate:
-        """Success, over all repetitions, of the images at this angle, distance and body (None: all of them)."""
-        where = self._where(angle=angle, distance=distance, pose=pose)
+    def rate(self, spec: str, control: str = LOGO, *, on_body: bool = False, **where: float | int) -> Rate:
+        """Success, over all repetitions, of the images at this angle, distance or pose (columns of the trials)."""
         d, c = self.specs.index(spec), self.controls.index(control)
         # Standard controls look alike whatever was trained: repeating their images tells nothing new.
         told = self.measurements[:1] if control in STANDARD else self.measurements
-        return self._pooled([(m.score_on if on_body else m.score)[d, c] <= threshold for m in told], where)
+        hits = [(m.score_on if on_body else m.score)[d, c] <= THRESHOLD for m in told]
+        return self._pooled(hits, self._where(**where))
 
     def _pooled(self, hits: Sequence[Bool[np.ndarray, N]], where: Bool[np.ndarray, N]) -> Rate:
         """The share of hits of all repetitions among the images of `where`."""
@@ -51,15 +40,14 @@ class Repeats:
         seeds = np.repeat(np.arange(count), images)
         return clustered_rate(np.concatenate([hit[where] for hit in hits]), bodies, backgrounds, seeds)
 
-    def _where(self, **values: float | int | None) -> Bool[np.ndarray, N]:
+    def _where(self, **values: float | int) -> Bool[np.ndarray, N]:
         where = np.ones(len(self.trials), bool)
         for column, value in values.items():
-            if value is not None:
-                where &= np.isclose(getattr(self.trials, column), value)
+            where &= np.isclose(getattr(self.trials, column), value)
         return where
 
-    def share(self, spec: str, control: str, **values: float | int | None) -> float:
-        """`rate` at the one threshold, without its interval."""
+    def share(self, spec: str, control: str, **values: float) -> float:
+        """`rate` without its interval."""
         d, c, where = self.specs.index(spec), self.controls.index(control), self._where(**values)
         return float(np.mean([m.score[d, c, where] <= THRESHOLD for m in self.measurements]))
 
@@ -71,16 +59,16 @@ class Repeats:
             for control in self.controls
         }
 
-    def spread(self, spec: str, threshold: float = THRESHOLD) -> list[float]:
+    def spread(self, spec: str) -> list[float]:
         """Success of each repetition."""
         d = self.specs.index(spec)
-        return [round(float((m.score[d, 0] <= threshold).mean()), 6) for m in self.measurements]
+        return [round(float((m.score[d, 0] <= THRESHOLD).mean()), 6) for m in self.measurements]
 
-    def conditional(self, spec: str, threshold: float = THRESHOLD) -> Rate:
+    def conditional(self, spec: str) -> Rate:
         """Success where the same image in own clothing is detected."""
         d, clean = self.specs.index(spec), self.controls.index(CLOTHING)
-        found = self.measurements[0].score[d, clean] > threshold
-        return self._pooled([m.score[d, 0] <= threshold for m in self.measurements], found)
+        found = self.measurements[0].score[d, clean] > THRESHOLD
+        return self._pooled([m.score[d, 0] <= THRESHOLD for m in self.measurements], found)
 
     def rate_row(self, spec: str, control: str = LOGO, **where: float) -> dict:
         """Success, rounded, with its interval and count."""
