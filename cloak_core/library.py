@@ -107,11 +107,8 @@ def evaluate(
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
     folder = Path(run.out if isinstance(run, RunResult) else run)
     config = read_run(folder)
-    if isinstance(angles, str):
-        angles = from_plain("angles", angles, Angles)
-    if not isinstance(detectors, Mapping):
-        given = [entry["spec"] for entry in config["detectors"]] if detectors is None else detectors
-        detectors = {_spec(detector): _detector(detector, device) for detector in given}
+    if detectors is None:
+        detectors = [trained["spec"] for trained in config["detectors"]]
     bodies = scene if isinstance(scene, Bodies) else open_scene(scene or kept_back("scene", config))
     if not isinstance(backgrounds, Backgrounds):
         backgrounds = open_backgrounds(backgrounds or kept_back("backgrounds", config))
@@ -121,8 +118,8 @@ def evaluate(
         logo,
         bodies,
         backgrounds,
-        dict(detectors),
-        angles,
+        _by_name(detectors, device),
+        from_plain("angles", angles, Angles) if isinstance(angles, str) else angles,
         settings or EvaluateSettings(**changes),
         training=config,
         out=folder / FOLDER,
@@ -134,5 +131,7 @@ def _detector(detector: Detector | str, device: str) -> Detector:
     return load_detector(detector, device=device) if isinstance(detector, str) else detector
 
 
-def _spec(detector: Detector | str) -> str:
-    return detector if isinstance(detector, str) else detector.spec
+def _by_name(detectors: Mapping[str, Detector] | Sequence[Detector | str], device: str) -> dict[str, Detector]:
+    if isinstance(detectors, Mapping):
+        return dict(detectors)
+    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in detectors}

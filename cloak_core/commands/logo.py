@@ -172,14 +172,14 @@ class Transfer(Command):
 
     def run(self) -> dict:
         from cloak_core.exchange.colors import read_colors, write_colors
-        from cloak_core.exchange.face_lists import face_ids, read_face_list
         from cloak_core.output.transfer import transfer_logo
+        from cloak_core.scene.logos.logo import load_logo
 
         painted = self.out.with_name(self.out.stem + "-colors.npy")
         for path in [self.out] + [painted] * (self.colors is not None):
             require_new(path)
         source, target = open_scene(self.source), open_scene(self.target)
-        ids = face_ids(read_face_list(self.logo, source), source)
+        ids = load_logo(source, self.logo).face_ids
         colors = None if self.colors is None else read_colors(self.colors / "colors.npy", len(ids))
         moved = transfer_logo(source, ids, target, colors)
         result = write_logo(self.out, target, moved.face_ids)

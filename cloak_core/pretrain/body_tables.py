@@ -24,7 +24,6 @@ def shape(gender: float, age: float, muscle: float, weight: float, height: float
     return {"gender": gender, "age": age, "muscle": muscle, "weight": weight, "height": height, **more}
 
 
-RELAXED = Arm()
 WIDE = Arm(abduction=18, inward=14, elbow=16)
 ON_HIP = Arm(shoulder=-14, abduction=47, inward=42, elbow=84, pronation=30, curl=22)
 
