@@ -41,7 +41,7 @@ def test_matching_light_gives_our_images_and_natural_light_does_not(
     assert min(difference[light]["rms"] for light in ("studio", "sky")) > 2 * difference["matching"]["rms"]
     # Before backgrounds, moved: the body is where ours is.
     matching = CyclesStage(stage, frames, "matching")
-    ours, theirs = (s.compose(stage.views([0, 1]), [0, 1], "logo") for s in (stage, matching))
+    ours, theirs = (s.images([0, 1], "logo") for s in (stage, matching))
     assert (ours - theirs).abs().mean() < 0.005
     assert stage.trials.shift[0].any()
     # Nothing is rendered twice.
