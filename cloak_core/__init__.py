@@ -14,16 +14,15 @@ if TYPE_CHECKING:
     from cloak_core.attack.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.protocol import Detections, Detector
-    from cloak_core.evaluate.report import make_report
-    from cloak_core.evaluate.settings import EvaluateSettings
+    from cloak_core.evaluation.report import make_report
+    from cloak_core.evaluation.settings import EvaluateSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
     from cloak_core.library import evaluate, train
     from cloak_core.output.printing import print_logo
-    from cloak_core.scene.backdrops.backgrounds import Backgrounds
-    from cloak_core.scene.backdrops.backgrounds import open_backgrounds as load_backgrounds
+    from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
     from cloak_core.scene.logos.logo import Logo, load_logo, make_logo
-    from cloak_core.scene.opening import open_scene as load_scene
+    from cloak_core.scene.opening import load_scene
 
 __version__ = "0.1.0"
 __all__ = [
@@ -53,18 +52,18 @@ _PLACES = {
     "Bodies": "exchange.bodies:Bodies",
     "Detections": "detectors.protocol:Detections",
     "Detector": "detectors.protocol:Detector",
-    "EvaluateSettings": "evaluate.settings:EvaluateSettings",
+    "EvaluateSettings": "evaluation.settings:EvaluateSettings",
     "InputError": "files.errors:InputError",
     "Logo": "scene.logos.logo:Logo",
     "RunResult": "attack.loop:RunResult",
     "TrainSettings": "attack.settings:TrainSettings",
     "evaluate": "library:evaluate",
-    "load_backgrounds": "scene.backdrops.backgrounds:open_backgrounds",
+    "load_backgrounds": "scene.backdrops.backgrounds:load_backgrounds",
     "load_detector": "detectors.loading:load_detector",
     "load_logo": "scene.logos.logo:load_logo",
-    "load_scene": "scene.opening:open_scene",
+    "load_scene": "scene.opening:load_scene",
     "make_logo": "scene.logos.logo:make_logo",
-    "make_report": "evaluate.report:make_report",
+    "make_report": "evaluation.report:make_report",
     "make_settings": "attack.settings:make_settings",
     "print_logo": "output.printing:print_logo",
     "train": "library:train",

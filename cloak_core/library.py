@@ -18,16 +18,16 @@ from cloak_core.attack.settings.values import Angles, from_plain
 from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluate.settings import EvaluateSettings
-from cloak_core.evaluate.trained_run import kept_back, read_run
+from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.opening import load_scene
 
 if TYPE_CHECKING:
-    from cloak_core.evaluate.inference import OnProgress
+    from cloak_core.evaluation.inference import OnProgress
 
 Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
@@ -62,13 +62,13 @@ def train(
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
     settings = settings or make_settings(**changes)
     named = {"scene": scene, "logo": logo, "backgrounds": backgrounds}
-    bodies = scene if isinstance(scene, Bodies) else open_scene(scene)
+    bodies = scene if isinstance(scene, Bodies) else load_scene(scene)
     return train_logo(
         settings,
         bodies,
         logo if isinstance(logo, Logo) else load_logo(bodies, logo),
         [_detector(detector, settings.compute.device) for detector in detectors],
-        backgrounds if isinstance(backgrounds, Backgrounds) else open_backgrounds(backgrounds),
+        backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
         out,
         resume=resume,
         on_event=on_event,
@@ -100,8 +100,8 @@ def evaluate(
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
-    from cloak_core.evaluate.evaluation import evaluate as evaluate_logo  # brings matplotlib, which training needs not
-    from cloak_core.evaluate.evaluation_folder import FOLDER
+    from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
+    from cloak_core.evaluation.evaluation_folder import FOLDER
 
     if settings is not None and changes:
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
@@ -109,9 +109,9 @@ def evaluate(
     config = read_run(folder)
     if detectors is None:
         detectors = [trained["spec"] for trained in config["detectors"]]
-    bodies = scene if isinstance(scene, Bodies) else open_scene(scene or kept_back("scene", config))
+    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
     if not isinstance(backgrounds, Backgrounds):
-        backgrounds = open_backgrounds(backgrounds or kept_back("backgrounds", config))
+        backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
     logo = load_logo(bodies, folder / "logo.npy")
     return evaluate_logo(
         read_colors(folder / "colors.npy", len(logo)),

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloak_core.evaluate.provenance import seen_in_training
 
 from cloak_core.attack.events import read_events
 from cloak_core.cli import main
-from cloak_core.evaluate.provenance import seen_in_training
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from tests.attack.test_run_identity import picture
 
 OLD = Path(__file__).parent / "old_versions" / "v0.1.0"
@@ -95,7 +95,7 @@ def test_a_finished_run_is_evaluated_and_reported(old: Path, capsys: pytest.Capt
 def test_backgrounds_that_were_known_by_their_files_are_recognized(old: Path, tmp_path: Path) -> None:
     for i in range(2):
         picture(tmp_path / "pictures", f"{i}.png", i)
-    backgrounds = open_backgrounds(tmp_path / "pictures", (32, 32))
+    backgrounds = load_backgrounds(tmp_path / "pictures", (32, 32))
     config = json.loads((old / "done" / "config.json").read_text())
     config["backgrounds"] = {"count": 1, "identities": [backgrounds.pictures[1].file]}
     unseen, warnings = seen_in_training(config, read_scene(old / "scene"), backgrounds)

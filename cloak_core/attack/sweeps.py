@@ -34,9 +34,9 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.writing import write_json, write_text, written
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.opening import load_scene
 
 MOST_RUNS = 10_000
 INPUTS = ("scene", "logo", "detector", "backgrounds")
@@ -159,14 +159,14 @@ class _Opened:
 
     def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
         """Bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
-        bodies = self._scenes.get(run.scene) or self._scenes.setdefault(run.scene, open_scene(run.scene))
+        bodies = self._scenes.get(run.scene) or self._scenes.setdefault(run.scene, load_scene(run.scene))
         logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
         for spec in run.detectors:
             if (spec, run.settings.compute.device) not in self._detectors:
                 loaded = load_detector(spec, device=run.settings.compute.device)
                 self._detectors[spec, run.settings.compute.device] = loaded
         if run.backgrounds not in self._backgrounds:
-            self._backgrounds[run.backgrounds] = open_backgrounds(run.backgrounds)
+            self._backgrounds[run.backgrounds] = load_backgrounds(run.backgrounds)
         detectors = [self._detectors[spec, run.settings.compute.device] for spec in run.detectors]
         return bodies, logo, detectors, self._backgrounds[run.backgrounds]
 

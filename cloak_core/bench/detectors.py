@@ -11,7 +11,7 @@ from cloak_core.bench.views import machine
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.evaluate.report.words import short_name
+from cloak_core.evaluation.report.words import short_name
 
 
 def run_bench_detectors(

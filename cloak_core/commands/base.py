@@ -9,9 +9,9 @@ from pathlib import Path
 from rich.console import Console
 
 from cloak_core.files.errors import InputError, one_line
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.opening import load_scene
 
-__all__ = ["RANK", "Command", "Stopped", "err", "open_scene", "out", "require_new", "warn"]
+__all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "warn"]
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.attack.settings.values import Range
-from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.compute import keep_freed_memory
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.writing import write_text
@@ -79,13 +79,13 @@ class Step(Command):
         from cloak_core.attack.settings import make_settings
         from cloak_core.bench.step import run_bench_step, step_table
         from cloak_core.detectors.loading import load_detector
-        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
         keep_freed_memory()
         result = run_bench_step(
-            open_scene(self.scene),
+            load_scene(self.scene),
             [load_detector(spec, device=self.device) for spec in self.detector or ("builtin",)],
-            open_backgrounds(self.backgrounds),
+            load_backgrounds(self.backgrounds),
             settings=make_settings(
                 "best", batch=self.batch, distance=self.distance, samples=self.samples, device=self.device
             ),
@@ -213,7 +213,7 @@ class Accuracy(Command):
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
 
-        bodies = open_scene(self.scene)
+        bodies = load_scene(self.scene)
         return run_bench_accuracy(bodies, threads=self.threads, repeats=self.repeats, out=self.out, only=self.only)
 
     def show(self, result: dict) -> None:

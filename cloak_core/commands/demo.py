@@ -11,13 +11,13 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, err, open_scene, out, warn
+from cloak_core.commands.base import Command, err, load_scene, out, warn
 from cloak_core.commands.blender import SCRIPT, train_in_blender
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.train import Train
-from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.writing import write_text
 from cloak_core.scene.blender.executable import find_bpy
 
@@ -44,7 +44,7 @@ class Demo(Command):
 
         prepare_process(self.compute)
         logo = self.out.parent / f"{self.out.name}-logo.npy"
-        bodies = open_scene("sample:train")
+        bodies = load_scene("sample:train")
         self.out.parent.mkdir(parents=True, exist_ok=True)
         chosen = write_logo(logo, bodies, select_region(bodies, REGION))
         err.print(

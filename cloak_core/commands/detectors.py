@@ -10,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, err, open_scene, out, require_new
+from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.errors import InputError
@@ -49,12 +49,12 @@ class Check(Command):
             return check_image(self.options.load([self.spec], self.compute.device)[0], self.image, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
-        from cloak_core.evaluate.clean import check_scene
-        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.evaluation.clean import check_scene
+        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
         detector = self.options.load([self.spec], self.compute.device)[0]
         return check_scene(
-            detector, open_scene(self.scene), open_backgrounds(self.backgrounds), self.angles, seed=self.seed
+            detector, load_scene(self.scene), load_backgrounds(self.backgrounds), self.angles, seed=self.seed
         )
 
     def show(self, result: dict) -> None:

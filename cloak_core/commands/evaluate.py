@@ -15,7 +15,7 @@ from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.evaluate.settings import EvaluateSettings
+from cloak_core.evaluation.settings import EvaluateSettings
 
 
 @dataclass(kw_only=True)
@@ -39,7 +39,7 @@ class Evaluate(Command):
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        from cloak_core.evaluate.trained_run import read_run
+        from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import evaluate
 
         prepare_process(self.compute)
@@ -94,7 +94,7 @@ def show_success(result: dict) -> None:
 
 def matrix(result: dict) -> Table:
     """A row per detector: whether it was trained against, and success under the logo and the controls."""
-    from cloak_core.evaluate.report.words import short_name
+    from cloak_core.evaluation.report.words import short_name
 
     controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
     table = Table(title="success by detector: white box = trained against it, black box = not")
@@ -118,8 +118,8 @@ class Report(Command):
     """Run folder that `cloak train` wrote."""
 
     def run(self) -> dict:
-        from cloak_core.evaluate.report import make_report
-        from cloak_core.evaluate.trained_run import read_run
+        from cloak_core.evaluation.report import make_report
+        from cloak_core.evaluation.trained_run import read_run
 
         read_run(self.run_folder)
         return {"report": str(make_report(self.run_folder))}

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, open_scene, out, require_new
+from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.exchange.bodies import Bodies
@@ -52,7 +52,7 @@ class Select(Command):
         if (self.region is None) == (self.box is None):
             raise InputError("logo select: give either --region or --box")
         require_new(self.out)
-        bodies = open_scene(self.scene)
+        bodies = load_scene(self.scene)
         if self.region is not None:
             ids = select_region(bodies, self.region)
         else:
@@ -95,7 +95,7 @@ class Project(Command):
         if (self.text is None) == (self.mask is None):
             raise InputError("logo project: give either --text or --mask")
         require_new(self.out)
-        bodies = open_scene(self.scene)
+        bodies = load_scene(self.scene)
         placed = {"height": self.height, "center": self.center}
         if self.text is not None:
             ids = project_text(bodies, self.text, **placed)
@@ -131,7 +131,7 @@ class Heatmap(Command):
         from cloak_core.attack.heatmap import heatmap
         from cloak_core.exchange.heat import hottest_faces
         from cloak_core.files.writing import write_npy
-        from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
         from cloak_core.scene.geometry import face_areas
 
         prepare_process(self.compute)
@@ -140,9 +140,9 @@ class Heatmap(Command):
             raise InputError(f"--pick {self.pick}: a share of the area in (0, 1] is needed")
         for path in [self.out] + [logo] * (self.pick is not None):
             require_new(path)
-        bodies = open_scene(self.scene)
+        bodies = load_scene(self.scene)
         detector = self.options.load([self.detector], self.compute.device)[0]
-        heat = heatmap(bodies, detector, open_backgrounds(self.backgrounds), self.angles)
+        heat = heatmap(bodies, detector, load_backgrounds(self.backgrounds), self.angles)
         write_npy(self.out, np.asarray(heat, np.float32))
         result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}
         if self.pick is not None:
@@ -178,7 +178,7 @@ class Transfer(Command):
         painted = self.out.with_name(self.out.stem + "-colors.npy")
         for path in [self.out] + [painted] * (self.colors is not None):
             require_new(path)
-        source, target = open_scene(self.source), open_scene(self.target)
+        source, target = load_scene(self.source), load_scene(self.target)
         ids = load_logo(source, self.logo).face_ids
         colors = None if self.colors is None else read_colors(self.colors / "colors.npy", len(ids))
         moved = transfer_logo(source, ids, target, colors)

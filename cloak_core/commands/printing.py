@@ -8,7 +8,7 @@ from typing import Literal
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, open_scene, out
+from cloak_core.commands.base import Command, load_scene, out
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 
@@ -33,7 +33,7 @@ class Print(Command):
     """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
 
     def run(self) -> dict:
-        from cloak_core.evaluate.trained_run import read_run
+        from cloak_core.evaluation.trained_run import read_run
         from cloak_core.output.printing import print_logo
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.logos.palette import read_palette
@@ -43,7 +43,7 @@ class Print(Command):
         scene = self.scene or config.get("inputs", {}).get("scene")
         if not scene:
             raise InputError("--scene: say which body (the run does not record it)")
-        bodies = open_scene(scene)
+        bodies = load_scene(scene)
         ids = load_logo(bodies, self.run_folder / "logo.npy").face_ids
         colors = read_colors(self.run_folder / "colors.npy", len(ids))
         report = print_logo(

@@ -17,7 +17,7 @@ from cloak_core.commands.compute import prepare_process
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluate.experiments.lab import Lab
+    from cloak_core.evaluation.experiments.lab import Lab
 
 
 @dataclass(kw_only=True)
@@ -59,8 +59,8 @@ class Reproduce(Command):
     """Train and evaluate nothing: draw figures and write words again from the numbers in --out."""
 
     def run(self) -> dict:
-        from cloak_core.evaluate.experiments.index_page import make_page
-        from cloak_core.evaluate.experiments.markdown import publish
+        from cloak_core.evaluation.experiments.index_page import make_page
+        from cloak_core.evaluation.experiments.markdown import publish
 
         done, skipped = self._redraw() if self.redraw else self._measure()
         published = {"published": str(publish(self.out, self.publish))} if self.publish else {}
@@ -68,9 +68,9 @@ class Reproduce(Command):
 
     def _measure(self) -> tuple[dict, dict]:
         """Records by name, and why others were left out."""
-        from cloak_core.evaluate.cycles import NoBlender
-        from cloak_core.evaluate.experiments.lab import Interrupted
-        from cloak_core.evaluate.experiments.registry import EXPERIMENTS, run_experiment
+        from cloak_core.evaluation.cycles import NoBlender
+        from cloak_core.evaluation.experiments.lab import Interrupted
+        from cloak_core.evaluation.experiments.registry import EXPERIMENTS, run_experiment
 
         prepare_process(self.compute)
         lab = self._lab()
@@ -89,7 +89,7 @@ class Reproduce(Command):
 
     def _redraw(self) -> tuple[dict, dict]:
         """The same, from the numbers alone."""
-        from cloak_core.evaluate.experiments.registry import draw_again, finished
+        from cloak_core.evaluation.experiments.registry import draw_again, finished
 
         if self.name != "all":
             return {self.name: draw_again(self.name, self.out)}, {}
@@ -103,8 +103,8 @@ class Reproduce(Command):
         return done, skipped
 
     def _lab(self) -> Lab:
-        from cloak_core.evaluate.experiments.lab import Lab, Options
-        from cloak_core.evaluate.experiments.materials import open_materials
+        from cloak_core.evaluation.experiments.lab import Lab, Options
+        from cloak_core.evaluation.experiments.materials import open_materials
 
         materials = open_materials(
             self.detector or ("builtin",),

@@ -9,7 +9,7 @@ from typing import Literal
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Command, open_scene, out, require_new, warn
+from cloak_core.commands.base import Command, load_scene, out, require_new, warn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 
@@ -175,7 +175,7 @@ class Info(Command):
         from cloak_core.scene.cameras import Camera
         from cloak_core.scene.logos.resolution import resolution
 
-        bodies = open_scene(self.scene)
+        bodies = load_scene(self.scene)
         return describe(bodies) | {"resolution": asdict(resolution(bodies, Camera(distance=self.distance)))}
 
     def show(self, result: dict) -> None:

@@ -28,7 +28,7 @@ from cloak_core.pretrain.outfits import Wardrobe
 from cloak_core.pretrain.people import bank_views
 from cloak_core.pretrain.region_loss import region_loss
 from cloak_core.pretrain.scenery import PHOTO_SIDE, Scenery
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
 
 OnEvent = Callable[[dict], None]
@@ -122,7 +122,7 @@ def make_data(
     settings: BuiltinSettings, backgrounds: str | Path | None, size: int, on_event: OnEvent
 ) -> tuple[ExampleMaker, ExampleMaker]:
     """Examples to train on, and others, over places never trained on, to calibrate with."""
-    photos = open_backgrounds(backgrounds, (PHOTO_SIDE, PHOTO_SIDE)) if backgrounds is not None else None
+    photos = load_backgrounds(backgrounds, (PHOTO_SIDE, PHOTO_SIDE)) if backgrounds is not None else None
     kept = None
     if photos is not None and len(photos) >= HELD_BACK:
         kept = photos.split(HELD_BACK, HELD_BACK - 1)
@@ -133,8 +133,8 @@ def make_data(
         bodies, settings.views, rng, lambda n: on_event({"type": "views", "done": n}) if n % 100 == 0 else None
     )
     wardrobe = Wardrobe(bodies)
-    fresh = open_backgrounds(f"procedural:train:{settings.scenes}:{settings.seed}")
-    other = open_backgrounds(f"procedural:train:{max(20, settings.scenes // 5)}:{settings.seed + 1}")
+    fresh = load_backgrounds(f"procedural:train:{settings.scenes}:{settings.seed}")
+    other = load_backgrounds(f"procedural:train:{max(20, settings.scenes // 5)}:{settings.seed + 1}")
     training = ExampleMaker(views, wardrobe, Scenery(fresh, photos), size)
     return training, ExampleMaker(views, wardrobe, Scenery(other, kept), size)
 

@@ -11,7 +11,7 @@ from cloak_core.files.specs import split_spec
 from cloak_core.scene.selection import select, split_selection
 
 
-def open_scene(spec: str | Path) -> Bodies:
+def load_scene(spec: str | Path) -> Bodies:
     """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", or drawn from
     Anny on the spot: "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
 

@@ -21,7 +21,7 @@ from cloak_core.attack.training import train
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from tests.attack import children
 from tests.attack.fakes import BrokenDetector, TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.reliability_record import record
@@ -188,7 +188,7 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
 
         bodies = box_bodies()
         # Room for one picture, so that files are read again.
-        backgrounds = open_backgrounds(tmp_path / "photos", (64, 64), memory_bytes=1)
+        backgrounds = load_backgrounds(tmp_path / "photos", (64, 64), memory_bytes=1)
         settings = tiny_settings(steps=12, checkpoint_every=5)
         return train(settings, bodies, front_logo(bodies), [TinyDetector()], backgrounds, tmp_path / name,
                      resume=True, on_event=listen)  # fmt: skip

@@ -16,7 +16,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
@@ -119,20 +119,20 @@ def test_backgrounds_saved_anew_are_the_same_and_others_are_not(
     for i in range(2):
         picture(first, f"{i}.png", i)
         picture(second, f"{i} copy.png", i, compress_level=1)
-    before = run(tmp_path / "run", detector, open_backgrounds(first, (64, 64)), resume=False)
-    after = run(tmp_path / "again", detector, open_backgrounds(second, (64, 64)), resume=False)
+    before = run(tmp_path / "run", detector, load_backgrounds(first, (64, 64)), resume=False)
+    after = run(tmp_path / "again", detector, load_backgrounds(second, (64, 64)), resume=False)
     assert np.array_equal(before.colors, after.colors)
-    assert run(tmp_path / "run", detector, open_backgrounds(second, (64, 64))).step == 2
+    assert run(tmp_path / "run", detector, load_backgrounds(second, (64, 64))).step == 2
     picture(second, "1 copy.png", 7)
     with pytest.raises(InputError, match=r"backgrounds\.identities\[1\]"):
-        run(tmp_path / "run", detector, open_backgrounds(second, (64, 64)))
+        run(tmp_path / "run", detector, load_backgrounds(second, (64, 64)))
     # A version before this one knew pictures by their files.
     recorded = json.loads((tmp_path / "run" / "config.json").read_text())
     recorded["backgrounds"] = {"count": 2, "identities": recorded["backgrounds"]["files"]}
     (tmp_path / "run" / "config.json").write_text(json.dumps(recorded))
-    assert run(tmp_path / "run", detector, open_backgrounds(first, (64, 64))).step == 2
+    assert run(tmp_path / "run", detector, load_backgrounds(first, (64, 64))).step == 2
     with pytest.raises(InputError, match=r"backgrounds\.identities\[0\]"):
-        run(tmp_path / "run", detector, open_backgrounds(second, (64, 64)))
+        run(tmp_path / "run", detector, load_backgrounds(second, (64, 64)))
 
 
 def test_other_code_and_packages_are_said_and_not_refused(

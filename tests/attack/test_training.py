@@ -200,13 +200,13 @@ def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path)
             raise InputError("image 3: no such file")
         return np.full((height, width, 3), 40 * index, np.uint8)
 
-    def open_backgrounds():
+    def load_backgrounds():
         return Backgrounds([f"image {i}" for i in range(5)], draw, memory_bytes=1)
 
     def attempt(out, on_event=None, resume=False):
         bodies = box_bodies()
         chosen = settings(steps=7, checkpoint_every=5)
-        return train(chosen, bodies, front_logo(bodies), [TinyDetector()], open_backgrounds(), out,
+        return train(chosen, bodies, front_logo(bodies), [TinyDetector()], load_backgrounds(), out,
                      on_event=on_event, resume=resume)  # fmt: skip
 
     whole = attempt(tmp_path / "whole")

@@ -108,9 +108,9 @@ def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp
     class Opened(Exception):
         pass
 
-    def open_scene(spec):
+    def load_scene(spec):
         raise Opened(spec)
 
-    monkeypatch.setattr("cloak_core.commands.evaluate.open_scene", open_scene)
+    monkeypatch.setattr("cloak_core.commands.evaluate.load_scene", load_scene)
     with pytest.raises(Opened, match="sample:unseen"):
         Evaluate(run_folder=run).run()

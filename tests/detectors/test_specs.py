@@ -5,10 +5,10 @@ import pytest
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.evaluate.report.words import short_name
+from cloak_core.evaluation.report.words import short_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.opening import load_scene
 from cloak_core.scene.people import anny
 from tests.attack.fakes import box_bodies
 
@@ -66,7 +66,7 @@ def test_poses_on_a_windows_drive(monkeypatch: pytest.MonkeyPatch) -> None:
         return box_bodies()
 
     monkeypatch.setattr(anny, "anny_bodies", drawn)
-    open_scene(r"anny:8:1:C:\poses\walk.npy")
+    load_scene(r"anny:8:1:C:\poses\walk.npy")
     assert asked == [(8, 1, r"C:\poses\walk.npy")]
 
 

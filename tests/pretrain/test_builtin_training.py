@@ -13,12 +13,12 @@ from cloak_core.detectors.darknet.weights import read_weights
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score
 from cloak_core.detectors.specs import parse_spec
-from cloak_core.evaluate.inference import max_score_on
+from cloak_core.evaluation.inference import max_score_on
 from cloak_core.files.errors import InputError
 from cloak_core.pretrain.builtin_training import train_builtin
 from cloak_core.render.compositing import compose, true_boxes
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.people.samples import sample_bodies
 
@@ -75,7 +75,7 @@ def test_unknown_options_and_empty_folders_are_refused(tmp_path):
 def test_the_committed_weights_find_unseen_people_and_no_others():
     """A handful of renders of bodies never trained on, and of places never trained on (not the figures of record)."""
     detector, bodies = load_detector("builtin"), sample_bodies("unseen")
-    places = open_backgrounds("procedural:test:24").batch(range(24))
+    places = load_backgrounds("procedural:test:24").batch(range(24))
     assert WEIGHTS.stat().st_size < 6 << 20
     bank = ViewBank(bodies, samples=4)
     logo = np.flatnonzero(bodies.regions["chest"])

@@ -8,7 +8,7 @@ from cloak_core.pretrain.examples import Example, ExampleMaker, augment
 from cloak_core.pretrain.outfits import Wardrobe
 from cloak_core.pretrain.people import FRAME, bank_views
 from cloak_core.pretrain.scenery import Scenery
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
 
 SIZE = 96
@@ -22,7 +22,7 @@ def bodies():
 @pytest.fixture(scope="module")
 def maker(bodies):
     views = bank_views(bodies, 8, np.random.default_rng(0))
-    return ExampleMaker(views, Wardrobe(bodies), Scenery(open_backgrounds("procedural:train:3")), SIZE)
+    return ExampleMaker(views, Wardrobe(bodies), Scenery(load_backgrounds("procedural:train:3")), SIZE)
 
 
 def test_a_banked_view_is_the_renderers_view(bodies, maker):
@@ -82,7 +82,7 @@ def test_outfits_are_colours_and_vary(bodies):
 
 
 def test_places_are_crops_of_one_size_none_like_another():
-    scenery = Scenery(open_backgrounds("procedural:train:4"))
+    scenery = Scenery(load_backgrounds("procedural:train:4"))
     rng = np.random.default_rng(6)
     crops = np.stack([scenery.draw(rng, 48) for _ in range(30)])
     assert crops.shape == (30, 48, 48, 3) and crops.dtype == np.uint8

@@ -8,7 +8,7 @@ from cloak_core.attack.training import train
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import make_logo, select_region
 
 
@@ -19,7 +19,7 @@ def test_resume_is_bit_identical_on_a_real_detector(shared, tmp_path):
     detector = load_detector(f"darknet:{weights / name}.cfg:{weights / name}_653550.weights@224")
     bodies = read_scene(shared / "data" / "bodies_anny.npz").select_poses(range(2))
     logo = make_logo(bodies, select_region(bodies, "chest_thighs"))
-    backgrounds = open_backgrounds(shared / "data" / "backgrounds").subset(range(4))
+    backgrounds = load_backgrounds(shared / "data" / "backgrounds").subset(range(4))
     settings = make_settings("best", steps=5, batch=2, threads=2, outfits="first", angles="0,5", preview_every=0)
     before = state_hash(detector)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluate.clean import check_scene
+from cloak_core.evaluation.clean import check_scene
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from tests.real.test_detectors_real import spec_of
 
 
@@ -16,7 +16,7 @@ from tests.real.test_detectors_real import spec_of
 )
 def test_finds_clean_bodies_and_nothing_else(name: str, size: int | None, recall: float, shared: Path) -> None:
     bodies = read_scene(shared / "data" / "bodies_anny.npz")
-    backgrounds = open_backgrounds(shared / "data" / "backgrounds")
+    backgrounds = load_backgrounds(shared / "data" / "backgrounds")
     detector = load_detector(spec_of(name, shared), input_size=size)
     result = check_scene(detector, bodies, backgrounds, [0.0], images_per_view=4)
     assert result["clean_recall"] >= recall

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+from cloak_core.scene.opening import load_scene
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.selection import select, split_selection
 
@@ -47,16 +47,16 @@ def test_a_bad_selection_is_one_line_that_names_it(selection: str, words: str) -
 
 def test_some_bodies_of_a_scene() -> None:
     everything = sample_bodies("train")
-    some = open_scene("sample:train[walking*]")
+    some = load_scene("sample:train[walking*]")
     walking = [i for i, name in enumerate(everything.names) if name.startswith("walking")]
     assert 0 < len(walking) < everything.pose_count
     assert np.array_equal(some.vertices, everything.vertices[walking])
     assert some.topology == everything.topology
-    assert open_scene("sample[0:3]").pose_count == 3
+    assert load_scene("sample[0:3]").pose_count == 3
 
 
 def test_some_backgrounds() -> None:
-    whole, odd = open_backgrounds("procedural:test:6:2"), open_backgrounds("procedural:test:6:2[1::2]")
+    whole, odd = load_backgrounds("procedural:test:6:2"), load_backgrounds("procedural:test:6:2[1::2]")
     assert odd.identities() == whole.identities()[1::2]
 
 

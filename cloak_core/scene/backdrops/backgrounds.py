@@ -97,7 +97,7 @@ class Backgrounds:
         return self.subset(range(offset, len(self), every))
 
 
-def open_backgrounds(
+def load_backgrounds(
     spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
 ) -> Backgrounds:
     """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`; `SPEC[0::2]` takes some

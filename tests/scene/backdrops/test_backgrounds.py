@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
 
 def _save(path, array, **options):
@@ -26,7 +26,7 @@ def test_folder_takes_all_formats_by_name(tmp_path):
         _save(tmp_path / name, _halves(40, 60))
     (tmp_path / "notes.txt").write_text("no image")
     _save(tmp_path / ".hidden.png", _halves(40, 60))
-    backgrounds = open_backgrounds(tmp_path, size=(32, 32))
+    backgrounds = load_backgrounds(tmp_path, size=(32, 32))
     assert backgrounds.names == ("a.JPG", "b.png", "c.webp")
     batch = backgrounds.batch([0, 1, 2], 32, 32)
     assert batch.shape == (3, 3, 32, 32) and batch.dtype == torch.float32
@@ -42,7 +42,7 @@ def test_crop_is_centred_and_undistorted(tmp_path, shape):
     y, x = np.mgrid[:height, :width] + 0.5
     disc = (np.hypot(y - height / 2, x - width / 2) < radius) * 255
     _save(tmp_path / "disc.png", np.repeat(disc[..., None], 3, 2))
-    image = open_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64))[0].float() / 255
+    image = load_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64))[0].float() / 255
     rows, columns = image.sum(1), image.sum(0)
     assert abs(image.sum() - np.pi * 16**2) < 45
     assert abs(rows.max() - 32) < 2.5 and abs(columns.max() - 32) < 2.5
@@ -54,14 +54,14 @@ def test_crop_is_centred_and_undistorted(tmp_path, shape):
 
 def test_rectangular_size(tmp_path):
     _save(tmp_path / "a.png", _halves(40, 60))
-    assert open_backgrounds(tmp_path).image(0, (24, 48)).shape == (3, 24, 48)
+    assert load_backgrounds(tmp_path).image(0, (24, 48)).shape == (3, 24, 48)
 
 
 def test_exif_orientation_is_applied(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6  # stored on its side: turn clockwise to view
     _save(tmp_path / "turned.jpg", _halves(64, 64), exif=exif, quality=95)
-    image = open_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64)).float() / 255
+    image = load_backgrounds(tmp_path, size=(64, 64)).image(0, (64, 64)).float() / 255
     assert image[0, :28].mean() > 0.9 and image[2, :28].mean() < 0.1  # red half is now on top
     assert image[2, 36:].mean() > 0.9
 
@@ -71,7 +71,7 @@ def test_grey_palette_alpha_and_16_bit(tmp_path):
     Image.new("P", (8, 8), 0).save(tmp_path / "b.png")
     Image.new("RGBA", (8, 8), (255, 0, 0, 0)).save(tmp_path / "c.png")
     Image.fromarray(np.full((8, 8), 100 * 257, np.uint16)).save(tmp_path / "d.png")
-    backgrounds = open_backgrounds(tmp_path, size=(8, 8))
+    backgrounds = load_backgrounds(tmp_path, size=(8, 8))
     means = [int(backgrounds.image(i, (8, 8)).float().mean()) for i in range(4)]
     assert means[0] == 100 and means[2] == 255 and abs(means[3] - 100) <= 1
 
@@ -86,7 +86,7 @@ def test_damaged_files_are_named_and_skipped(tmp_path, caplog):
     (tmp_path / "text.webp").write_text("this is no image")
     (tmp_path / "folder.png").mkdir()
     with caplog.at_level(logging.WARNING, logger="cloak"):
-        backgrounds = open_backgrounds(tmp_path)
+        backgrounds = load_backgrounds(tmp_path)
     assert backgrounds.names == ("good.png", "whole.jpg")
     for name in ("truncated.jpg", "empty.png", "text.webp", "folder.png"):
         assert sum(name in r.message for r in caplog.records) == 1
@@ -94,18 +94,18 @@ def test_damaged_files_are_named_and_skipped(tmp_path, caplog):
 
 def test_bad_folders_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
-        open_backgrounds(tmp_path / "missing")
+        load_backgrounds(tmp_path / "missing")
     with pytest.raises(InputError, match="no jpg, png or webp"):
-        open_backgrounds(tmp_path)
+        load_backgrounds(tmp_path)
     (tmp_path / "bad.jpg").write_bytes(b"\xff\xd8\xff")
     with pytest.raises(InputError, match="none of its 1 images"):
-        open_backgrounds(tmp_path)
+        load_backgrounds(tmp_path)
     with pytest.raises(InputError, match="this is a file"):
-        open_backgrounds(tmp_path / "bad.jpg")
+        load_backgrounds(tmp_path / "bad.jpg")
 
 
 def test_subsets_and_splits_keep_names_and_images():
-    backgrounds = open_backgrounds("procedural:test:6")
+    backgrounds = load_backgrounds("procedural:test:6")
     odd = backgrounds.split(2, 1)
     assert odd.names == backgrounds.names[1::2] and len(odd) == 3
     part = odd.subset([2, 0])
@@ -119,7 +119,7 @@ def test_memory_stays_within_its_bound(tmp_path):
     for i in range(8):
         _save(tmp_path / f"{i}.png", np.full((16, 16, 3), 10 * i))
     bound = 3 * 3 * 16 * 16
-    backgrounds = open_backgrounds(tmp_path, size=(16, 16), memory_bytes=bound)
+    backgrounds = load_backgrounds(tmp_path, size=(16, 16), memory_bytes=bound)
     for _ in range(2):
         for i in range(8):
             assert int(backgrounds.image(i, (16, 16)).float().mean()) == 10 * i
@@ -127,10 +127,10 @@ def test_memory_stays_within_its_bound(tmp_path):
 
 
 def test_procedural_is_deterministic_and_its_sets_are_disjoint():
-    first, again = open_backgrounds("procedural:train:4"), open_backgrounds("procedural:train:9")
+    first, again = load_backgrounds("procedural:train:4"), load_backgrounds("procedural:train:9")
     assert all(torch.equal(first.image(i, (64, 64)), again.image(i, (64, 64))) for i in range(4))
-    assert len(open_backgrounds("procedural")) > 100
-    others = [open_backgrounds(s) for s in ("procedural:train:4", "procedural:test:4", "procedural:train:4:1")]
+    assert len(load_backgrounds("procedural")) > 100
+    others = [load_backgrounds(s) for s in ("procedural:train:4", "procedural:test:4", "procedural:train:4:1")]
     images = torch.cat([b.batch(range(4), 64, 64) for b in others]).flatten(1)
     names = [n for b in others for n in b.names]
     distance = torch.cdist(images, images) + torch.eye(12) * 100
@@ -139,7 +139,7 @@ def test_procedural_is_deterministic_and_its_sets_are_disjoint():
 
 def test_procedural_scenes_are_varied_pictures():
     """No black, white or flat frame among them, and the brightness of the set spreads like photographs' does."""
-    images = open_backgrounds("procedural:test:60").batch(range(60), 96, 96)
+    images = load_backgrounds("procedural:test:60").batch(range(60), 96, 96)
     mean, spread = images.mean((1, 2, 3)), images.flatten(1).std(1)
     assert mean.min() > 0.02 and mean.max() < 0.98 and mean.std() > 0.08
     assert (spread > 0.02).all() and spread.mean() > 0.1
@@ -150,4 +150,4 @@ def test_procedural_scenes_are_varied_pictures():
 )
 def test_bad_procedural_specs_are_refused(spec):
     with pytest.raises(InputError, match="procedural"):
-        open_backgrounds(spec)
+        load_backgrounds(spec)

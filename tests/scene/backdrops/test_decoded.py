@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.files.caching import cache_folder
-from cloak_core.scene.backdrops.backgrounds import open_backgrounds
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.backdrops.decoded import DecodedImages
 
 
@@ -72,12 +72,12 @@ def test_the_second_run_decodes_nothing(tmp_path, monkeypatch):
     monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
     for i in range(3):
         Image.fromarray(picture(i, 40, 60)).save(tmp_path / f"{i}.png")
-    first = open_backgrounds(tmp_path, (32, 32))
+    first = load_backgrounds(tmp_path, (32, 32))
     batch = first.batch([0, 1, 2], 32, 32)
     from cloak_core.scene.backdrops import backgrounds
 
     monkeypatch.setattr(backgrounds, "_decode", None)
-    second = open_backgrounds(tmp_path, (32, 32), memory_bytes=1)
+    second = load_backgrounds(tmp_path, (32, 32), memory_bytes=1)
     assert (second.batch([0, 1, 2], 32, 32) == batch).all() and second.identities() == first.identities()
     for i in range(3):
         (tmp_path / f"{i}.png").unlink()

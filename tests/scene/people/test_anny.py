@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.scene.opening import open_scene
+from cloak_core.scene.opening import load_scene
 from cloak_core.scene.people import anny as module
 from cloak_core.scene.people.anny import POSES, SHAPES, anny_bodies, read_anny_poses
 from cloak_core.scene.people.motions import MOTIONS
@@ -54,9 +54,9 @@ def test_bodies_are_those_of_their_seed_and_number(source: FakeSource) -> None:
 
 
 def test_a_scene_can_be_drawn_on_the_spot(source: FakeSource) -> None:
-    assert open_scene("anny:4:7:walk[1,3]").names == ("walking-0001", "walking-0003")
+    assert load_scene("anny:4:7:walk[1,3]").names == ("walking-0001", "walking-0003")
     with pytest.raises(InputError, match="anny:many"):
-        open_scene("anny:many")
+        load_scene("anny:many")
 
 
 def test_poses_from_a_file_in_turn(source: FakeSource, tmp_path: Path) -> None:

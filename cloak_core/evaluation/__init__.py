@@ -1,0 +1,1 @@
+"""How well a cloak works: rates, controls, intervals, experiments, reports."""

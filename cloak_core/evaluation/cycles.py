@@ -1,0 +1,230 @@
+"""The images of an evaluation, rendered by Blender's Cycles instead of our own renderer.
+
+Blender runs in a process of its own (`blender_addon/cycles_frames.py`); what passes between the two is a folder of
+arrays and PNG files. One frame is a body, a camera, a colouring and a light; putting it before backgrounds is done
+here, as for our own images: in display colours, image = body * alpha + background * (1 - alpha).
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.evaluation.stage import Indices, Stage
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
+from cloak_core.files.writing import open_to_append, write_json, write_npz
+from cloak_core.render.dressing import DressedView
+from cloak_core.render.shading import NormalOperator
+from cloak_core.scene.blender.executable import ADD_ON, bpy_version, find_bpy
+from cloak_core.scene.pictures import read_picture
+
+SCRIPT = "cycles_frames.py"
+LIGHTS = ("matching", "studio", "sky")
+"""Light set-ups of `blender_addon/cycles_frames.py`: our model's own, and two natural ones."""
+SAMPLES = 32
+"""Light paths per pixel, without denoising."""
+OnFrame = Callable[[str], None]
+"""Told a line for every frame."""
+
+
+class NoBlender(InputError):
+    """Blender's Python package is not there."""
+
+
+def require_blender() -> str:
+    """A Python with Blender; NoBlender says in one line how to come by one."""
+    python = find_bpy() if (ADD_ON / SCRIPT).exists() else None
+    if python is None:
+        raise NoBlender("render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11)")
+    return python
+
+
+@dataclass(frozen=True)
+class FrameKey:
+    """What one frame shows."""
+
+    pose: int
+    angle: float
+    control: str
+    light: str
+
+
+def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int, on_frame: OnFrame) -> Path:
+    """Render every pose and angle of the stage's trials in every colouring and light; returns the frames' folder.
+
+    The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
+    goes on. The first outfit is worn throughout, and "random" has one draw.
+    """
+    python = require_blender()
+    views = sorted({(int(p), float(a)) for p, a in zip(stage.trials.pose, stage.trials.angle, strict=True)})
+    colors = np.stack([_triangle_colors(stage, control) for control in controls])
+    keys = [FrameKey(p, a, c, light) for light in LIGHTS for p, a in views for c in controls]
+    job = {
+        "size": stage.camera(0).height,
+        "samples": samples,
+        "near": stage.camera(0).near_plane,
+        "far": 100 * stage.camera(0).distance,
+        "frames": [_frame(stage, key, list(controls).index(key.control)) for key in keys],
+    }
+    bodies = stage.bodies
+    normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
+    mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
+    content = [sha256_arrays(*mesh.values()), job, source_hash(ADD_ON / SCRIPT), bpy_version(python)]
+    folder = out / sha256_record(content)[:16]
+    folder.mkdir(parents=True, exist_ok=True)
+    if all((folder / frame["file"]).exists() for frame in job["frames"]):
+        return folder
+    write_npz(folder / "meshes.npz", **mesh)
+    write_json(folder / "job.json", job)
+    _run(python, folder, on_frame)
+    return folder
+
+
+def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    log = folder / "blender.log"
+    with open_to_append(log) as said:
+        process = subprocess.Popen(
+            [python, str(ADD_ON / SCRIPT), str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=environment,
+        )
+        try:
+            for line in process.stdout:
+                said.write(line.encode())
+                if line.startswith("frame "):
+                    on_frame(line.strip())
+        finally:
+            process.terminate()  # only where we leave early: it has closed its output otherwise
+            code = process.wait()
+    missing = [f["file"] for f in read_json(folder / "job.json")["frames"]]
+    missing = [name for name in missing if not (folder / name).exists()]
+    if missing:
+        tail = "\n".join(read_text(log, MAX_TEXT_BYTES, errors="replace").splitlines()[-20:])
+        raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
+
+
+def _frame(stage: Stage, key: FrameKey, colors: int) -> dict:
+    trial = int(np.flatnonzero((stage.trials.pose == key.pose) & np.isclose(stage.trials.angle, key.angle))[0])
+    camera = stage.camera(trial)
+    vertices = stage.bodies.vertices[key.pose].astype(np.float64)
+    pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
+    return {
+        "file": file_name(key),
+        "pose": key.pose,
+        "colors": colors,
+        "light": key.light,
+        "position": [float(x) for x in camera.position(pivot)],
+        "axes": camera.axes,
+        "field_of_view": camera.field_of_view,
+    }
+
+
+def file_name(key: FrameKey) -> str:
+    """The PNG of a frame."""
+    return f"{key.light}-{key.pose}-{key.angle:+g}-{key.control}.png"
+
+
+def _triangle_colors(stage: Stage, control: str) -> Float32[np.ndarray, "T 3"]:
+    """Colours of all triangles with the logo's faces coloured as `control` says, in the first outfit."""
+    bodies, ids = stage.bodies, stage.logo.face_ids
+    faces = bodies.face_colors[0].copy()
+    if control == "random":
+        faces[ids] = random_colors(stage.seed, 0, len(ids))
+    else:
+        faces[ids] = control_colors(control, stage.colors, bodies, ids)[0]
+    return faces[bodies.triangle_face]
+
+
+def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
+    """The vertex normals our renderer shades with."""
+    triangles, vertices = bodies.triangles.T.astype(np.int64), bodies.vertices[pose].T.astype(np.float64)
+    operator = NormalOperator(torch.from_numpy(triangles), bodies.vertex_count)
+    return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
+
+
+class CyclesStage(Stage):
+    """A stage whose bodies come from frames of `render_frames` under one light."""
+
+    def __init__(self, stage: Stage, folder: Path, light: str) -> None:
+        parts = (stage.colors, stage.logo, stage.bodies, stage.backdrops, stage.trials)
+        super().__init__(*parts, camera=stage.viewpoint, seed=stage.seed, bank=stage.bank)
+        self._folder, self._light = folder, light
+        self._bodies: dict[tuple[int, float, str], Tensor] = {}
+
+    @property
+    def frames(self) -> str:
+        """What the frames' content is known by."""
+        return self._folder.name
+
+    def compose(
+        self, views: Sequence[DressedView], indices: Indices, controls: Sequence[str]
+    ) -> Iterator[Float[Tensor, "B 3 H W"]]:
+        """The images of these trials under each control; `views` are not looked at."""
+        behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
+        seen = [(int(self.trials.pose[i]), float(self.trials.angle[i])) for i in indices]
+        for control in controls:
+            bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
+            images = [b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)]
+            yield torch.stack(images)
+
+    def body(self, pose: int, angle: float, control: str = LOGO) -> Float[Tensor, "4 H W"]:
+        """One frame: RGBA in [0, 1], straight alpha."""
+        key = (pose, angle, control)
+        if key not in self._bodies:
+            path = self._folder / file_name(FrameKey(*key, self._light))
+            pixels = torch.from_numpy(read_picture(path, "RGBA")).permute(2, 0, 1)
+            self._bodies[key] = pixels.contiguous()
+        return self._bodies[key].to(self._device).float() / 255
+
+
+def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tensor, "4 H W"]:
+    """The body moved by whole pixels; what leaves the image is lost, what comes in is empty."""
+    height, width = body.shape[1:]
+    moved = torch.zeros_like(body)
+    y, x = max(0, down), max(0, right)
+    part = body[:, max(0, -down) : height - y, max(0, -right) : width - x]
+    moved[:, y : y + part.shape[1], x : x + part.shape[2]] = part
+    return moved
+
+
+def image_difference(ours: Stage, cycles: CyclesStage, control: str = LOGO) -> dict[str, float]:
+    """How the bodies differ on average over poses and angles, before mid-grey, in display colours [0, 1].
+
+    "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
+    cover the pixel wholly, so that silhouettes do not count.
+    """
+    views = sorted({(int(p), float(a)) for p, a in zip(ours.trials.pose, ours.trials.angle, strict=True)})
+    squares, inner, bias, count, whole = 0.0, 0.0, 0.0, 0, 0
+    for pose, angle in views:
+        i = int(np.flatnonzero((ours.trials.pose == pose) & np.isclose(ours.trials.angle, angle))[0])
+        view = ours.views([i])[0]
+        mine, covered = ours.before_grey(view, i, control)
+        frame = cycles.body(pose, angle, control)
+        theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
+        difference = (theirs - mine).flatten(1)
+        either = (covered > 0) | (frame[3].flatten() > 0)
+        both = (covered > 1 - 1e-4) & (frame[3].flatten() == 1)
+        squares += float((difference[:, either] ** 2).sum())
+        inner += float((difference[:, both] ** 2).sum())
+        bias += float(difference[:, either].sum())
+        count, whole = count + 3 * int(either.sum()), whole + 3 * int(both.sum())
+    return {
+        "rms": (squares / max(count, 1)) ** 0.5,
+        "inside": (inner / max(whole, 1)) ** 0.5,
+        "bias": bias / max(count, 1),
+    }

@@ -1,0 +1,115 @@
+"""What experiments work on: bodies, backgrounds and detectors, split into what training sees and what it never sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_record
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.scene.opening import load_scene
+from cloak_core.scene.people.samples import sample_bodies
+
+
+@dataclass(frozen=True, eq=False)
+class Materials:
+    """Bodies of one topology and backgrounds, for training and unseen; detectors by their specs."""
+
+    bodies: Bodies
+    unseen: Bodies
+    backgrounds: Backgrounds
+    unseen_backgrounds: Backgrounds
+    detectors: dict[str, Detector]
+
+    def __post_init__(self) -> None:
+        if self.bodies.topology != self.unseen.topology:
+            raise InputError(
+                f"scene '{self.unseen.name}': topology {self.unseen.topology}, but training has {self.bodies.topology}"
+            )
+        if not self.detectors:
+            raise InputError("--detector: none given")
+
+    def record(self) -> dict:
+        """What they are, for a configuration: counts and hashes."""
+        return {
+            "bodies": bodies_record(self.bodies),
+            "unseen": bodies_record(self.unseen),
+            "backgrounds": backgrounds_record(self.backgrounds),
+            "unseen_backgrounds": backgrounds_record(self.unseen_backgrounds),
+            "detectors": {spec: sha256_record(detector_record(d)) for spec, d in self.detectors.items()},
+        }
+
+
+def bodies_record(bodies: Bodies) -> dict:
+    """A scene's name, size and content hash."""
+    return {
+        "name": bodies.name,
+        "poses": list(bodies.names),
+        "outfits": bodies.outfit_count,
+        "faces": bodies.face_count,
+        "sha256": bodies.identity,
+    }
+
+
+def backgrounds_record(backgrounds: Backgrounds) -> dict:
+    """How many, and a hash of what they are."""
+    return {"count": len(backgrounds), "sha256": sha256_record(backgrounds.identities())}
+
+
+def open_materials(
+    detectors: tuple[str, ...] = ("builtin",),
+    *,
+    scene: str = "sample",
+    unseen: str | None = None,
+    backgrounds: str = "procedural",
+    unseen_backgrounds: str | None = None,
+    device: str | torch.device = "cpu",
+) -> Materials:
+    """Open everything by spec. Without `unseen`, every second body of `scene` is kept from training, and so is every
+    second outfit; likewise for a folder of backgrounds. "sample" and "procedural" have their own unseen parts.
+    """
+    return Materials(
+        *_open_bodies(scene, unseen),
+        *_open_backgrounds(backgrounds, unseen_backgrounds),
+        {spec: load_detector(spec, device=device) for spec in detectors},
+    )
+
+
+def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
+    if unseen is not None:
+        return load_scene(scene), load_scene(unseen)
+    if scene == "sample":
+        parts = (sample_bodies("train"), sample_bodies("unseen"))
+    else:
+        bodies = load_scene(scene)
+        if bodies.pose_count < 2:
+            raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
+        parts = (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
+    trained, tested = parts
+    return _every_second_outfit(trained, 0), _every_second_outfit(tested, 1)
+
+
+def _every_second_outfit(bodies: Bodies, first: int) -> Bodies:
+    """The bodies in every second of their outfits, from this one on; as they are where there is only one."""
+    if bodies.outfit_count == 1:
+        return bodies
+    textures = bodies.outfit_textures[first::2]
+    return replace(
+        bodies, face_colors=bodies.face_colors[first::2], outfit_textures=textures, recorded_topology=bodies.topology
+    )
+
+
+def _open_backgrounds(spec: str, unseen: str | None) -> tuple[Backgrounds, Backgrounds]:
+    if unseen is not None:
+        return load_backgrounds(spec), load_backgrounds(unseen)
+    if spec == "procedural":
+        return load_backgrounds("procedural:train"), load_backgrounds("procedural:test")
+    backgrounds = load_backgrounds(spec)
+    if len(backgrounds) < 2:
+        raise InputError(f"{spec}: one background cannot be both trained on and unseen")
+    return backgrounds.split(2, 0), backgrounds.split(2, 1)

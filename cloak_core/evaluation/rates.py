@@ -1,0 +1,132 @@
+"""From a measurement to the numbers people read: success rates with intervals, curves over thresholds, precision."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Bool, Shaped
+
+from cloak_core.detectors.scoring import THRESHOLD
+from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
+from cloak_core.evaluation.measurement import Measurement
+
+THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
+
+
+def summarize(measurement: Measurement, threshold: float = THRESHOLD, resamples: int = RESAMPLES) -> dict:
+    """Contract C6's `detectors` and `false_alarms`: rates of every control, by angle and by body, per detector."""
+    detectors = {}
+    for d, spec in enumerate(measurement.specs):
+        rates = {
+            control: rate_record(measurement, d, c, threshold=threshold, resamples=resamples)
+            for c, control in enumerate(measurement.controls)
+        }
+        trials = measurement.trials
+        groups = {
+            "by_angle": {f"{a:g}": trials.angle == a for a in np.unique(trials.angle)},
+            "by_body": {measurement.body_names[p]: trials.pose == p for p in np.unique(trials.pose)},
+        }
+        if len(np.unique(trials.distance)) > 1:
+            groups["by_distance"] = {f"{x:g}": trials.distance == x for x in np.unique(trials.distance)}
+        for name, masks in groups.items():
+            rates[name] = {
+                key: rate_record(measurement, d, 0, mask, threshold=threshold, resamples=resamples)
+                for key, mask in masks.items()
+            }
+        rates["by_threshold"] = threshold_curves(measurement, d)
+        rates["average_precision"] = {
+            control: _finite(average_precision(measurement, d, c)) for c, control in enumerate(measurement.controls)
+        }
+        detectors[spec] = rates
+    alarms = {spec: _finite(float((measurement.bare[d] > threshold).mean())) for d, spec in enumerate(detectors)}
+    return {"detectors": detectors, "false_alarms": alarms}
+
+
+def rate_record(
+    measurement: Measurement,
+    detector: int,
+    control: int,
+    mask: Bool[np.ndarray, N] | None = None,
+    *,
+    threshold: float = THRESHOLD,
+    resamples: int = RESAMPLES,
+) -> dict:
+    """One S of contract C6, over the images of `mask`.
+
+    `success`: no person box above the threshold anywhere; `success_iou`: none on the body; `conditional`: success where
+    the same image with the body's own clothing is detected, null where none is (`n_conditional` images are).
+    """
+    mask = np.ones(len(measurement.trials), bool) if mask is None else mask
+    gone = measurement.score[detector, control] <= threshold
+    gone_on = measurement.score_on[detector, control] <= threshold
+    clean = measurement.controls.index(CLOTHING)
+    seen = mask & (measurement.score[detector, clean] > threshold)
+    asked = ((gone, mask), (gone_on, mask), (gone, seen))
+    anywhere, on_body, conditional = (_rate(measurement, hits, where, resamples) for hits, where in asked)
+    return {
+        "success": _finite(anywhere.value),
+        "success_iou": _finite(on_body.value),
+        "conditional": _finite(conditional.value),
+        "n": anywhere.n,
+        "ci95": _interval(anywhere),
+        "ci95_iou": _interval(on_body),
+        "ci95_conditional": _interval(conditional),
+        "n_conditional": conditional.n,
+        "mean_score": _finite(float(measurement.score[detector, control][mask].mean()) if mask.any() else math.nan),
+    }
+
+
+def threshold_curves(measurement: Measurement, detector: int) -> dict[str, dict[str, float]]:
+    """Success of every control at thresholds 0.1, 0.2, ... 0.9: {"0.1": {"logo": x, ...}, ...}."""
+    score = measurement.score[detector]
+    return {
+        f"{t:.1f}": {name: round(float((score[c] <= t).mean()), 6) for c, name in enumerate(measurement.controls)}
+        for t in THRESHOLDS
+    }
+
+
+def average_precision(measurement: Measurement, detector: int, control: int) -> float:
+    """Area under precision over recall (all points, IoU 0.5): one body per image; boxes elsewhere are false positives.
+
+    Boxes below score 0.05 are not counted; nan without images.
+    """
+    boxes = measurement.boxes
+    mine = (boxes.detector == detector) & (boxes.control == control)
+    order = np.argsort(-boxes.score[mine], kind="stable")
+    hit = boxes.hit[mine][order]
+    if not len(measurement.trials):
+        return math.nan
+    true = np.cumsum(hit)
+    precision = true / np.arange(1, len(hit) + 1)
+    envelope = np.maximum.accumulate(precision[::-1])[::-1] if len(hit) else precision
+    return float(envelope[hit].sum() / len(measurement.trials))
+
+
+def group_rates(
+    measurement: Measurement,
+    detector: int,
+    control: int,
+    values: Shaped[np.ndarray, N],
+    threshold: float = THRESHOLD,
+    resamples: int = RESAMPLES,
+) -> tuple[np.ndarray, list[Rate]]:
+    """Success at every distinct value of a trial column (angle, distance): the values, sorted, and their rates."""
+    gone = measurement.score[detector, control] <= threshold
+    keys = np.unique(values)
+    return keys, [_rate(measurement, gone, values == key, resamples) for key in keys]
+
+
+def _rate(measurement: Measurement, hits: np.ndarray, where: np.ndarray, resamples: int) -> Rate:
+    trials = measurement.trials
+    return clustered_rate(hits[where], trials.pose[where], trials.background[where], resamples=resamples)
+
+
+def _interval(rate: Rate) -> list[float | None]:
+    return [_finite(rate.low), _finite(rate.high)]
+
+
+def _finite(value: float) -> float | None:
+    """JSON knows no nan."""
+    return round(value, 6) if math.isfinite(value) else None

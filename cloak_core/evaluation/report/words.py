@@ -1,0 +1,159 @@
+"""The report's sentences, labels and numbers as people read them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import PureWindowsPath
+
+from cloak_core.evaluation.figures import SERIES
+from cloak_core.evaluation.report.history import History
+from cloak_core.files.specs import split_spec
+
+
+def percent(value: float | None) -> str:
+    """0.964 -> "96 %"; between 0 and 1 % or 99 and 100 % one more digit, so that "100 %" means all."""
+    if value is None:
+        return "–"
+    digits = 1 if 0 < value < 0.01 or 0.99 < value < 1 else 0
+    shown = f"{100 * value:.{digits}f}"
+    if value < 1 and float(shown) == 100:
+        return "> 99.9 %"
+    return f"{shown} %"
+
+
+def interval(bounds: list[float | None]) -> str:
+    """[0.88, 0.99] -> "88 – 99 %"."""
+    low, high = bounds
+    return "–" if low is None or high is None else f"{percent(low).removesuffix(' %')} – {percent(high)}"
+
+
+def degrees(angle: float) -> str:
+    """-10.0 -> "−10°"."""
+    return f"{angle:g}°".replace("-", "−")
+
+
+def control_label(control: str) -> str:
+    """What a control is called in words."""
+    return SERIES[control].label if control in SERIES else control
+
+
+def short_name(spec: str) -> str:
+    """A detector's spec without folders: darknet:/a/b.cfg:/a/b.weights@224 -> darknet b @224."""
+    family, _, rest = spec.partition(":")
+    if not rest:
+        return spec
+    first = split_spec(rest)[0]
+    size = spec.rpartition("@")[2] if "@" in spec.rpartition(":")[2] else ""
+    name = first.partition("@")[0]
+    name = PureWindowsPath(name).stem if {"/", "\\", "."} & set(first) else name
+    return f"{family} {name}" + (f" @{size}" if size else "")
+
+
+def said(row: dict) -> str:
+    """A row's success with its interval and count."""
+    return f"{percent(row['success'])} (95 % interval {interval([row['low'], row['high']])}, n = {row['n']:,})"
+
+
+def file_name(spec: str) -> str:
+    """A detector's name as part of a file's."""
+    return re.sub(r"[^a-z0-9]+", "-", short_name(spec).lower()).strip("-")
+
+
+def lede(summary: dict) -> str:
+    """The result of the first detector in one sentence, with its interval and its controls."""
+    spec, rates = next(iter(summary["detectors"].items()))
+    logo, clothing = rates["logo"], rates["clothing"]
+    bodies = len(rates["by_body"])
+    return (
+        f"With the trained colours, {short_name(spec)} finds no person in {percent(logo['success'])} of "
+        f"{logo['n']:,} images of {bodies} {'body' if bodies == 1 else 'bodies'} (95 % interval "
+        f"{interval(logo['ci95'])}). In the bodies' own clothing it misses the person in "
+        f"{percent(clothing['success'])} of the same images."
+    )
+
+
+def badges(summary: dict) -> list[tuple[str, str]]:
+    """(kind, text) with kind good, bad or unknown: whether bodies and backgrounds were kept from training."""
+    words = {True: ("good", "unseen {}"), False: ("bad", "{} seen in training"), None: ("unknown", "{}: not known")}
+    marks = []
+    for part in ("bodies", "backgrounds"):
+        kind, text = words[summary["unseen"].get(part)]
+        marks.append((kind, text.format(part)))
+    return marks
+
+
+def setting_rows(config: dict) -> list[tuple[str, str]]:
+    """The training settings, name and value."""
+    settings = config.get("settings")
+    return [(str(k).replace("_", " "), _value(v)) for k, v in settings.items()] if isinstance(settings, dict) else []
+
+
+def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
+    """What was trained, on what, how long, with which versions."""
+    parts = (config.get(key) for key in ("scene", "logo", "environment", "backgrounds"))
+    scene, logo, environment, backgrounds = (part if isinstance(part, dict) else {} for part in parts)
+    rows = [
+        ("steps", f"{history.step:,}" if history.step else "none"),
+        ("training time", duration(history.seconds) if history.seconds else ""),
+        ("ended", history.outcome),
+        ("scene", _join(scene.get("name"), _count(scene.get("poses"), "body", "bodies"))),
+        ("logo", _join(_number(logo.get("faces"), "faces"), _of(scene.get("faces")))),
+        ("backgrounds", _number(backgrounds.get("count"), "images")),
+        ("topology", str(config.get("topology", ""))),
+        ("cloak", str(config.get("cloak", ""))),
+    ]
+    rows += [(str(key), _value(value)) for key, value in environment.items()]
+    detectors = config.get("detectors")
+    for detector in detectors if isinstance(detectors, list) else []:
+        if isinstance(detector, dict):
+            rows.append(("trained against", f"{detector.get('spec', '')} (SHA-256 {detector.get('sha256', '')})"))
+    return [(name, value) for name, value in rows if value]
+
+
+def measured_rows(summary: dict) -> list[tuple[str, str]]:
+    """How the evaluation was made."""
+    settings, inputs = summary["settings"], summary["inputs"]
+    rows = [
+        ("images", f"{summary['n']} under each pattern"),
+        ("bodies", ", ".join(inputs["bodies"])),
+        ("angles", ", ".join(degrees(a) for a in settings["angles"])),
+        ("distances", ", ".join(f"{d:g} m" for d in settings["distances"])),
+        ("backgrounds", f"{inputs['backgrounds']} to draw from"),
+    ]
+    shown = {"distances", "angles", "controls"}
+    return rows + [(key.replace("_", " "), _value(value)) for key, value in settings.items() if key not in shown]
+
+
+def duration(seconds: float | int) -> str:
+    """75.2 -> "1 min 15 s"."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.1f} s"
+    hours, rest = divmod(whole, 3600)
+    return (f"{hours} h " if hours else "") + f"{rest // 60} min" + ("" if hours else f" {rest % 60} s")
+
+
+def _value(value: object) -> str:
+    if value is None:
+        return "not set"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_value(v) for v in value)
+    return str(value)
+
+
+def _count(items: object, one: str, many: str) -> str:
+    return f"{len(items)} {one if len(items) == 1 else many}" if isinstance(items, list) else ""
+
+
+def _number(value: object, unit: str) -> str:
+    return f"{value:,} {unit}" if isinstance(value, int) else ""
+
+
+def _of(value: object) -> str:
+    return f"of {value:,}" if isinstance(value, int) else ""
+
+
+def _join(*parts: object) -> str:
+    return " · ".join(str(p) for p in parts if p)

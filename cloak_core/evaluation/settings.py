@@ -1,0 +1,58 @@
+"""Everything that decides how a cloak is evaluated, in one dataclass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cloak_core.attack.settings import check_settings
+from cloak_core.attack.settings.values import Within
+from cloak_core.detectors import THRESHOLD
+from cloak_core.evaluation.controls import STANDARD
+from cloak_core.evaluation.intervals import RESAMPLES
+from cloak_core.files.errors import InputError
+from cloak_core.scene.cameras import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateSettings:
+    """How to evaluate. The defaults are the paper's camera and threshold."""
+
+    images_per_view: Annotated[int, Within(1)] = 4
+    """Images (background, shift, outfit) of every body at every angle and distance."""
+    distances: tuple[float, ...] = (2.2,)
+    """Camera distances, metres."""
+    elevation: Annotated[float, Within(-90, 90)] = 6.0
+    """Camera elevation, degrees."""
+    field_of_view: Annotated[float, Within(0, 180, "()")] = 60.0
+    """Vertical field of view, degrees."""
+    size: Annotated[int, Within(16, 4096)] = 416
+    """Width and height of the images, pixels."""
+    samples: Literal[1, 4, 16, 64] | None = None
+    """Samples per pixel; None takes the renderer's default."""
+    shift: Annotated[int, Within()] = 50
+    """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
+    threshold: Annotated[float, Within(0, 1, "()")] = THRESHOLD
+    """A person counts as detected above this score."""
+    controls: tuple[Literal["clothing", "grey", "random", "stripes", "checks"], ...] = STANDARD
+    """What the logo is compared with."""
+    bare: Annotated[int, Within(1)] = 256
+    """At most this many bare backgrounds are looked at for false alarms."""
+    resamples: Annotated[int, Within(100)] = RESAMPLES
+    """Bootstrap resamples behind each interval."""
+    batch: Annotated[int, Within(1)] = 16
+    """Images the detectors see at once."""
+    seed: Annotated[int, Within()] = 0
+    """Every random draw derives from it: backgrounds, shifts, outfits and the random-colour logo."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if 2 * self.shift >= self.size:
+            raise InputError(f"--shift: {self.shift} px would move the body out of {self.size} px images")
+        if not self.distances or min(self.distances) <= 0:
+            raise InputError(f"--distances: {self.distances} are not in front of the camera")
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, but for azimuth and distance."""
+        return Camera(elevation=self.elevation, field_of_view=self.field_of_view, width=self.size, height=self.size)
