@@ -123,9 +123,9 @@ def train_and_die(pipe: object, out: str, moment: int) -> None:
             die()
         write(path, data)
 
-    write = checkpoints._write
+    write = checkpoints.write_bytes
     with contextlib.ExitStack() as stack:
-        stack.enter_context(mock.patch.object(checkpoints, "_write", torn))
+        stack.enter_context(mock.patch.object(checkpoints, "write_bytes", torn))
         for name in MOMENTS:
             module, _, call = name.partition(".")
             found = getattr(sys.modules[module], call)

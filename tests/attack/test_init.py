@@ -46,7 +46,7 @@ def test_colours_that_do_not_fit(tmp_path: Path) -> None:
         ("c.npy", "colours for 3 faces, but the logo has 16"),
         ("back", "was trained on another logo"),
         ("empty", "not a run folder"),
-        ("absent", "No such file"),
+        ("absent", "no such file"),
     ):
         with pytest.raises(InputError, match=says):
             run(tmp_path / "run", init=str(tmp_path / init))

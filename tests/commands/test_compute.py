@@ -10,8 +10,9 @@ from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.training import train
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.demo import Demo
-from cloak_core.commands.evaluate import Evaluate, kept_back
+from cloak_core.commands.evaluate import Evaluate
 from cloak_core.commands.train import Train
+from cloak_core.evaluation.trained_run import kept_back
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
 from cloak_core.scene.people.samples import sample_bodies
@@ -111,6 +112,6 @@ def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp
     def load_scene(spec):
         raise Opened(spec)
 
-    monkeypatch.setattr("cloak_core.commands.evaluate.load_scene", load_scene)
+    monkeypatch.setattr("cloak_core.library.load_scene", load_scene)
     with pytest.raises(Opened, match="sample:unseen"):
         Evaluate(run_folder=run).run()
