@@ -61,6 +61,7 @@ def test_every_public_name_is_there_and_documented() -> None:
         _ = cloak_core.nothing
 
 
+@pytest.mark.slow
 def test_twice_in_a_process_and_from_a_thread_the_bits_are_the_same(run, tmp_path: Path) -> None:
     again = train(tmp_path / "b")
     threaded = in_a_thread(lambda: train(tmp_path / "c"))
@@ -82,6 +83,7 @@ def state_of_the_process() -> dict[str, object]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", ["train", "evaluate"])
 def test_the_process_is_left_as_it_was(work: str, run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor is its C library told how to keep memory: a command may do that, a function may not."""
@@ -102,6 +104,7 @@ def test_the_process_is_left_as_it_was(work: str, run, tmp_path: Path, monkeypat
         torch.set_num_threads(numbers)
 
 
+@pytest.mark.slow
 def test_an_evaluation_reads_the_run(run) -> None:
     shown = []
     result = in_a_thread(
@@ -115,6 +118,7 @@ def test_an_evaluation_reads_the_run(run) -> None:
     assert shown[-1][0] == shown[-1][1] and (run.out / "evaluation" / "summary.json").exists()
 
 
+@pytest.mark.slow
 def test_what_is_given_by_name_is_recorded_and_the_command_line_does_the_same(tmp_path: Path, capfd) -> None:
     bodies = box_bodies()
     write_scene(tmp_path / "scene", bodies)

@@ -46,6 +46,7 @@ def rooms_imported(path: Path) -> set[str]:
 FILES = [path for path in sorted(CORE.rglob("*.py")) if room_of(path) not in TOP]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(CORE).as_posix())
 def test_a_room_imports_only_the_rooms_below_it(path):
     room = room_of(path)
@@ -53,6 +54,7 @@ def test_a_room_imports_only_the_rooms_below_it(path):
     assert rooms_imported(path) - {room, "__version__"} <= MAY_IMPORT[room]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", ["bench", "pretrain", "commands"])
 def test_nobody_below_imports_what_stands_above(room):
     for path in CORE.rglob("*.py"):

@@ -31,6 +31,7 @@ def test_a_batch_is_built_ahead_where_a_core_is_idle(two_cores):
     assert not looks_ahead(CPU)
 
 
+@pytest.mark.slow
 def test_when_a_batch_is_built_changes_no_bit(tmp_path, monkeypatch):
     scheme = {"steps": 8, "angles": "0..360", "hard_views": 0.5, "distance": "2:2.5", "occluders": 1}
     found, threads = {}, {}

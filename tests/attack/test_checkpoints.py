@@ -107,6 +107,7 @@ def test_what_cannot_be_written_is_said(tmp_path):
         save_checkpoint(tmp_path / "file", checkpoint(1))
 
 
+@pytest.mark.slow
 def test_killed_while_writing_there_is_always_a_whole_one(tmp_path):
     """SIGKILL at moments spread over the write: what is found is whole and at most one behind what was announced."""
     for attempt in range(8):

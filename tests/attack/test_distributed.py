@@ -78,7 +78,7 @@ def torchrun(
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=500)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.reliability
 def test_two_processes_lose_one_go_on_and_reach_what_one_does(tmp_path):
     """Within 1e-5 after 20 steps of an odd batch (sums are rounded in another order)."""
@@ -102,7 +102,7 @@ def test_two_processes_lose_one_go_on_and_reach_what_one_does(tmp_path):
     record(section, "colours of two processes, after both, against one process, 20 steps", f"{difference:.1e} apart")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_agree_about_hard_views_and_resume_to_the_same_bits(tmp_path, monkeypatch):
     """The odd batch leaves one process an image more than the other."""
     scheme = {"steps": 14, "angles": "0..360", "hard_views": 0.7}

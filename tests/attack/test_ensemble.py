@@ -70,6 +70,7 @@ def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
     assert not np.array_equal(a.colors, np.full_like(a.colors, 0.5))
 
 
+@pytest.mark.slow
 def test_a_subset_per_step_is_drawn_from_seed_and_step(tmp_path):
     detectors = [Proposing(seed) for seed in range(4)]
     chosen = {"detectors_per_step": 2, "steps": 8, "checkpoint_every": 3}

@@ -25,6 +25,7 @@ def run(of: Sampler, steps: range) -> list:
     return every
 
 
+@pytest.mark.slow
 def test_views_that_are_still_found_come_more_often():
     draws = run(sampler(), range(400))
     behind = [is_found(d).mean() for d in draws]

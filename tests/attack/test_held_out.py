@@ -63,6 +63,7 @@ def test_the_best_colours_are_kept_and_said_of_which_step(tmp_path, worse_and_wo
     assert np.array_equal(read_colors(tmp_path / "run" / "colors.npy"), seen[best])
 
 
+@pytest.mark.slow
 def test_patience_ends_the_run_and_a_resumed_one_decides_alike(tmp_path, worse_and_worse):
     whole = run(tmp_path / "whole", **EARLY)
     assert whole.step < 40 and whole.stopped == "" and str(whole.colors_step) in whole.enough
@@ -77,6 +78,7 @@ def test_patience_ends_the_run_and_a_resumed_one_decides_alike(tmp_path, worse_a
     assert again.step == whole.step and np.array_equal(again.colors, whole.colors)
 
 
+@pytest.mark.slow
 def test_measuring_does_not_change_what_is_trained(tmp_path):
     often = run(tmp_path / "often", **(EARLY | {"patience": 0, "held_out_every": 1, "steps": 5}))
     seldom = run(tmp_path / "seldom", **(EARLY | {"patience": 0, "held_out_every": 1000, "steps": 5}))
@@ -85,6 +87,7 @@ def test_measuring_does_not_change_what_is_trained(tmp_path):
     assert seldom.colors_step == 5 >= often.colors_step
 
 
+@pytest.mark.slow
 def test_a_measurement_is_of_fixed_images(tmp_path, monkeypatch):
     """The same colours give the same figures, whenever they are measured."""
     from cloak_core.attack.held_out import HeldOut

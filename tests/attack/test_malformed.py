@@ -82,6 +82,7 @@ json_values = st.recursive(
 quick = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
+@pytest.mark.slow
 @quick
 @given(st.sampled_from(list(settings_record(make_settings("best")))), json_values)
 def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):

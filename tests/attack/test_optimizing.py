@@ -77,6 +77,7 @@ def test_updates_are_those_of_torch_to_the_bit(kind):
         assert torch.equal(ours.colors(), theirs), step
 
 
+@pytest.mark.slow
 def test_training_does_not_load_torchs_compiler():
     """It takes longer than all else that a run loads."""
     code = (

@@ -66,6 +66,7 @@ def whole(tmp_path):
     return read_colors(tmp_path / "whole" / "colors.npy"), duration
 
 
+@pytest.mark.long
 def test_killed_at_random_moments_and_resumed(tmp_path, whole):
     colors, duration = whole
     draw = random.Random(0)
@@ -86,6 +87,7 @@ def test_killed_at_random_moments_and_resumed(tmp_path, whole):
     record("Killed", "of these within their steps (others before the first or after the last)", within)
 
 
+@pytest.mark.long
 def test_killed_in_the_middle_of_writes_and_resumed(tmp_path, whole):
     colors, _ = whole
     process, pipe = children.start(children.train_and_die, str(tmp_path / "counted"), 0)
@@ -133,6 +135,7 @@ def trouble(what: str, error: Exception) -> None:
     record("Trouble while training", what, f"`{said}`; earlier results intact, resumed to the same bits")
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_run_and_leaves_what_was_there(tmp_path):
     with small_disk(tmp_path / "disk") as disk:
         with pytest.raises(InputError, match=r"cannot be written \(No space left on device\)") as ended:
@@ -144,6 +147,7 @@ def test_a_full_disk_ends_the_run_and_leaves_what_was_there(tmp_path):
     trouble("the disk is full", ended.value)
 
 
+@pytest.mark.slow
 def test_a_read_only_folder_is_said_and_left_alone(tmp_path):
     with small_disk(tmp_path / "disk") as disk:
         with pytest.raises(InputError, match="is full"):
@@ -170,6 +174,7 @@ def stop_at(step: int):
     return stop
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["vanishes", "is truncated"])
 def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
     """And when it is back, the run goes on as if nothing had happened."""
@@ -203,6 +208,7 @@ def test_a_background_that_goes_bad(tmp_path, monkeypatch, how):
     trouble(f"a background {how}", ended.value)
 
 
+@pytest.mark.slow
 def test_a_detector_that_returns_nan(tmp_path):
     bodies = box_bodies()
 
@@ -225,6 +231,7 @@ def test_a_folder_that_cannot_be_written(tmp_path):
         children.whole_run(tmp_path / "file" / "run")
 
 
+@pytest.mark.slow
 def test_the_wall_clock_may_run_backwards(tmp_path, monkeypatch):
     ticks = iter(range(10_000_000, 0, -1))
     monkeypatch.setattr(time, "time", lambda: float(next(ticks)))
@@ -234,6 +241,7 @@ def test_the_wall_clock_may_run_backwards(tmp_path, monkeypatch):
     record("Trouble while training", "the clock runs backwards", "no effect: times come from a clock that cannot")
 
 
+@pytest.mark.long
 def test_several_runs_started_into_one_folder(tmp_path, whole):
     """Whoever comes first trains; the others are told, and nothing is mixed."""
     colors, _ = whole
@@ -250,6 +258,7 @@ def test_several_runs_started_into_one_folder(tmp_path, whole):
     record("Trouble while training", what, f"one trains, {len(refused)} are told `another process is training`")
 
 
+@pytest.mark.long
 def test_memory_stays_flat(tmp_path):
     """The first and the last tenth of a run, after a warm-up of as many steps."""
     warm = MEMORY_STEPS // 10

@@ -112,6 +112,7 @@ def picture(folder: Path, name: str, seed: int, **options: object) -> None:
     Image.fromarray(small).resize((120, 90)).save(folder / name, **options)
 
 
+@pytest.mark.slow
 def test_backgrounds_saved_anew_are_the_same_and_others_are_not(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

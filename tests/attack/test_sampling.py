@@ -43,6 +43,7 @@ def test_draws_depend_on_seed_and_step_alone():
     assert not np.array_equal(one.draw(3).shift, one.draw(4).shift)
 
 
+@pytest.mark.slow
 def test_ranges_are_kept_and_used():
     of = sampler(steps=200, distance="1.4:3.0", contrast="0.8:1.2", brightness="-0.1:0.1", angle_jitter=2, angles="0",
                  elevation_jitter=1)  # fmt: skip
@@ -85,6 +86,7 @@ def test_equal_draws_give_equal_cameras():
     assert (camera.distance, camera.elevation, camera.azimuth, camera.width) == (2.2, 6.0, 0.0, 416)
 
 
+@pytest.mark.slow
 def test_a_continuous_range_is_dealt_evenly_and_used_everywhere():
     of = sampler(steps=360, batch=10, angles="0..360", elevation="-5:20")
     draws = whole_run(of)

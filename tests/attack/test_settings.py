@@ -174,6 +174,7 @@ def test_values_are_read_as_they_are_spelled(value):
     assert type(value).parse(str(value)) == value
 
 
+@pytest.mark.slow
 @runs(deadline=None, max_examples=40)
 @given(
     st.fixed_dictionaries(

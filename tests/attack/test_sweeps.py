@@ -80,6 +80,7 @@ def runs(tmp_path, monkeypatch):
     return children.tiny_runs(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     heard, said = [], []
     sweep = Sweep(runs, tmp_path / "out")
@@ -114,6 +115,7 @@ def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, mo
         Sweep(runs, tmp_path / "out").run()
 
 
+@pytest.mark.slow
 def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):
     def stop(event):
         running = next(folder for folder in (tmp_path / "out" / "runs").iterdir() if "seed=1" in folder.name)
@@ -129,6 +131,7 @@ def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):
     assert len([e for e in heard if e["type"] == "step"]) == 14
 
 
+@pytest.mark.slow
 def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, runs, monkeypatch):
     sound = sweeps._Opened.open
 
@@ -148,6 +151,7 @@ def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, 
     assert "error" in sweep.results()[1]
 
 
+@pytest.mark.slow
 def test_two_processes_share_the_runs_and_outlive_each_other(tmp_path):
     """One of three is killed; every run is done all the same, and none twice."""
     out = tmp_path / "out"

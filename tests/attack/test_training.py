@@ -84,6 +84,7 @@ def test_a_run_folder_is_complete(tmp_path):
     assert result.record()["loss"] == steps[-1]["loss"] and "stopped" not in result.record()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["paper", "reference", "best"])
 def test_training_lowers_the_loss(tmp_path, preset):
     small = {"steps": 60, "batch": 4, "size": 64, "translation": 5, "samples": 1, "angles": "0"}
@@ -97,6 +98,7 @@ def test_training_lowers_the_loss(tmp_path, preset):
     assert np.mean(losses[-10:]) < 0.9 * np.mean(losses[:10])
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_colours(tmp_path):
     first, second, other = (run(tmp_path / name, seed=seed) for name, seed in (("a", 1), ("b", 1), ("c", 2)))
     assert np.array_equal(first.colors, second.colors)
@@ -147,6 +149,7 @@ def test_an_existing_folder_is_left_alone(tmp_path):
     assert before == {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_gradient", [False, True])
 def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_gradient):
     with pytest.raises(TrainingError, match=r"step 3: .*not finite") as raised:
@@ -164,6 +167,7 @@ def test_not_finite_stops_before_the_update_and_names_the_step(tmp_path, in_grad
 # --- stopping and going on -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["file", "budget", "signal"])
 def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
     whole = run(tmp_path / "whole", steps=7)
@@ -191,6 +195,7 @@ def test_stopped_runs_go_on_to_the_same_bits(tmp_path, how):
     assert drop_time(events) == drop_time(read_events(tmp_path / "whole" / "events.jsonl"))
 
 
+@pytest.mark.slow
 def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path):
     """And when it is back, the run goes on as if nothing had happened."""
     missing = tmp_path / "run" / "missing"
@@ -218,6 +223,7 @@ def test_a_background_that_vanishes_ends_the_run_with_what_was_reached(tmp_path)
     assert np.array_equal(attempt(tmp_path / "run", resume=True).colors, whole.colors)
 
 
+@pytest.mark.slow
 def test_fresh_views_go_on_to_the_same_bits(tmp_path):
     """A camera of its own for every image: distances, angles and elevations from ranges."""
     fresh = {"distance": "1.8:3", "angle_jitter": 5, "elevation_jitter": 2, "steps": 7}
@@ -229,6 +235,7 @@ def test_fresh_views_go_on_to_the_same_bits(tmp_path):
     assert not np.array_equal(whole.colors, run(tmp_path / "fixed", steps=7).colors)
 
 
+@pytest.mark.slow
 def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch):
     """New chances every third step, so that the run stops with some that are not yet in force."""
     monkeypatch.setattr(hard_views, "EVERY", 3)
@@ -249,10 +256,12 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path):
     assert again.figures == done.figures and again.record()["loss"] == done.record()["loss"]
 
 
+@pytest.mark.slow
 def test_resuming_what_does_not_exist_starts_it(tmp_path):
     assert np.array_equal(run(tmp_path / "a", resume=True).colors, run(tmp_path / "b").colors)
 
 
+@pytest.mark.slow
 def test_a_damaged_checkpoint_costs_its_steps_only(tmp_path):
     whole = run(tmp_path / "whole", steps=7)
     run(tmp_path / "run", steps=7)
@@ -356,6 +365,7 @@ def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch)
     assert all(not np.array_equal(a, b) for a, b in itertools.pairwise([*shown, result.colors]))
 
 
+@pytest.mark.slow
 def test_a_palette_draws_the_colours_to_it(tmp_path):
     palette = tmp_path / "cloth.txt"
     palette.write_text("#202020\n#c02040\n0.2 0.3 0.9\n")
@@ -376,6 +386,7 @@ def test_a_palette_draws_the_colours_to_it(tmp_path):
         settings(nps_weight=1)
 
 
+@pytest.mark.slow
 def test_a_run_of_an_earlier_version_resumes_with_the_defaults(tmp_path):
     done = run(tmp_path / "run")
     record = json.loads((tmp_path / "run" / "config.json").read_text())

@@ -39,6 +39,7 @@ def test_errors_fall_with_samples_and_areas_keep_every_gradient(record) -> None:
     assert default["image_rms"] < 1 / 255 and default["gradient_smooth"] < 0.05 and default["starved"] == 0
 
 
+@pytest.mark.slow
 def test_report_keeps_what_was_measured_before(record, tmp_path: Path) -> None:
     machine = {"device": "a machine", "cores": "2", "torch": "2", "python": "3", "date": "2000-01-01"}
     record = record | {"threads": 1, "repeats": 1, "machine": machine, "peers": {"open3d": "missing: no"}}

@@ -68,6 +68,7 @@ def test_polygons_are_cut_and_measured() -> None:
     assert half.measure()[0].tolist() == [2.0, 0.5] and half.size.tolist() == [4, 3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "near"), [(3.0, None), (1.2, 0.7), (20.0, None)])
 def test_exact_areas_equal_very_many_samples(distance: float, near: float | None) -> None:
     """A ball with a smaller one half inside it: they hide and pierce each other, and the near plane cuts them open."""

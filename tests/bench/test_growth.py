@@ -22,6 +22,7 @@ def test_its_bodies_are_closed() -> None:
     assert is_closed(body.triangles) and is_outward(body).all() and abs(body.triangle_count / 3000 - 1) < 0.1
 
 
+@pytest.mark.slow
 def test_a_point_is_measured_in_a_process_of_its_own() -> None:
     """With a budget that holds one view: the others are dropped, nothing fails."""
     point = growth._measured(growth.Work(500, views=3, side=32), 3, threads=1, memory=1)

@@ -32,6 +32,7 @@ def test_the_record_holds_together(changes):
         assert row["overhead_ms_per_image"] == pytest.approx((row["step_ms"] - row["floor_ms"]) / 3, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_fresh_view_for_every_image_costs_more():
     cached, fresh = measure()["tiny:0"], measure(angle_jitter=5)["tiny:0"]
     assert fresh["parts_ms"]["next_batch"] > 1.5 * cached["parts_ms"]["next_batch"]

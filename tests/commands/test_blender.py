@@ -30,6 +30,7 @@ def write_wall(folder: Path) -> None:
     write_scene(folder, Bodies(points, triangles, regions={"left": np.array([False, False, False, True])}, name="Wall"))
 
 
+@pytest.mark.slow
 def test_a_scene_goes_through_blender_and_the_report_shows_it(blender: str, tmp_path: Path) -> None:
     write_wall(tmp_path / "scene")
     (tmp_path / "settings.toml").write_text(
@@ -47,6 +48,7 @@ def test_a_scene_goes_through_blender_and_the_report_shows_it(blender: str, tmp_
         train_in_blender(blender, words, run)
 
 
+@pytest.mark.slow
 def test_what_it_says_of_bad_input_comes_through(blender: str, tmp_path: Path) -> None:
     write_wall(tmp_path / "scene")
     with pytest.raises(InputError, match="'Wall' has no logo 'hat'"):

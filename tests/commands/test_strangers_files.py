@@ -18,7 +18,7 @@ DAMAGED = int(os.environ.get("CLOAK_DAMAGED", "3"))
 
 
 @pytest.mark.reliability
-@pytest.mark.slow
+@pytest.mark.long
 def test_files_from_strangers(tmp_path):
     (tmp_path / "sound").mkdir()
     malformed.sound(tmp_path / "sound")

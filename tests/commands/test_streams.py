@@ -43,6 +43,7 @@ def test_an_output_that_is_a_device_is_left_alone(capsys: pytest.CaptureFixture)
     assert Path("/dev/full").is_char_device()
 
 
+@pytest.mark.slow
 def test_a_terminal_without_the_characters(tmp_path: Path) -> None:
     """Help, results and errors hold characters beyond ASCII."""
     environment = os.environ | ASCII

@@ -93,6 +93,7 @@ def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:
     assert torch.equal(kept, suppressed_one_by_one(rows[scores > 0.1], nms))
 
 
+@pytest.mark.slow
 def test_scoring_is_imported_without_torchvision() -> None:
     code = "import sys, cloak_core.detectors.scoring; sys.exit('torchvision' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -103,7 +103,21 @@ class Case:
         return detector
 
 
-@pytest.mark.parametrize("name", model_names())
+@pytest.mark.slow
+QUICK = {
+    "fasterrcnn_mobilenet_v3_large_320_fpn",
+    "fcos_resnet50_fpn",
+    "keypointrcnn_resnet50_fpn",
+    "maskrcnn_resnet50_fpn",
+    "retinanet_resnet50_fpn_v2",
+    "ssdlite320_mobilenet_v3_large",
+}
+"""A model of each kind; the others are their siblings."""
+
+
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in model_names()]
+)
 def test_equals_the_models_own(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Detections to 1e-5 and 1e-2 px on several images, and the gradient of the best score."""
     monkeypatch.setattr(dense, "CANDIDATES", 10**6)
@@ -144,7 +158,10 @@ KINDS = (
 )
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name == "ssd300_vgg16" else name for name in KINDS]
+)
 def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     """As the model is, and fully fooled: with its scores for persons pushed to nothing."""
     case = Case(name, tmp_path)
@@ -167,6 +184,7 @@ def test_proposal_scores_reach_the_images(tmp_path: Path) -> None:
     assert bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
 
 
+@pytest.mark.slow
 def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = Case("retinanet_resnet50_fpn", tmp_path).load()
     batch = images(1, 120, 150)
@@ -185,6 +203,7 @@ def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.Monke
     assert fixed(batch).boxes.shape[0] == 1
 
 
+@pytest.mark.slow
 def test_frozen_batch_norm_of_official_checkpoints(tmp_path: Path) -> None:
     """Files without step counts are frozen batch norm; torchvision runs these with epsilon 0."""
     name = "retinanet_resnet50_fpn"

@@ -70,6 +70,7 @@ def save(name: str, folder: Path):
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_equals_the_library(name: str, tmp_path: Path) -> None:
     model = save(name, tmp_path)
@@ -94,6 +95,7 @@ def test_equals_the_library(name: str, tmp_path: Path) -> None:
     assert bool(gradient.isfinite().all()) and bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     """As the model is, and fully fooled."""

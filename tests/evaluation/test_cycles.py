@@ -29,6 +29,7 @@ def stage() -> Stage:
     return made
 
 
+@pytest.mark.slow
 def test_matching_light_gives_our_images_and_natural_light_does_not(
     stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

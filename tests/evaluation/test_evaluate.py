@@ -157,6 +157,7 @@ def test_true_boxes_decide_success_iou() -> None:
     assert max_score_on(nothing, true).tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{}")
     detector = GreenBlind()

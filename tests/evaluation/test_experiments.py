@@ -34,6 +34,10 @@ from cloak_core.scene.logos.logo import area_share
 from cloak_core.scene.people.samples import sample_bodies
 
 
+QUICK = {"distance", "tv", "wide-angle"}
+"""Of the experiments; the others run with the tests that are slow by nature."""
+
+
 class Glow(Detector):
     """A person is what is bright in the middle, in one colour channel."""
 
@@ -68,6 +72,7 @@ def options(out: Path, **changes: object) -> Options:
     )
 
 
+@pytest.mark.slow
 def test_trainings_and_evaluations_are_made_once(
     materials: Materials, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +179,7 @@ def test_transfer_writes_everything(materials: Materials, finished: tuple[Path, 
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_figures_and_words_come_from_the_numbers_alone(
     finished: tuple[Path, dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
@@ -208,7 +214,9 @@ def test_thresholds_of_every_control_are_a_table_of_their_own() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in EXPERIMENTS]
+)
 def test_every_experiment_runs(name: str, materials: Materials, tmp_path_factory: pytest.TempPathFactory) -> None:
     out = tmp_path_factory.getbasetemp() / "experiments"  # one folder, so that they share as they do for users
     if name == "render-gap":  # every frame is a render of Blender's
@@ -245,6 +253,7 @@ def test_unknown_experiment(materials: Materials, tmp_path: Path) -> None:
         make_page(tmp_path)
 
 
+@pytest.mark.slow
 def test_logos_have_the_paper_s_shares(materials: Materials, tmp_path: Path) -> None:
     logos = paper_logos(materials.bodies, tmp_path)
     share = lambda name: area_share(materials.bodies, logos[name])

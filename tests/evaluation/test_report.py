@@ -47,6 +47,7 @@ def parse(text: str) -> Balanced:
     return parser
 
 
+@pytest.mark.slow
 def test_report_opens_offline_and_says_what_was_measured(tmp_path: Path) -> None:
     run = write_run(tmp_path / "my run", measurement=make_measurement())
     report = make_report(run)
@@ -85,6 +86,7 @@ def test_report_of_a_run_without_events(tmp_path: Path) -> None:
     assert "logged no steps" in make_report(run).read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_text_of_others_is_escaped(tmp_path: Path) -> None:
     config = {"settings": {"preset": HOSTILE}, "scene": {"name": HOSTILE, "poses": [HOSTILE]}, HOSTILE: HOSTILE}
     measurement = make_measurement(specs=(HOSTILE,), bodies=(HOSTILE, "b", "c"))
@@ -95,6 +97,7 @@ def test_text_of_others_is_escaped(tmp_path: Path) -> None:
     assert "&lt;script&gt;" in text
 
 
+@pytest.mark.slow
 def test_several_detectors_and_warnings(tmp_path: Path) -> None:
     run = write_run(
         tmp_path / "run", measurement=make_measurement(specs=("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224"))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cloak_core.evaluation.pictures import WORST, worst_trials
 from cloak_core.evaluation.report import make_report
@@ -27,6 +28,7 @@ def test_the_worst_ten_in_order_each_in_its_surest_image() -> None:
     assert len(worst_trials(measurement, 0, 0.6)) == WORST == 10
 
 
+@pytest.mark.slow
 def test_the_report_shows_them(tmp_path: Path) -> None:
     text = make_report(write_run(tmp_path / "run", measurement=make_measurement(bodies=MANY[:6]))).read_text("utf-8")
     assert "Of 6 bodies in their poses" in text and "success 25" in text

@@ -46,11 +46,13 @@ def test_copies_of_a_picture_are_found_and_no_other(how: str) -> None:
     assert pairs == [(i, i) for i in range(8)]
 
 
+@pytest.mark.slow
 def test_procedural_scenes_are_not_alike() -> None:
     looks = [picture_look(scene(seed, 32)) for seed in range(30)]
     assert similar_looks(looks, looks) == [(i, i) for i in range(30)]
 
 
+@pytest.mark.slow
 def test_photographs_are_found_again_and_not_alike(shared: Path) -> None:
     looks, copies = [], []
     for path in sorted((shared / "data" / "backgrounds").glob("*.jpg")):

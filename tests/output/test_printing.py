@@ -111,6 +111,7 @@ def test_no_white_shows_at_the_charts_borders(texture: Texture, layout: Layout, 
         assert (seen == 255).all(axis=1).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_the_textured_body_looks_like_the_coloured_one(
     body: Bodies, logo: np.ndarray, colors: np.ndarray, layout: Layout
 ) -> None:
@@ -139,6 +140,7 @@ def test_the_textured_body_looks_like_the_coloured_one(
     assert difference.max() < 16
 
 
+@pytest.mark.slow
 def test_print_folder(tmp_path: Path, body: Bodies, logo: np.ndarray, colors: np.ndarray) -> None:
     report = print_logo(body, logo, colors, tmp_path / "print", dpi=DPI)
     files = {path.name for path in (tmp_path / "print").iterdir()}

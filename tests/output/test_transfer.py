@@ -33,6 +33,7 @@ def neighbourhood(body: Bodies, ids: np.ndarray) -> np.ndarray:
     return np.union1d(ids, pairs[touching])
 
 
+@pytest.mark.slow
 def test_there_and_back(body: Bodies, other: Bodies) -> None:
     ids = select_region(body, "chest+thighs")
     colors = np.random.default_rng(1).random((len(ids), 3)).astype(np.float32)
@@ -55,6 +56,7 @@ def test_a_body_onto_itself_is_the_same_logo(body: Bodies) -> None:
     assert np.allclose(same.colors, 0.25)
 
 
+@pytest.mark.slow
 def test_another_person_and_mesh(body: Bodies, shared) -> None:
     target = read_scene(shared / "data" / "bodies_anny.npz")
     ids = select_region(body, "chest+thighs")
@@ -68,6 +70,7 @@ def test_another_person_and_mesh(body: Bodies, shared) -> None:
     assert np.isin(ids, neighbourhood(body, back.face_ids)).mean() >= 0.95
 
 
+@pytest.mark.slow
 def test_front_faces_do_not_land_on_the_back(body: Bodies) -> None:
     """However far the reach: chest and back are 20 cm apart, and face opposite ways."""
     thin = Bodies(body.vertices * np.float32([1, 1, 0.5]), body.triangles, body.triangle_face)

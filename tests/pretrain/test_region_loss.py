@@ -69,6 +69,7 @@ def test_nothing_is_said_about_ignored_people():
     assert region_loss(raw, head, boxes, no, no).objectness > 5
 
 
+@pytest.mark.slow
 def test_gradients_lower_the_loss_on_one_batch():
     """Twenty steps on a batch that never changes: the loss must fall well below its start."""
     torch.manual_seed(0)

@@ -39,6 +39,7 @@ def photo(shared: Path, name: str) -> torch.Tensor:
     return torch.from_numpy(pixels).permute(2, 0, 1)[None].float() / 255
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cfg", "seed", "kind"), [("yolov2-416", 7, "region"), ("yolov3-tiny-416", 3, "yolo")])
 def test_full_networks_equal_darknet(
     cfg: str, seed: int, kind: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

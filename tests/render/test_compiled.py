@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 from numba.core import caching
 
 from cloak_core.render.compiled import loop, torch_alone
@@ -25,6 +26,7 @@ def test_a_place_for_compiled_loops_is_not_needed(monkeypatch) -> None:
     assert type(kept._cache) is not type(not_kept._cache)
 
 
+@pytest.mark.slow
 def test_without_numba_torch_does_it_all() -> None:
     code = """
 import sys

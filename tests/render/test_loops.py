@@ -63,6 +63,7 @@ def dense(bank: ViewBank, pose: int, camera: Camera) -> dict[str, torch.Tensor]:
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 4, 16, 64, None])
 @pytest.mark.parametrize(
     "body,camera",

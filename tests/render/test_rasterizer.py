@@ -30,6 +30,7 @@ def random_screen(rng, vertices, width, height, spread, near=0.2):
     return screen_of(x, y, rng.uniform(near, 1, vertices), width, height)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_random_triangles_equal_the_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -39,6 +40,7 @@ def test_random_triangles_equal_the_twin(seed: int) -> None:
     assert_twin(screen, triangles, grids=(1, 2, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_corners_on_a_coarse_lattice_hit_samples_and_edges(seed: int) -> None:
     """Quarter-pixel corners put vertices and whole edges exactly on sample points."""
@@ -250,6 +252,7 @@ def test_a_vertex_that_is_not_finite_is_named(value: float) -> None:
         project(vertices, [Camera()] * 2, [(0.0, 0.0, 0.0)] * 2)
 
 
+@pytest.mark.slow
 def test_a_million_triangles_in_one_pixel() -> None:
     rng = np.random.default_rng(7)
     count = 1_000_000

@@ -137,6 +137,7 @@ def test_procedural_is_deterministic_and_its_sets_are_disjoint():
     assert distance.min() > 1 and len(set(names)) == 12
 
 
+@pytest.mark.slow
 def test_procedural_scenes_are_varied_pictures():
     """No black, white or flat frame among them, and the brightness of the set spreads like photographs' does."""
     images = load_backgrounds("procedural:test:60").batch(range(60), 96, 96)

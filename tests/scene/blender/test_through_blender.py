@@ -69,6 +69,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.abc", "a.usdc", "a.fbx", "a.blend"])
 def test_animated_scenes(files: Path, name: str) -> None:
     read = import_bodies([files / name], frames=3)
@@ -84,6 +85,7 @@ def test_animated_scenes(files: Path, name: str) -> None:
         assert (read.face_colors[0] == [1, 0, 0]).all(axis=1).sum() == 96
 
 
+@pytest.mark.slow
 def test_pictures_packed_in_a_blend_file(files: Path) -> None:
     read = import_bodies([files / "a.blend"])
     assert read.pose_count == 1 and read.outfit_textures == ("a",)
@@ -91,11 +93,13 @@ def test_pictures_packed_in_a_blend_file(files: Path) -> None:
     assert blue.sum() == 6, "the cube's faces, by the picture's left half"
 
 
+@pytest.mark.slow
 def test_a_frame_of_another_topology_is_named(files: Path) -> None:
     with pytest.raises(InputError, match=r"b\.blend: frame 6 has another topology than frame 1"):
         import_bodies([files / "b.blend"], frames=3)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("no.abc", "no.blend"):
         (files / name).write_bytes(b"nothing of the kind")

@@ -193,6 +193,7 @@ def test_ply_keeps_polygons(tmp_path: Path, kind: str, mixed: bool) -> None:
     assert np.allclose(read.face_colors, [1, 0, 0.2])
 
 
+@pytest.mark.slow
 def test_ply_agrees_with_trimesh(tmp_path: Path) -> None:
     body = sample_bodies("unseen").select_poses([0])
     mesh = trimesh.Trimesh(body.vertices[0], body.triangles, process=False)

@@ -34,6 +34,7 @@ def test_a_concave_quad_takes_the_diagonal_inside_it(turn: int) -> None:
     assert all({0, 2} <= set(triangle) for triangle in triangles.tolist())
 
 
+@pytest.mark.slow
 @given(
     radii=st.lists(st.floats(0.05, 1.0), min_size=5, max_size=24),
     tilt=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.05, 1)),
