@@ -103,7 +103,6 @@ class Case:
         return detector
 
 
-@pytest.mark.slow
 QUICK = {
     "fasterrcnn_mobilenet_v3_large_320_fpn",
     "fcos_resnet50_fpn",
@@ -115,6 +114,7 @@ QUICK = {
 """A model of each kind; the others are their siblings."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in model_names()]
 )
