@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 demo: .venv/.installed
 	$(BIN)/cloak demo --out runs/demo
 
-# The inner loop: what takes under a second.
+# The inner loop: what takes under half a second.
 check: .venv/.installed-test
 	$(PYTEST) -m "not slow and not long" --ignore tests/blender
 

@@ -62,6 +62,7 @@ def test_loss_and_gradient_of_an_ensemble(changes, combine, microbatch):
         torch.testing.assert_close(answer.detections[number].scores, detector(IMAGES).scores)
 
 
+@pytest.mark.slow
 def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
     whole, parts = Proposing(), Proposing()
     a, b = run(tmp_path / "a", [whole], batch=5), run(tmp_path / "b", [parts], batch=5, microbatch=2)

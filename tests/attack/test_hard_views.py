@@ -45,6 +45,7 @@ def test_a_batch_built_ahead_is_the_one_that_is_asked_for():
         assert np.array_equal(ahead.sector, of.draw(step + 1).sector)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [5, EVERY - 1, EVERY, 3 * EVERY - 2, 3 * EVERY - 1, 3 * EVERY])
 def test_a_resumed_sampler_draws_the_same(stop: int):
     whole = run(sampler(), range(100))

@@ -44,6 +44,7 @@ def worse_and_worse(monkeypatch):
     monkeypatch.setattr("cloak_core.attack.held_out.HeldOut._measure", measure)
 
 
+@pytest.mark.slow
 def test_the_best_colours_are_kept_and_said_of_which_step(tmp_path, worse_and_worse):
     seen = {}
 

@@ -18,6 +18,7 @@ def run(out: Path, resume: bool = False, logo=None, **changes):
     return train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(), out, resume=resume)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_another_runs_colours_or_from_a_file(tmp_path: Path) -> None:
     first = run(tmp_path / "first")
     close = {"steps": 1, "lr": 1e-6}
@@ -26,6 +27,7 @@ def test_a_run_goes_on_from_another_runs_colours_or_from_a_file(tmp_path: Path) 
     assert np.abs(run(tmp_path / "anew", **close).colors - first.colors).max() > 0.01
 
 
+@pytest.mark.slow
 def test_resuming_needs_the_same_first_colours(tmp_path: Path) -> None:
     write_colors(tmp_path / "c.npy", np.full((16, 3), 0.25))
     done = run(tmp_path / "run", init=str(tmp_path / "c.npy"))

@@ -63,6 +63,7 @@ def python_detector(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"python:{folder / 'mine.py'}:make"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edited", ["mine.py", "near.py"])
 def test_a_python_detector_that_was_edited_is_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, edited: str
@@ -76,6 +77,7 @@ def test_a_python_detector_that_was_edited_is_another(
         run(tmp_path / "run", load_detector(spec))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cfg", "options", "what"),
     [
@@ -97,6 +99,7 @@ def test_a_darknet_detector_of_the_same_weights_run_otherwise_is_another(
         run(tmp_path / "run", changed)
 
 
+@pytest.mark.slow
 def test_where_a_detector_lies_and_what_its_cfg_remarks_say_nothing(tmp_path: Path) -> None:
     first, second = load_detector(write_tiny(tmp_path)), tmp_path / "elsewhere"
     second.mkdir()

@@ -34,6 +34,7 @@ def test_the_last_batch_is_what_is_left():
     assert len(sampler(steps=3, batch=8, angles="0").draw(2)) == 8
 
 
+@pytest.mark.slow
 def test_draws_depend_on_seed_and_step_alone():
     one, other = sampler(steps=50, seed=5), sampler(steps=50, seed=5)
     for step in (40, 3, 41, 0):
@@ -79,6 +80,7 @@ def test_shares_make_up_the_batch():
     assert [len(s) for s in shares] == [3, 3, 2]
 
 
+@pytest.mark.slow
 def test_equal_draws_give_equal_cameras():
     of = sampler(steps=50, angles="0")
     assert len({camera for step in range(50) for camera in cameras(of.draw(step), of.settings.views)}) == 1

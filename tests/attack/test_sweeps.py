@@ -209,6 +209,7 @@ def test_options_replace_what_the_base_says(tmp_path):
         read_grid(path, {"lr": 3})
 
 
+@pytest.mark.slow
 def test_each_run_is_prepared_for(tmp_path, runs):
     asked = []
     Sweep(runs[:2], tmp_path / "out").run(prepare=asked.append)

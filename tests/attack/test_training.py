@@ -50,6 +50,7 @@ def files(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.slow
 def test_a_run_folder_is_complete(tmp_path):
     heard = []
     detector = TinyDetector()
@@ -105,6 +106,7 @@ def test_equal_seeds_give_equal_colours(tmp_path):
     assert not np.array_equal(first.colors, other.colors)
 
 
+@pytest.mark.slow
 def test_several_detectors_share_the_loss(tmp_path):
     heard = {}
     for name, seeds in (("one", [0]), ("other", [1]), ("both", [0, 1])):
@@ -136,6 +138,7 @@ def test_nothing_is_written_before_a_run_can_begin(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_existing_folder_is_left_alone(tmp_path):
     run(tmp_path / "run", steps=1)
     before = {name: (tmp_path / "run" / name).read_bytes() for name in files(tmp_path / "run")}
@@ -249,6 +252,7 @@ def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch
     assert not np.array_equal(whole.colors, others.colors)
 
 
+@pytest.mark.slow
 def test_resuming_a_finished_run_changes_nothing(tmp_path):
     done = run(tmp_path / "run")
     again = run(tmp_path / "run", resume=True)
@@ -273,6 +277,7 @@ def test_a_damaged_checkpoint_costs_its_steps_only(tmp_path):
     assert np.array_equal(rest.colors, whole.colors)
 
 
+@pytest.mark.slow
 def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
     run(tmp_path / "run")
     with pytest.raises(InputError, match=r"settings\.seed = 0, not 1"):
@@ -282,6 +287,7 @@ def test_resuming_with_anything_else_is_refused_by_name(tmp_path):
     run(tmp_path / "run", resume=True, checkpoint_every=5)
 
 
+@pytest.mark.slow
 def test_two_runs_in_one_folder(tmp_path):
     refused = []
 
@@ -349,6 +355,7 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
 # --- what is seen of a run that goes on, and printable colours -------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_latest_colours_are_shown_while_a_run_goes_on(tmp_path, monkeypatch):
     """Every LIVE_SECONDS, without a checkpoint; here after every step."""
     monkeypatch.setattr("cloak_core.attack.loop.LIVE_SECONDS", 0.0)

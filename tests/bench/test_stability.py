@@ -15,6 +15,7 @@ def test_no_case_differs(name: str) -> None:
 
 
 # The million triangles have a test of their own, in test_rasterizer.py.
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in stability.CHECKS if "million" not in name])
 def test_no_check_fails(name: str) -> None:
     found = stability.CHECKS[name]()

@@ -19,6 +19,7 @@ def measure(**changes):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"distance": "1.8:3"}])
 def test_the_record_holds_together(changes):
     before = torch.get_num_threads()

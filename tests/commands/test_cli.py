@@ -42,6 +42,7 @@ def test_json_alone_on_standard_output(scene):
     assert len(record["topology"]) == 64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -76,6 +77,7 @@ def test_help_names_every_command():
     assert all(f"cloak {name}" in done.stdout for name in cli.COMMANDS)
 
 
+@pytest.mark.slow
 def test_help_is_quick_because_torch_is_not_imported():
     code = "import sys\nfrom cloak_core import cli\ntry: cli.main(['--help'])\nexcept SystemExit: pass\n"
     code += "print('torch' in sys.modules)"
@@ -127,6 +129,7 @@ def test_every_command_that_computes_takes_threads_and_device(name, capsys, monk
     assert "--seed" in flags or name == "logo heatmap"  # which draws nothing
 
 
+@pytest.mark.slow
 def test_help_of_a_command_does_not_wait_for_torch():
     code = "import sys\nfrom cloak_core import cli\nfor name in ('train', 'evaluate', 'reproduce', 'sweep', 'demo'):\n"
     code += "  try: cli.parse(name, ['--help'])\n  except SystemExit: pass\nprint('torch' in sys.modules)"

@@ -45,6 +45,7 @@ def scalars(folder):
     return {name: [event.step for event in found.Scalars(name)] for name in names["scalars"]}, names["images"]
 
 
+@pytest.mark.slow
 def test_tensorboard_shows_the_events_and_hides_what_a_resumed_run_does_again(logo, tmp_path, capsys):
     pytest.importorskip("tensorboard")
     options = ["--tensorboard", "--preview-every", 2, "--checkpoint-every", 1, "--json"]
@@ -65,6 +66,7 @@ def test_tensorboard_that_is_missing_is_one_line_with_the_command(logo, tmp_path
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_sweep(logo, tmp_path, capsys):
     base = QUICK | {"scene": "sample:train[0:1]", "backgrounds": "procedural:train:2", "logo": logo}
     lines = [f"{key} = {json.dumps(value)}" for key, value in base.items()]
@@ -79,6 +81,7 @@ def test_sweep(logo, tmp_path, capsys):
     assert code == 2 and said.count("\n") == 1 and "grid.toml" in said and not (tmp_path / "other").exists()
 
 
+@pytest.mark.slow
 def test_a_run_stopped_by_the_first_version_goes_on(tmp_path, capsys):
     old = Path(__file__).parents[1] / "old_versions" / "v0.1.0"
     shutil.copytree(old / "stopped", tmp_path / "run")

@@ -175,6 +175,7 @@ def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     assert before.max() < 1e-3 and bool((after < before).all())
 
 
+@pytest.mark.slow
 def test_proposal_scores_reach_the_images(tmp_path: Path) -> None:
     detector = Case("fasterrcnn_mobilenet_v3_large_320_fpn", tmp_path).load()
     batch = images(2, 120, 150).requires_grad_()
@@ -265,6 +266,7 @@ def test_bad_checkpoints(content: object, message: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value) and not Path("/tmp/cloak-was-here").exists()
 
 
+@pytest.mark.slow
 def test_checkpoint_of_another_model(tmp_path: Path) -> None:
     case = Case("ssdlite320_mobilenet_v3_large", tmp_path)
     with pytest.raises(InputError, match=r"names of its 3 classes are unknown; give --person-class"):

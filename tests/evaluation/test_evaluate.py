@@ -173,6 +173,7 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
     assert not [*tmp_path.glob("*.new"), *tmp_path.glob("*.old")]
 
 
+@pytest.mark.slow
 def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
     grey = np.full((len(logo), 3), 0.5, np.float32)
     evaluate(grey, logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL, out=tmp_path / "evaluation")
@@ -235,6 +236,7 @@ def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None
         evaluate(green(logo), logo, bodies, grey_rooms(5), {"spec": Drifting()}, ANGLES, SMALL)
 
 
+@pytest.mark.slow
 def test_white_box_and_black_box(bodies: Bodies, logo: Logo, capsys: pytest.CaptureFixture) -> None:
     """Told by the detectors' weights, whatever they are called; several are shown side by side."""
     known, stranger = GreenBlind(), GreenBlind()

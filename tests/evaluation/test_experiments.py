@@ -122,6 +122,7 @@ def test_a_detector_run_by_another_source_is_measured_anew(materials: Materials,
     assert after["sha256"] == before["sha256"] and after != before
 
 
+@pytest.mark.slow
 def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> None:
     faces = chest_thighs(materials.bodies)
     lab = Lab(materials, options(tmp_path, steps=(3,)))
@@ -132,6 +133,7 @@ def test_an_interrupted_set_goes_on(materials: Materials, tmp_path: Path) -> Non
     assert np.array_equal(other.train(faces, ["red:a.cfg"]).colors, whole)
 
 
+@pytest.mark.slow
 def test_each_detector_may_have_its_own_number_of_steps(materials: Materials, tmp_path: Path) -> None:
     lab = Lab(materials, options(tmp_path, steps=(2, 3)))
     faces = chest_thighs(materials.bodies)

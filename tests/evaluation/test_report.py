@@ -129,6 +129,7 @@ def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
     assert not (run / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", measurement=make_measurement())
     (tmp_path / "secret.png").write_bytes(b"secret")

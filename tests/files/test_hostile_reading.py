@@ -188,6 +188,7 @@ def test_an_archive_of_too_many_members(tmp_path: Path) -> None:
         read_npz(tmp_path / "a.npz")
 
 
+@pytest.mark.slow
 def test_what_is_read_in_pieces_is_what_was_written(tmp_path: Path) -> None:
     arrays = {"big": np.arange(700_001), "words": np.array(["a", "bc"]), "none": np.zeros((0, 3)), "one": np.array(2.0)}
     arrays["columns"] = np.asfortranarray(np.random.default_rng(0).random((300, 2000)))

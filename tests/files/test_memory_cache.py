@@ -3,6 +3,7 @@
 import threading
 
 import numpy as np
+import pytest
 import torch
 
 from cloak_core.files.caching import MemoryCache
@@ -42,6 +43,7 @@ def test_shared_memory_counts_once_until_the_last_holder_is_gone() -> None:
     assert cache.bytes == 4000
 
 
+@pytest.mark.slow
 def test_threads_that_put_the_same_things_count_them_once() -> None:
     """Two threads once counted 14,592 bytes where 768 were held."""
     cache = MemoryCache(64 * 40)

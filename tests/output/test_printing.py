@@ -188,6 +188,7 @@ def test_what_a_printer_can_mix() -> None:
     assert not nearest_printable(grey)[1].any()
 
 
+@pytest.mark.slow
 def test_projected_colours_are_counted_and_printable(tmp_path: Path, body: Bodies) -> None:
     ids = select_region(body, "chest")[:4]
     report = print_logo(body, ids, np.tile(np.float32([0, 1, 0]), (4, 1)), tmp_path / "p", dpi=50, project=True)
@@ -218,6 +219,7 @@ def test_bad_options(
         print_logo(body, logo, colors, tmp_path / "q")
 
 
+@pytest.mark.slow
 def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path: Path) -> None:
     palette = np.array([[0, 0, 0], [1, 0.5, 0]])
     ids = select_region(body, "chest")[:4]

@@ -49,6 +49,7 @@ def test_there_and_back(body: Bodies, other: Bodies) -> None:
     assert np.median(np.abs(lost)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_body_onto_itself_is_the_same_logo(body: Bodies) -> None:
     ids = select_region(body, "chest")
     same = transfer_logo(body, ids, body, np.full((len(ids), 3), 0.25, np.float32))
@@ -79,6 +80,7 @@ def test_front_faces_do_not_land_on_the_back(body: Bodies) -> None:
     assert not np.intersect1d(there.face_ids, back.face_ids).size
 
 
+@pytest.mark.slow
 def test_what_the_target_lacks_is_named(body: Bodies) -> None:
     """A target without its left thigh."""
     left = body.regions["thighs"] & (body.vertices[0][body.loop_vertices.reshape(-1, 4)].mean(axis=1)[:, 0] > 0)

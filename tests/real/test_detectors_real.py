@@ -77,6 +77,7 @@ def test_animals_are_no_people(name: str, animals: str, shared: Path) -> None:
         assert max_person_score(load_detector(spec_of(name, shared))(photo(shared, animals))).item() < 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 @pytest.mark.parametrize("picture", ["person.jpg", "horses.jpg"])
 def test_a_gradient_step_lowers_the_score(name: str, picture: str, shared: Path) -> None:

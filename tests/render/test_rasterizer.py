@@ -135,6 +135,7 @@ def test_a_window_is_a_part_of_the_image() -> None:
     assert (part[:, :5] == -1).all() and (part[:, :, 17:] == -1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 9), (13, 1), (5, 11)])
 def test_image_shapes(width: int, height: int) -> None:
     rng = np.random.default_rng(width * 100 + height)

@@ -126,6 +126,7 @@ def test_memory_stays_within_its_bound(tmp_path):
             assert backgrounds._cache.bytes <= bound
 
 
+@pytest.mark.slow
 def test_procedural_is_deterministic_and_its_sets_are_disjoint():
     first, again = load_backgrounds("procedural:train:4"), load_backgrounds("procedural:train:9")
     assert all(torch.equal(first.image(i, (64, 64)), again.image(i, (64, 64))) for i in range(4))

@@ -30,6 +30,7 @@ def test_obj_indices_that_no_array_takes(digits: str, tmp_path: Path) -> None:
         read_bodies(tmp_path / "a.obj")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("made", "words"),
     [

@@ -16,6 +16,7 @@ def test_the_splits_share_a_topology_and_no_body() -> None:
     assert {name.split("-")[0] for name in train.names} == {"standing", "walking", "running"}
 
 
+@pytest.mark.slow
 def test_bodies_are_closed_outward_and_stand_on_the_ground() -> None:
     bodies = sample_bodies()
     assert is_closed(bodies.triangles)
@@ -34,6 +35,7 @@ def test_every_body_is_another() -> None:
     assert change[~np.eye(len(change), dtype=bool)].min() > 0.02
 
 
+@pytest.mark.slow
 def test_regions() -> None:
     bodies = sample_bodies()
     wanted = [

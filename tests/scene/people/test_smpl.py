@@ -88,6 +88,7 @@ def test_rotations_near_zero_and_half_a_turn() -> None:
     assert np.allclose(rotations(vectors), [rotation(vector) for vector in vectors], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_against_the_public_package(tmp_path: Path) -> None:
     smplx = pytest.importorskip("smplx", reason="the smplx package is not installed")
     import torch
