@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.pretrain.body_regions import body_parts, named_regions
-from cloak_core.pretrain.body_tables import BODIES, OUTFITS, PARTS
+from cloak_core.pretrain.body_tables import BODIES, OUTFITS, PARTS, UNSEEN
 from cloak_core.scene.people.anny import AnnySource, stand
 from cloak_core.scene.people.skeleton import pose_vertices
 
@@ -58,7 +58,7 @@ def bake(path: Path) -> None:
         part=parts.astype(np.uint8),
         outfits=outfits,
         names=np.array([spec.name for spec in BODIES]),
-        unseen=np.array([spec.unseen for spec in BODIES]),
+        unseen=np.array([spec in UNSEEN for spec in BODIES]),
         **{f"region_{name}": mask for name, mask in regions.items()},
     )
 

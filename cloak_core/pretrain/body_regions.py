@@ -10,21 +10,9 @@ import numpy as np
 
 from cloak_core.pretrain.body_tables import PARTS
 
+FACE_BONES = ("eye", "jaw", "special", "oris", "levator", "temporalis", "oculi", "risorius", "orbicularis")
 BONE_GROUPS = {
-    "head": (
-        "head",
-        "neck02",
-        "neck03",
-        "eye",
-        "jaw",
-        "special",
-        "oris",
-        "levator",
-        "temporalis",
-        "oculi",
-        "risorius",
-        "orbicularis",
-    ),
+    "head": ("head", "neck02", "neck03", *FACE_BONES),
     "hands": ("wrist", "metacarpal", "finger"),
     "feet": ("foot", "toe"),
     "arms": ("upperarm", "shoulder01"),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from cloak_core.scene.people.motions import running, standing, walking
+from cloak_core.scene.people.motions import running, walking, waving
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose
 
 PARTS = ("torso", "hips", "arms", "forearms", "hands", "thighs", "shins", "feet", "head", "hair", "eyes", "mouth")
@@ -17,79 +17,74 @@ class BodySpec:
     name: str
     shape: dict[str, float]
     pose: Pose
-    unseen: bool = field(default=False)
 
 
 def shape(gender: float, age: float, muscle: float, weight: float, height: float, **more: float) -> dict[str, float]:
     return {"gender": gender, "age": age, "muscle": muscle, "weight": weight, "height": height, **more}
 
 
+def arms(left: Arm, right: Arm | None = None) -> dict[str, Arm]:
+    """Both arms; alike unless told otherwise."""
+    return {"left_arm": left, "right_arm": right or left}
+
+
+def legs(left: Leg, right: Leg | None = None) -> dict[str, Leg]:
+    """Both legs; alike unless told otherwise."""
+    return {"left_leg": left, "right_leg": right or left}
+
+
 WIDE = Arm(abduction=18, inward=14, elbow=16)
 ON_HIP = Arm(shoulder=-14, abduction=47, inward=42, elbow=84, pronation=30, curl=22)
 
 TRAIN = (
-    BodySpec("standing-01", shape(0.05, 0.68, 0.55, 0.50, 0.33), standing()),
+    BodySpec("standing-01", shape(0.05, 0.68, 0.55, 0.50, 0.33), Pose()),
     BodySpec(
         "standing-02",
         shape(0.95, 0.66, 0.50, 0.45, 0.36, cupsize=0.55),
-        standing(left_arm=Arm(abduction=13, elbow=18), right_arm=Arm(shoulder=6, abduction=12), look_left=12, tilt=2),
+        Pose(**arms(Arm(abduction=13, elbow=18), Arm(shoulder=6, abduction=12)), look_left=12, tilt=2),
     ),
     BodySpec(
-        "standing-03",
-        shape(0.0, 0.82, 0.45, 0.85, 0.29),
-        standing(
-            left_arm=WIDE, right_arm=WIDE, left_leg=Leg(abduction=6, outward=14), right_leg=Leg(abduction=6, outward=14)
-        ),
+        "standing-03", shape(0.0, 0.82, 0.45, 0.85, 0.29), Pose(**arms(WIDE), **legs(Leg(abduction=6, outward=14)))
     ),
     BodySpec(
         "standing-04",
         shape(1.0, 0.90, 0.40, 0.78, 0.28, cupsize=0.6),
-        standing(left_arm=WIDE, right_arm=Arm(abduction=17, inward=22, elbow=28), look_down=4),
+        Pose(**arms(WIDE, Arm(abduction=17, inward=22, elbow=28)), look_down=4),
     ),
     BodySpec(
         "standing-05",
         shape(0.1, 0.64, 0.90, 0.60, 0.42, african=0.9, asian=0.1, caucasian=0.1),
-        standing(
-            left_arm=Arm(abduction=20, elbow=20),
-            right_arm=Arm(abduction=20, elbow=20),
-            left_leg=Leg(abduction=8, outward=12),
-            right_leg=Leg(abduction=8, outward=12),
-        ),
+        Pose(**arms(Arm(abduction=20, elbow=20)), **legs(Leg(abduction=8, outward=12))),
     ),
     BodySpec(
         "standing-06",
         shape(0.9, 0.72, 0.55, 0.35, 0.54, asian=0.9, african=0.1, caucasian=0.1),
-        standing(left_arm=ON_HIP, right_arm=Arm(abduction=12), tilt=-3, spine_tilt=4, look_left=-8),
+        Pose(**arms(ON_HIP, Arm(abduction=12)), tilt=-3, spine_tilt=4, look_left=-8),
     ),
     BodySpec(
         "standing-07",
         shape(0.2, 0.95, 0.30, 0.40, 0.19, proportions=0.7),
-        standing(
+        Pose(
+            **arms(Arm(shoulder=8, elbow=22), Arm(shoulder=6, elbow=26)),
+            **legs(Leg(hip=4, knee=9)),
             spine_lean=8,
             look_down=2,
-            left_arm=Arm(shoulder=8, elbow=22),
-            right_arm=Arm(shoulder=6, elbow=26),
-            left_leg=Leg(hip=4, knee=9),
-            right_leg=Leg(hip=4, knee=9),
         ),
     ),
     BodySpec(
         "standing-08",
         shape(0.5, 0.70, 0.65, 0.55, 0.41),
-        standing(
-            left_arm=Arm(shoulder=22, abduction=16, inward=34, elbow=82, pronation=30),
-            right_arm=Arm(abduction=12, elbow=14),
+        Pose(
+            **arms(Arm(shoulder=22, abduction=16, inward=34, elbow=82, pronation=30), Arm(abduction=12, elbow=14)),
             right_leg=Leg(hip=8, abduction=7, knee=12, outward=16),
         ),
     ),
     BodySpec(
         "standing-09",
         shape(0.8, 0.62, 0.75, 0.52, 0.39, african=0.8, asian=0.1, caucasian=0.2),
-        standing(
-            left_arm=Arm(abduction=38, inward=4, elbow=24),
-            right_arm=Arm(abduction=34, inward=6, elbow=30),
-            left_leg=Leg(abduction=10, outward=14),
-            right_leg=Leg(abduction=10, outward=14),
+        Pose(
+            **arms(Arm(abduction=38, inward=4, elbow=24), Arm(abduction=34, inward=6, elbow=30)),
+            **legs(Leg(abduction=10, outward=14)),
             look_left=-14,
         ),
     ),
@@ -108,11 +103,8 @@ TRAIN = (
         shape(0.3, 0.74, 0.40, 0.58, 0.25, african=0.7, asian=0.3, caucasian=0.2),
         walking(
             14,
-            swing=12,
-            left_arm=Arm(shoulder=-12, abduction=15),
-            right_arm=Arm(shoulder=15, abduction=15, elbow=22),
-            left_leg=Leg(hip=8, abduction=1, knee=5),
-            right_leg=Leg(hip=14, abduction=1, knee=52, heel_up=38),
+            **arms(Arm(shoulder=-12, abduction=15), Arm(shoulder=15, abduction=15, elbow=22)),
+            **legs(Leg(hip=8, abduction=1, knee=5), Leg(hip=14, abduction=1, knee=52, heel_up=38)),
         ),
     ),
     BodySpec(
@@ -121,11 +113,8 @@ TRAIN = (
         walking(
             14,
             left_first=False,
-            swing=14,
-            left_arm=Arm(shoulder=16, abduction=15, elbow=22),
-            right_arm=Arm(shoulder=-13, abduction=15),
-            right_leg=Leg(hip=2, abduction=1, knee=4),
-            left_leg=Leg(hip=22, abduction=1, knee=46, heel_up=18),
+            **arms(Arm(shoulder=16, abduction=15, elbow=22), Arm(shoulder=-13, abduction=15)),
+            **legs(Leg(hip=22, abduction=1, knee=46, heel_up=18), Leg(hip=2, abduction=1, knee=4)),
         ),
     ),
     BodySpec("walking-09", shape(0.0, 0.92, 0.38, 0.66, 0.26), walking(15, swing=13, spine_lean=6, look_down=6)),
@@ -149,31 +138,24 @@ UNSEEN = (
     BodySpec(
         "standing-10",
         shape(0.35, 0.73, 0.70, 0.68, 0.32, caucasian=0.9, african=0.2, asian=0.2),
-        standing(
-            left_arm=Arm(shoulder=10, abduction=22, inward=20, elbow=38),
-            right_arm=Arm(shoulder=-6, abduction=15, inward=8, elbow=14),
-            left_leg=Leg(hip=10, abduction=5, outward=10, knee=14),
-            right_leg=Leg(abduction=5, outward=12),
+        Pose(
+            **arms(
+                Arm(shoulder=10, abduction=22, inward=20, elbow=38), Arm(shoulder=-6, abduction=15, inward=8, elbow=14)
+            ),
+            **legs(Leg(hip=10, abduction=5, outward=10, knee=14), Leg(abduction=5, outward=12)),
             turn=6,
             spine_turn=-6,
         ),
-        unseen=True,
     ),
     BodySpec(
         "waving-01",
         shape(0.92, 0.70, 0.58, 0.56, 0.45, cupsize=0.5, asian=0.6, caucasian=0.5, african=0.1),
-        standing(
-            right_arm=Arm(shoulder=20, abduction=82, inward=-78, elbow=92, pronation=20, curl=4),
-            left_arm=Arm(abduction=14, elbow=16),
-            spine_tilt=2,
-        ),
-        unseen=True,
+        waving(),
     ),
     BodySpec(
         "walking-10",
         shape(0.08, 0.77, 0.62, 0.54, 0.44, proportions=0.65),
         walking(26, swing=22, look_left=16, lean=3),
-        unseen=True,
     ),
     BodySpec(
         "walking-11",
@@ -185,21 +167,19 @@ UNSEEN = (
             left_arm=Arm(shoulder=16, abduction=17, inward=24, elbow=62, pronation=20),
             look_left=-10,
         ),
-        unseen=True,
     ),
     BodySpec(
         "running-07",
         shape(0.12, 0.71, 0.66, 0.52, 0.28, asian=0.9, african=0.1, caucasian=0.1),
         running(44, drive=38, folded=78, lean=6, look_left=8),
-        unseen=True,
     ),
     BodySpec(
         "running-08",
         shape(0.75, 0.67, 0.78, 0.44, 0.51, cupsize=0.4),
         running(56, left_first=False, drive=30, folded=98, lean=8, look_left=-10),
-        unseen=True,
     ),
 )
+"""Bodies that nothing is trained on."""
 
 BODIES: tuple[BodySpec, ...] = TRAIN + UNSEEN
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from cloak_core.scene.meshes.gltf_document import Document
 
@@ -40,15 +41,4 @@ def interpolate(times: np.ndarray, values: np.ndarray, time: float, kind: str, s
         leave, arrive = span * values[key, 2], span * values[key + 1, 0]
         t2, t3 = t * t, t * t * t
         return (2 * t3 - 3 * t2 + 1) * a + (t3 - 2 * t2 + t) * leave + (3 * t2 - 2 * t3) * b + (t3 - t2) * arrive
-    return slerp(a, b, t) if spherical else a + t * (b - a)
-
-
-def slerp(a: np.ndarray, b: np.ndarray, t: float) -> np.ndarray:
-    """Between two unit quaternions the shorter way round."""
-    cosine = float(a @ b)
-    if cosine < 0:
-        b, cosine = -b, -cosine
-    if cosine > 0.9995:
-        return a + t * (b - a)
-    angle = np.arccos(cosine)
-    return (np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle)
+    return Slerp([0, 1], Rotation.from_quat([a, b]))(t).as_quat() if spherical else a + t * (b - a)

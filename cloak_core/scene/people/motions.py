@@ -8,21 +8,14 @@ from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose
 
 
-def standing(**changes: object) -> Pose:
-    return Pose(**changes)
-
-
 def walking(step: Number, left_first: bool = True, swing: Number = 24.0, **changes: object) -> Pose:
     """A double-support or mid-stance moment of walking; `step` is the leading thigh's angle, `swing` the arms'."""
     lead = Leg(hip=step, abduction=1.5, outward=5, knee=4, heel_up=-0.55 * step)
     trail = Leg(hip=-0.72 * step, abduction=1.5, outward=6, knee=0.5 * step + 3, heel_up=1.15 * step)
     back = Arm(shoulder=-0.85 * swing, abduction=12, inward=10, elbow=10, pronation=22)
     front = Arm(shoulder=swing, abduction=11, inward=14, elbow=12 + 0.6 * swing, pronation=14)
-    legs = {"left_leg": lead, "right_leg": trail} if left_first else {"left_leg": trail, "right_leg": lead}
-    arms = {"left_arm": back, "right_arm": front} if left_first else {"left_arm": front, "right_arm": back}
     turn = (-4.0 if left_first else 4.0) * step / 25
-    base = {"turn": turn, "spine_turn": -2 * turn, "lean": 2.0, **legs, **arms}
-    return Pose(**(base | changes))
+    return Pose(**({"lean": 2.0} | stride(left_first, lead, trail, back, front, turn) | changes))
 
 
 def running(
@@ -38,11 +31,15 @@ def running(
     trail = Leg(hip=-16, abduction=1, outward=4, knee=22, heel_up=42)
     back = Arm(shoulder=-drive * 1.2, abduction=25, inward=-8, elbow=88, pronation=8, curl=42)
     front = Arm(shoulder=drive * 0.8, abduction=12, inward=24, elbow=96, pronation=12, curl=42)
-    legs = {"left_leg": lead, "right_leg": trail} if left_first else {"left_leg": trail, "right_leg": lead}
-    arms = {"left_arm": back, "right_arm": front} if left_first else {"left_arm": front, "right_arm": back}
-    turn = -7.0 if left_first else 7.0
-    base = {"turn": turn, "spine_turn": -2 * turn, "lean": lean, "spine_lean": 4.0, **legs, **arms}
-    return Pose(**(base | changes))
+    limbs = stride(left_first, lead, trail, back, front, turn=-7.0 if left_first else 7.0)
+    return Pose(**({"lean": lean, "spine_lean": 4.0} | limbs | changes))
+
+
+def stride(left_first: bool, lead: Leg, trail: Leg, back: Arm, front: Arm, turn: Number) -> dict[str, object]:
+    """The limbs of a step; the arm on the leading leg's side swings back, the spine counters the pelvis' turn."""
+    legs, arms = ((lead, trail), (back, front)) if left_first else ((trail, lead), (front, back))
+    limbs = dict(zip(("left_leg", "right_leg", "left_arm", "right_arm"), legs + arms, strict=True))
+    return limbs | {"turn": turn, "spine_turn": -2 * turn}
 
 
 def waving(right: bool = True, raised: Number = 82.0, **changes: object) -> Pose:
@@ -58,7 +55,7 @@ def draw_standing(random: np.random.Generator) -> Pose:
     arm = lambda: Arm(shoulder=u(-8, 22), abduction=u(9, 24), inward=u(4, 30), elbow=u(8, 60), pronation=u(5, 28))
     leg = lambda: Leg(hip=(hip := u(-1, 10)), abduction=u(2, 9), outward=u(3, 15), knee=1.3 * max(hip, 0) + u(1, 4))
     body = {"tilt": u(-3, 3), "spine_tilt": u(-4, 4), "spine_lean": u(-1, 7), "spine_turn": u(-6, 6)}
-    return standing(left_leg=leg(), right_leg=leg(), left_arm=arm(), right_arm=arm(), **body, **head(random))
+    return Pose(left_leg=leg(), right_leg=leg(), left_arm=arm(), right_arm=arm(), **body, **head(random))
 
 
 def draw_walking(random: np.random.Generator) -> Pose:

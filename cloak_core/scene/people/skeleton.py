@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cloak_core.scene.cameras import Number
 
@@ -75,23 +76,13 @@ def unit(vector: np.ndarray) -> np.ndarray:
 
 
 def turn_about(axis: np.ndarray, degrees: Number) -> np.ndarray:
-    """Rotation matrix about an axis (Rodrigues)."""
-    x, y, z = unit(np.asarray(axis, float))
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.radians(degrees)
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+    """Rotation matrix about an axis."""
+    return Rotation.from_rotvec(unit(axis) * degrees, degrees=True).as_matrix()
 
 
-def about_x(degrees: Number) -> np.ndarray:
-    return turn_about(np.array([1.0, 0.0, 0.0]), degrees)
-
-
-def about_y(degrees: Number) -> np.ndarray:
-    return turn_about(np.array([0.0, 1.0, 0.0]), degrees)
-
-
-def about_z(degrees: Number) -> np.ndarray:
-    return turn_about(np.array([0.0, 0.0, 1.0]), degrees)
+def about(axis: str, degrees: Number) -> np.ndarray:
+    """Rotation matrix about "x", "y" or "z"."""
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
 def smallest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -111,27 +102,23 @@ def frame(along: np.ndarray, across: np.ndarray) -> np.ndarray:
 
 def part_of(rotation: np.ndarray, share: Number) -> np.ndarray:
     """A share of a rotation, about the same axis."""
-    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-    if angle < 1e-7:
-        return np.eye(3)
-    axis = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    return turn_about(axis, angle * share)
+    return (Rotation.from_matrix(rotation) ** share).as_matrix()
 
 
 def leg_rotations(skeleton: Skeleton, side: str, leg: Leg, pelvis: np.ndarray) -> dict[str, np.ndarray]:
     out = 1.0 if side == "L" else -1.0
-    hip = pelvis @ about_x(-leg.hip) @ about_z(out * leg.abduction)
-    turned = hip @ about_y(out * leg.outward)
-    half_turned = hip @ about_y(out * leg.outward / 2)
+    hip = pelvis @ about("x", -leg.hip) @ about("z", out * leg.abduction)
+    turned = hip @ about("y", out * leg.outward)
+    half_turned = hip @ about("y", out * leg.outward / 2)
     thigh = smallest_turn(skeleton.direction(f"upperleg01.{side}", f"lowerleg01.{side}"), DOWN)
     shin = smallest_turn(skeleton.direction(f"lowerleg01.{side}", f"foot.{side}"), DOWN)
-    knee = turned @ about_x(leg.knee)
+    knee = turned @ about("x", leg.knee)
     # The sole keeps its pitch to the ground and only follows the leg's heading.
     toes = knee @ shin @ np.array([0.0, 0.0, 1.0])
     if leg.hip < -20 or leg.knee > 60:  # a shin near the horizontal has no heading of its own
         toes = turned @ np.array([0.0, 0.0, 1.0])
     heading = np.degrees(np.arctan2(toes[0], toes[2]))
-    sole = about_y(heading) @ about_x(leg.heel_up)
+    sole = about("y", heading) @ about("x", leg.heel_up)
     # Half of the groin's bend is the pelvis bone's on that side, so that the fold is soft.
     return {
         f"pelvis.{side}": pelvis @ part_of(pelvis.T @ hip @ thigh, 0.12),
@@ -150,21 +137,21 @@ def arm_rotations(skeleton: Skeleton, side: str, arm: Arm, chest: np.ndarray) ->
     # The elbow's hinge: bending turns the forearm about it, forwards.
     hinge = unit(np.cross(upper, lower))
     neutral = frame(DOWN, np.array([-1.0, 0.0, 0.0]))
-    shoulder = chest @ about_x(-arm.shoulder) @ about_z(out * arm.abduction)
-    swing = shoulder @ about_y(-out * arm.inward)
-    bent = swing @ about_x(-arm.elbow)
+    shoulder = chest @ about("x", -arm.shoulder) @ about("z", out * arm.abduction)
+    swing = shoulder @ about("y", -out * arm.inward)
+    bent = swing @ about("x", -arm.elbow)
     upper_rest, lower_rest = neutral @ frame(upper, hinge).T, neutral @ frame(lower, hinge).T
-    palm = about_y(-out * arm.pronation)
+    palm = about("y", -out * arm.pronation)
     raised = max(arm.abduction - 60.0, 0.0) + max(arm.shoulder - 70.0, 0.0)
-    lift = chest @ about_z(out * (-3.0 + 0.35 * raised))
+    lift = chest @ about("z", out * (-3.0 + 0.35 * raised))
     rotations = {
         f"clavicle.{side}": lift,
-        f"shoulder01.{side}": lift @ about_z(out * -3.0),
+        f"shoulder01.{side}": lift @ about("z", out * -3.0),
         # The twist of the upper arm and the forearm grows along each, as muscles and skin do.
         f"upperarm01.{side}": between(lift, swing @ upper_rest, upper, 0.5),
         f"upperarm02.{side}": swing @ upper_rest,
         f"lowerarm01.{side}": bent @ lower_rest,
-        f"lowerarm02.{side}": bent @ about_y(-out * arm.pronation / 2) @ lower_rest,
+        f"lowerarm02.{side}": bent @ about("y", -out * arm.pronation / 2) @ lower_rest,
         f"wrist.{side}": bent @ palm @ lower_rest,
     }
     return rotations | finger_rotations(skeleton, side, arm.curl, rotations[f"wrist.{side}"])
@@ -191,14 +178,14 @@ def finger_rotations(skeleton: Skeleton, side: str, curl: Number, wrist: np.ndar
 
 def bone_rotations(skeleton: Skeleton, pose: Pose) -> dict[str, np.ndarray]:
     """World rotations (against the rest pose) of the bones that a pose sets; the others follow their parents."""
-    pelvis = about_y(pose.turn) @ about_x(pose.lean) @ about_z(-pose.tilt)
+    pelvis = about("y", pose.turn) @ about("x", pose.lean) @ about("z", -pose.tilt)
     rotations = {"root": pelvis}
     chest = pelvis
-    spine = about_y(pose.spine_turn) @ about_x(pose.spine_lean) @ about_z(-pose.spine_tilt)
+    spine = about("y", pose.spine_turn) @ about("x", pose.spine_lean) @ about("z", -pose.spine_tilt)
     for bone in ("spine05", "spine04", "spine03", "spine02", "spine01"):
         chest = chest @ part_of(spine, 0.2)
         rotations[bone] = chest
-    head = about_y(pose.look_left) @ about_x(pose.look_down) @ about_z(-pose.head_tilt)
+    head = about("y", pose.look_left) @ about("x", pose.look_down) @ about("z", -pose.head_tilt)
     for bone, share in (("neck01", 0.25), ("neck02", 0.5), ("neck03", 0.75), ("head", 1.0)):
         rotations[bone] = chest @ part_of(chest.T @ head, share)
     for side, leg, arm in (("L", pose.left_leg, pose.left_arm), ("R", pose.right_leg, pose.right_arm)):

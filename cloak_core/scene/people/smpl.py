@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -111,14 +112,9 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
 
 
 def rotations(axis_angle: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of axis-angle vectors (Rodrigues), exact at zero too."""
-    angle = np.linalg.norm(axis_angle, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(axis_angle, -1, 0)
-    zero = np.zeros_like(x)
-    k = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    # sin(a) / a and (1 - cos(a)) / a^2 by sinc, which knows its limits at zero.
-    half = np.sinc(angle / (2 * np.pi))
-    return np.eye(3) + np.sinc(angle / np.pi) * k + half**2 / 2 * (k @ k)
+    """Rotation matrices of axis-angle vectors (radians)."""
+    matrices = Rotation.from_rotvec(axis_angle.reshape(-1, 3)).as_matrix()
+    return matrices.reshape(*axis_angle.shape, 3)
 
 
 def pose_smpl(

@@ -38,7 +38,7 @@ def read_poses(path: Path, joint_count: int) -> PoseSequence:
     """Poses for a model of `joint_count` joints.
 
     .npz: AMASS, `poses` [P, 3 J'] with optional `betas` [S] or [P, S] and `trans` [P, 3]; z is up there.
-    .mat: SURREAL's _info files, `pose` [72, P] and `shape` [10, P] (needs scipy).
+    .mat: SURREAL's _info files, `pose` [72, P] and `shape` [10, P].
     .npy, .csv: a row per pose, the joints' numbers and then any number of betas, usually 72 + 10.
     A sequence for another model of the family keeps the body's 22 joints, and the fingers where both have them.
     """
@@ -77,10 +77,8 @@ def read_amass(path: Path, joint_count: int) -> Read:
 
 
 def read_surreal(path: Path, joint_count: int) -> Read:
-    try:
-        from scipy.io import loadmat
-    except ImportError:
-        raise InputError(f"{path}: reading .mat files needs scipy (pip install scipy)") from None
+    from scipy.io import loadmat
+
     try:
         with open_regular(path, MAX_POSE_BYTES) as file:
             arrays = loadmat(file, variable_names=["pose", "shape"])
