@@ -10,10 +10,9 @@ from jaxtyping import Bool, Float, Float32, Integer, UInt8
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.output.layout import Layout, inside
+from cloak_core.scene.meshes.pictures import color_squares, to_bytes
 
 MAX_PIXELS = 400 << 20
-CELL = 4
-"""Pixels along the side of a palette cell, for the faces outside the logo."""
 PADDING = 0.002
 """Metres that a chart's colours reach beyond its border, so that no seam shows when the picture is sampled smoothly."""
 
@@ -35,31 +34,19 @@ def bake(bodies: Bodies, layout: Layout, face_colors: Float32[np.ndarray, "faces
     dots = dpi / 0.0254
     width, rows = (int(np.ceil(extent * dots)) for extent in layout.size)
     plain = np.setdiff1d(np.arange(bodies.triangle_count), layout.triangles)
-    plain_bytes = to_bytes(face_colors[bodies.triangle_face[plain]])
-    palette, cell = np.unique(plain_bytes, axis=0, return_inverse=True)
-    across = max(width // CELL, 1)
-    height = rows + CELL * -(-len(palette) // across)
+    squares, centres = color_squares(face_colors[bodies.triangle_face[plain]], width)
+    height = rows + len(squares)
     if width * height > MAX_PIXELS:
         raise InputError(f"{dpi} dpi: a picture of {width} x {height} pixels is too large")
     image = np.full((height, width, 3), 255, np.uint8)
     colors = to_bytes(face_colors[bodies.triangle_face[layout.triangles]])
     painted = paint(image[:rows], layout.corners * dots, colors)
     spread(image[:rows], painted, int(np.ceil(PADDING * dots)))
-    at = np.arange(len(palette))
-    for step in range(CELL * CELL):
-        y, x = rows + at // across * CELL + step // CELL, at % across * CELL + step % CELL
-        image[y, x] = palette
+    image[rows:] = squares
     uv = np.zeros((bodies.triangle_count, 3, 2))
     uv[layout.triangles] = (layout.corners * dots + [0, height - rows]) / [width, height]
-    centre = np.stack(
-        [cell.reshape(-1) % across * CELL + CELL / 2, rows + cell.reshape(-1) // across * CELL + CELL / 2]
-    )
-    uv[plain] = (centre.T / [width, height] * [1, -1] + [0, 1])[:, None]
+    uv[plain] = ((centres + np.array([0, rows])) / [width, height] * [1, -1] + [0, 1])[:, None]
     return Texture(image, uv, rows)
-
-
-def to_bytes(colors: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
-    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
 def paint(

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cloak_core.scene.logos.palette import nearest_in_palette
+from cloak_core.scene.meshes.mesh_file import to_linear, to_srgb
 
 # Overprints of (cyan, magenta, yellow), each 0 or 1: paper, Y, M, MY, C, CY, CM, CMY, in sRGB bytes.
 OVERPRINTS = np.array([
@@ -27,10 +28,7 @@ def printable() -> Float[np.ndarray, "mixtures 3"]:
     share = np.concatenate(
         [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
     )
-    srgb = OVERPRINTS / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    mixed = share @ linear
-    return np.where(mixed <= 0.0031308, mixed * 12.92, 1.055 * mixed ** (1 / 2.4) - 0.055)
+    return to_srgb(share @ to_linear(OVERPRINTS / 255))
 
 
 def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

@@ -11,7 +11,7 @@ from PIL import Image
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.writing import write_text
 from cloak_core.output.baking import Texture
-from cloak_core.scene.meshes.polygons import polygon_loops
+from cloak_core.scene.meshes.polygons import per_corner, polygon_loops
 
 
 def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
@@ -46,14 +46,9 @@ def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str) -> Non
 
     The MTL names `picture`, a file in the same folder.
     """
-    loop_total, loop, face = polygon_loops(bodies)
+    loop_total, loop, _ = polygon_loops(bodies)
     unique, index = np.unique(texture.uv.reshape(-1, 2), axis=0, return_inverse=True)
-    # A corner is named by its polygon and vertex; every triangle of the polygon says the same of it, chart by chart.
-    base = bodies.vertex_count
-    key = (bodies.triangle_face.astype(np.int64)[:, None] * base + bodies.triangles).reshape(-1)
-    known, first = np.unique(key, return_index=True)
-    wanted = np.repeat(face, loop_total) * base + loop
-    corner_uv = index.reshape(-1)[first[np.searchsorted(known, wanted)]]
+    corner_uv = per_corner(bodies, index.reshape(-1, 3))
     lines = [f"mtllib {path.stem}.mtl", f"o {bodies.names[0].replace(' ', '_')}"]
     lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in bodies.vertices[0].tolist()]
     lines += [f"vt {u:.8g} {v:.8g}" for u, v in unique.tolist()]

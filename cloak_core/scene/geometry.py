@@ -12,6 +12,9 @@ from jaxtyping import Bool, Float, Integer
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.meshes.polygons import next_corner, polygon_loops
 
+PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+"""Points inside a triangle (weights of its corners) that stand for its area, a quarter each."""
+
 
 def area_vectors(bodies: Bodies, pose: int) -> tuple[np.ndarray, np.ndarray]:
     """Per triangle: the normal times the area [T, 3], and the centroid [T, 3]; float64."""

@@ -13,7 +13,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
 from cloak_core.scene.blender.executable import find_blender
 from cloak_core.scene.meshes.mesh_file import MeshFile, to_srgb
-from cloak_core.scene.meshes.pictures import put_together
+from cloak_core.scene.meshes.pictures import with_pictures
 
 SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")
 SCRIPT = Path(__file__).with_name("inside.py")
@@ -51,24 +51,13 @@ def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
     pictures = [arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)]
     loop_total, corner_uv, picture_of = (arrays[key].astype(float) for key in ("loop_total", "corner_uv", "picture_of"))
     loop_total, picture_of = loop_total.astype(np.int64), picture_of.astype(np.int64)
-    colors = to_srgb(arrays["linear_colors"])
-    used = np.repeat(picture_of, loop_total) >= 0
-    missing = np.flatnonzero(used & ~np.isfinite(corner_uv).all(axis=1))
-    if len(missing):
-        face = int(np.searchsorted(np.cumsum(loop_total), missing[0], side="right"))
-        raise InputError(f"{path}: face {face} has a texture but no texture coordinates (UVs)")
-    picture = None
-    if len(np.unique(picture_of)) == 1 and len(pictures) == 1:
-        picture = pictures[0]
-    elif pictures:
-        picture, corner_uv = put_together(pictures, picture_of, colors, np.nan_to_num(corner_uv), loop_total)
     has_uv = bool(np.isfinite(corner_uv).all())
-    return MeshFile(
+    mesh = MeshFile(
         poses=arrays["poses"],
         loop_total=loop_total,
         loop_vertices=arrays["loop_vertices"].astype(np.int64),
-        face_colors=colors,
+        face_colors=to_srgb(arrays["linear_colors"]),
         uv=corner_uv if has_uv else None,
         loop_uv=np.arange(len(corner_uv)) if has_uv else None,
-        picture=picture,
     )
+    return with_pictures(path, mesh, pictures, picture_of, corner_uv)

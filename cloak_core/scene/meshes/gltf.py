@@ -12,12 +12,13 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cloak_core.files.errors import InputError
 from cloak_core.scene.meshes.gltf_animation import sample_animation
 from cloak_core.scene.meshes.gltf_document import Document
 from cloak_core.scene.meshes.mesh_file import MeshFile, to_linear, to_srgb
-from cloak_core.scene.meshes.pictures import put_together
+from cloak_core.scene.meshes.pictures import with_pictures
 
 MAX_PRIMITIVES = 1 << 15
 GREY = to_linear(np.full(3, 0.5))
@@ -84,14 +85,7 @@ def local_matrix(node: dict, moved: dict[str, np.ndarray]) -> np.ndarray:
     if "matrix" in node and not moved.keys() & {"translation", "rotation", "scale"}:
         return np.array(node["matrix"], float).reshape(4, 4).T
     value = lambda name, default: np.asarray(moved.get(name, node.get(name, default)), float)
-    x, y, z, w = (q := value("rotation", (0, 0, 0, 1))) / max(float(np.linalg.norm(q)), 1e-12)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = Rotation.from_quat(value("rotation", (0, 0, 0, 1))).as_matrix()
     matrix = np.eye(4)
     matrix[:3, :3] = turn * value("scale", (1, 1, 1))
     matrix[:3, 3] = value("translation", (0, 0, 0))
@@ -222,21 +216,15 @@ def mesh_of(document: Document, parts: list[Part], poses: np.ndarray) -> MeshFil
     colors = np.clip(np.concatenate([part.colors for part in parts]), 0, 1)
     picture_of = np.concatenate([part.picture_of for part in parts])
     corner_uv = np.concatenate([part.corner_uv for part in parts])
-    used = np.unique(picture_of)
-    picture = None
-    if len(used) == 1 and used[0] >= 0:
-        picture = document.base_pictures[used[0]]
-    elif len(used) > 1:
-        picture, corner_uv = put_together(document.base_pictures, picture_of, colors, corner_uv, loop_total)
     uv = loop_uv = None
-    if picture is not None or all(part.has_uv for part in parts):
+    if all(part.has_uv for part in parts):
         uv, loop_uv = np.unique(corner_uv, axis=0, return_inverse=True)
-    return MeshFile(
+    mesh = MeshFile(
         poses=poses,
         loop_total=loop_total,
         loop_vertices=triangles.reshape(-1),
         face_colors=colors,
         uv=uv,
         loop_uv=None if loop_uv is None else loop_uv.reshape(-1),
-        picture=picture,
     )
+    return with_pictures(document.path, mesh, document.base_pictures, picture_of, corner_uv)

@@ -4,6 +4,7 @@ whatever Blender reads."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -56,19 +57,10 @@ def import_bodies(
         poses.append(vertices)
         names += bodies.names
     assert first is not None
-    return Bodies(
+    return replace(
+        first,
         vertices=np.concatenate(poses),
-        triangles=first.triangles,
-        triangle_face=first.triangle_face,
-        face_colors=first.face_colors,
-        regions=first.regions,
         names=unique_names(names),
-        loop_total=first.loop_total,
-        loop_vertices=first.loop_vertices,
-        uv=first.uv,
-        triangle_uv=first.triangle_uv,
-        textures=first.textures,
-        outfit_textures=first.outfit_textures,
         name=name,
         recorded_topology=first.topology,
     )

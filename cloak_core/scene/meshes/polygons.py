@@ -43,6 +43,20 @@ def polygon_loops(bodies: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return total, bodies.triangles.reshape(-1), bodies.triangle_face.astype(np.int64)
 
 
+def per_corner(bodies: Bodies, values: Integer[np.ndarray, "triangles 3"]) -> Corners:
+    """For every polygon corner [C] what `values` say of the triangles' corners there.
+
+    A corner is named by its polygon and vertex; a vertex twice in one polygon takes its first corner's value.
+    """
+    loop_total, loop_vertices, face = polygon_loops(bodies)
+    base = bodies.vertex_count
+    wanted = np.repeat(face, loop_total) * base + loop_vertices
+    known, first = np.unique(
+        bodies.triangle_face.astype(np.int64)[:, None] * base + bodies.triangles, return_index=True
+    )
+    return values.reshape(-1)[first[np.searchsorted(known, wanted)]]
+
+
 def triangulate(
     points: Float[np.ndarray, "vertices 3"], loop_total: Integer[np.ndarray, " faces"], loop_vertices: Corners
 ) -> tuple[Integer[np.ndarray, "triangles 3"], Integer[np.ndarray, " triangles"]]:

@@ -44,13 +44,18 @@ def read_ply(path: Path) -> MeshFile:
     data = read_bytes(path, MAX_FILE_BYTES)
     try:
         order, elements, start = read_header(data)
-        reader = AsciiReader(data[start:]) if not order else BinaryReader(data, start, order)
+        reader = Reader(data, start, order)
         values = {element.name: reader.element(element) for element in elements}
         return mesh_of(values)
     except InputError:
         raise
     except (ValueError, IndexError, KeyError, OverflowError) as error:
         raise InputError(f"{path}: not a readable PLY mesh ({error})") from None
+
+
+def typed(order: str | None, kind: str) -> str:
+    """numpy's name of a type; all numbers of an ASCII file become 64-bit floats."""
+    return order + TYPES[kind] if order else "f8"
 
 
 def read_header(data: bytes) -> tuple[str, list[Element], int]:
@@ -62,14 +67,14 @@ def read_header(data: bytes) -> tuple[str, list[Element], int]:
     order, elements = None, []
     for line in data[:end].decode("ascii", "replace").splitlines():
         match line.split():
-            case ["format", name, _]:
+            case ["format", name, _] if not elements:
                 order = ORDERS[name]
             case ["element", name, count]:
                 elements.append(Element(name, int(count)))
             case ["property", "list", count_kind, kind, name]:
-                elements[-1].properties.append(Property(name, TYPES[kind], TYPES[count_kind]))
+                elements[-1].properties.append(Property(name, typed(order, kind), typed(order, count_kind)))
             case ["property", kind, name]:
-                elements[-1].properties.append(Property(name, TYPES[kind]))
+                elements[-1].properties.append(Property(name, typed(order, kind)))
     if order is None or any(not 0 <= element.count <= len(data) for element in elements):
         raise ValueError("its header promises more than the file holds")
     return order, elements, start
@@ -78,40 +83,13 @@ def read_header(data: bytes) -> tuple[str, list[Element], int]:
 Values = dict[str, np.ndarray | tuple[np.ndarray, np.ndarray]]
 
 
-class AsciiReader:
-    """Values as words, one element after the other."""
-
-    def __init__(self, data: bytes) -> None:
-        self.words, self.at = data.split(), 0
-
-    def take(self, count: int) -> list[bytes]:
-        taken = self.words[self.at : self.at + count]
-        if len(taken) < count or count < 0:
-            raise ValueError("it is truncated")
-        self.at += count
-        return taken
-
-    def element(self, element: Element) -> Values:
-        """Property name -> values [count], or (lengths [count], all values) of a list."""
-        singles = all(prop.count_kind is None for prop in element.properties)
-        if singles:
-            width = len(element.properties)
-            table = np.array(self.take(element.count * width)).astype(np.float64).reshape(element.count, width)
-            return {prop.name: table[:, i] for i, prop in enumerate(element.properties)}
-        found: dict[str, tuple[list, list]] = {prop.name: ([], []) for prop in element.properties}
-        for _ in range(element.count):
-            for prop in element.properties:
-                length = 1 if prop.count_kind is None else int(self.take(1)[0])
-                found[prop.name][0].append(length)
-                found[prop.name][1].extend(self.take(length))
-        return {name: (np.array(n, int), np.array(v).astype(np.float64)) for name, (n, v) in found.items()}
-
-
-class BinaryReader:
-    """Values as bytes, one element after the other."""
+class Reader:
+    """Takes the values of one element after the other; those of an ASCII file as if they were 64-bit floats."""
 
     def __init__(self, data: bytes, start: int, order: str) -> None:
-        self.data, self.at, self.order = data, start, order
+        self.data, self.at = data, start
+        if not order:
+            self.data, self.at = np.fromiter(map(float, data[start:].split()), np.float64).tobytes(), 0
 
     def take(self, kind: str | np.dtype, count: int) -> np.ndarray:
         dtype = np.dtype(kind)
@@ -121,61 +99,41 @@ class BinaryReader:
         self.at += count * dtype.itemsize
         return values
 
+    def take_list(self, prop: Property) -> np.ndarray:
+        """A list's values in one row, or the one value that is no list."""
+        length = 1 if prop.count_kind is None else int(self.take(prop.count_kind, 1)[0])
+        return self.take(prop.kind, length)
+
     def element(self, element: Element) -> Values:
         """Property name -> values [count], or (lengths [count], all values) of a list."""
-        if all(prop.count_kind is None for prop in element.properties):
-            table = self.take(self.row_type(element, {}), element.count)
-            return {prop.name: table[prop.name].astype(np.float64) for prop in element.properties}
-        return self.even_lists(element) or self.uneven_lists(element)
-
-    def row_type(self, element: Element, lengths: dict[str, int]) -> np.dtype:
-        fields = []
+        values = self.even_rows(element)
+        if values is None:
+            rows = [[self.take_list(prop) for prop in element.properties] for _ in range(element.count)]
+            columns = zip(element.properties, zip(*rows, strict=True), strict=True)
+            values = {prop.name: (np.array([*map(len, lists)]), np.concatenate(lists)) for prop, lists in columns}
+        found = {}
         for prop in element.properties:
-            if prop.count_kind is None:
-                fields.append((prop.name, self.order + prop.kind))
-            else:
-                fields.append((f"{prop.name} length", self.order + prop.count_kind))
-                fields.append((prop.name, self.order + prop.kind, (lengths[prop.name],)))
-        return np.dtype(fields)
+            length, numbers = values[prop.name][0], values[prop.name][1].astype(np.float64)
+            found[prop.name] = numbers if prop.count_kind is None else (length, numbers)
+        return found
 
-    def even_lists(self, element: Element) -> Values | None:
+    def even_rows(self, element: Element) -> dict[str, tuple[np.ndarray, np.ndarray]] | None:
         """All rows at once, where every list is as long as the first row's; else None, and nothing is taken."""
-        start, lengths = self.at, {}
-        if not element.count:
-            return None
+        start, fields, lengths = self.at, [], {}
         for prop in element.properties:
-            if prop.count_kind is None:
-                self.take(self.order + prop.kind, 1)
-            else:
-                lengths[prop.name] = int(self.take(self.order + prop.count_kind, 1)[0])
-                self.take(self.order + prop.kind, lengths[prop.name])
-        self.at = start
-        dtype = self.row_type(element, lengths)
-        if start + element.count * dtype.itemsize > len(self.data):
+            lengths[prop.name] = len(self.take_list(prop)) if element.count else 1
+            if prop.count_kind is not None:
+                fields.append((f"{prop.name} length", prop.count_kind))
+            fields.append((prop.name, prop.kind, (lengths[prop.name],)))
+        self.at, dtype = start, np.dtype(fields)
+        lists = [prop.name for prop in element.properties if prop.count_kind is not None]
+        if lists and start + element.count * dtype.itemsize > len(self.data):
             return None
         table = self.take(dtype, element.count)
-        if any((table[f"{name} length"] != length).any() for name, length in lengths.items()):
+        if any((table[f"{name} length"] != lengths[name]).any() for name in lists):
             self.at = start
             return None
-        return {
-            prop.name: (
-                np.full(element.count, lengths.get(prop.name, 1)),
-                table[prop.name].reshape(-1).astype(np.float64),
-            )
-            for prop in element.properties
-        }
-
-    def uneven_lists(self, element: Element) -> Values:
-        found: dict[str, tuple[list, list]] = {prop.name: ([], []) for prop in element.properties}
-        for _ in range(element.count):
-            for prop in element.properties:
-                length = 1 if prop.count_kind is None else int(self.take(self.order + prop.count_kind, 1)[0])
-                found[prop.name][0].append(length)
-                found[prop.name][1].append(self.take(self.order + prop.kind, length))
-        return {
-            name: (np.array(n, int), np.concatenate(v).astype(np.float64) if v else np.zeros(0))
-            for name, (n, v) in found.items()
-        }
+        return {name: (np.full(element.count, n), table[name].reshape(-1)) for name, n in lengths.items()}
 
 
 def mesh_of(values: dict[str, Values]) -> MeshFile:
@@ -183,7 +141,7 @@ def mesh_of(values: dict[str, Values]) -> MeshFile:
     loops = face.get("vertex_indices", face.get("vertex_index"))
     if not {"x", "y", "z"} <= vertex.keys() or not isinstance(loops, tuple):
         raise ValueError("it has no vertices with x, y, z and faces with vertex_indices")
-    total, loop = loops[0].astype(np.int64), loops[1].astype(np.int64)
+    total, loop = (values.astype(np.int64) for values in loops)
     if len(total) and total.min() < 3:
         raise ValueError(f"face {int(total.argmin())} has fewer than three corners")
     count = len(vertex["x"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.scene.meshes.polygons import loop_starts, next_corner, polygon_loops, triangulate
+from cloak_core.scene.meshes.polygons import loop_starts, next_corner, per_corner, polygon_loops, triangulate
 from cloak_core.scene.meshes.textures import texture_means
 
 MAX_TRIANGLES = 20_000_000
@@ -47,9 +47,7 @@ def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
     parent = np.repeat(face, 4 if all_triangles else loop_total)
     new = {}
     if bodies.uv is not None:
-        uv_corners, _, uv_midpoints = split(
-            loop_total, corner_uv(bodies, loop_total, loop_vertices, face), len(bodies.uv)
-        )
+        uv_corners, _, uv_midpoints = split(loop_total, per_corner(bodies, bodies.triangle_uv), len(bodies.uv))
         new = {"uv": split_values(bodies.uv, uv_midpoints), "triangle_uv": uv_corners[child_corners]}
     divided = replace(
         bodies,
@@ -121,16 +119,3 @@ def split_triangles(
     ab, bc, ca = point_count + edge.reshape(-1, 3).T
     four = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1)
     return four.reshape(-1), np.full(4 * len(loop_total), 3), Midpoints(edges, None, loop)
-
-
-def corner_uv(bodies: Bodies, loop_total: np.ndarray, loop: np.ndarray, face: np.ndarray) -> np.ndarray:
-    """Texture coordinate index of every polygon corner [C], read back from the triangles'."""
-    assert bodies.triangle_uv is not None and bodies.triangle_face is not None
-    if bodies.loop_total is None:
-        return bodies.triangle_uv.reshape(-1)
-    # The key (polygon, vertex) names a corner; a vertex twice in one polygon takes its first corner's coordinate.
-    base = bodies.vertex_count
-    corner_key = np.repeat(face, loop_total) * base + loop
-    triangle_key = (bodies.triangle_face.astype(np.int64)[:, None] * base + bodies.triangles).reshape(-1)
-    known, first = np.unique(triangle_key, return_index=True)
-    return bodies.triangle_uv.reshape(-1)[first[np.searchsorted(known, corner_key)]]

@@ -17,12 +17,11 @@ from jaxtyping import Float32, Integer, UInt8
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_BYTES, read_npz
+from cloak_core.scene.geometry import PLACES, sum_by_face
 from cloak_core.scene.meshes.wavefront import read_obj
 from cloak_core.scene.pictures import read_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
-PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
-"""Points inside a triangle (weights of its corners) that stand for its area, a quarter each."""
 
 
 def read_textures(paths: Sequence[str | Path]) -> dict[str, UInt8[np.ndarray, "h w 3"]]:
@@ -65,10 +64,8 @@ def texture_means(bodies: Bodies, image: UInt8[np.ndarray, "h w 3"]) -> Float32[
     column = np.minimum((places[..., 0] * width).astype(np.int64), width - 1)
     row = np.minimum(((1 - places[..., 1]) * height).astype(np.int64), height - 1)
     colors = image[row, column].mean(axis=1) / 255
-    sums = np.zeros((bodies.face_count, 3))
-    np.add.at(sums, bodies.triangle_face, colors)
     count = np.bincount(bodies.triangle_face, minlength=bodies.face_count)
-    return (sums / np.maximum(count, 1)[:, None]).astype(np.float32)
+    return (sum_by_face(bodies, colors) / np.maximum(count, 1)[:, None]).astype(np.float32)
 
 
 def with_uv_of(bodies: Bodies, path: str | Path) -> Bodies:

@@ -7,7 +7,7 @@ what a face list consists of; so the lines are read here.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_text
 from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, MeshFile, file_beside, mean_of_corners, to_srgb
-from cloak_core.scene.meshes.pictures import put_together
+from cloak_core.scene.meshes.pictures import with_pictures
 from cloak_core.scene.pictures import read_picture
 
 GREY = (0.5, 0.5, 0.5)
@@ -134,10 +134,10 @@ def mesh_of(lines: ObjLines) -> MeshFile:
         uv=np.array(lines.uv).reshape(-1, 2) if has_uv else None,
         loop_uv=loop_uv if has_uv else None,
     )
-    return mesh if lines.colored or colors is None else with_pictures(lines, mesh, loop_uv)
+    return mesh if lines.colored or colors is None else in_pictures(lines, mesh, loop_uv)
 
 
-def with_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshFile:
+def in_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshFile:
     """The mesh with its materials' pictures, as one."""
     path = lines.path
     pictures: dict[str, np.ndarray] = {}
@@ -148,20 +148,11 @@ def with_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshF
             pictures[name] = read_picture(beside)
         elif file:
             warnings.warn(f"{path}: its picture '{file}' is not in its folder: plain colour instead", stacklevel=2)
-    if not pictures:
-        return mesh
     number = {name: index for index, name in enumerate(pictures)}
     picture_of = np.array([number.get(name, -1) for name in lines.face_material])
-    used = np.repeat(picture_of, mesh.loop_total) >= 0
-    bad = np.flatnonzero(used & ((loop_uv < 0) | (loop_uv >= len(lines.uv))))
-    if len(bad):
-        face = int(np.searchsorted(np.cumsum(mesh.loop_total), bad[0], side="right"))
-        raise InputError(f"{path}: face {face} has a texture but no texture coordinates (UVs)")
-    if len(pictures) == 1 and used.all():
-        return replace(mesh, picture=next(iter(pictures.values())))
-    corner_uv = np.array([*lines.uv, [0.0, 0.0]])[np.where(used, loop_uv, -1)]
-    picture, corner_uv = put_together(list(pictures.values()), picture_of, mesh.face_colors, corner_uv, mesh.loop_total)
-    return replace(mesh, picture=picture, uv=corner_uv, loop_uv=np.arange(len(corner_uv)))
+    known = (loop_uv >= 0) & (loop_uv < len(lines.uv))
+    corner_uv = np.array([*lines.uv, [np.nan, np.nan]])[np.where(known, loop_uv, -1)]
+    return with_pictures(path, mesh, list(pictures.values()), picture_of, corner_uv)
 
 
 MAP_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-clamp": 1, "-imfchan": 1, "-texres": 1, "-bm": 1,
