@@ -7,18 +7,15 @@ it, facing the same way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Integer
+from jaxtyping import Bool, Float, Float32, Integer
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.output.nearest import nearest_triangles
-from cloak_core.scene.geometry import area_vectors, face_areas, sum_by_face
-
-# Barycentric places inside a triangle that stand for its area, a quarter each.
-PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
+from cloak_core.scene.geometry import PLACES, area_vectors, face_areas, sum_by_face
 
 Shares = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Pieces of area: the target face (its position in the result), the logo face below (its position), square metres."""
@@ -53,14 +50,13 @@ def transfer_logo(
     """
     if colors is not None and len(colors) != len(face_ids):
         raise InputError(f"colours for {len(colors)} faces, but the logo has {len(face_ids)}")
-    goal = target.vertices[0].astype(np.float64)
     moved = align(source, target)
     position = np.full(source.face_count, -1)
     position[face_ids] = np.arange(len(face_ids))
-    ids, shares = logo_under(target, goal, source, moved, position, reach)
+    ids, shares = logo_under(target, moved, position, reach)
     if not len(ids):
         raise InputError(f"no face of '{target.name}' lies within {reach:g} m of the logo on '{source.name}'")
-    unplaced, distance = missed(source, moved, face_ids, target, goal, reach)
+    unplaced, distance = missed(moved, face_ids, target, reach)
     areas = face_areas(source)[face_ids]
     placed = ~np.isin(face_ids, unplaced)
     return Transfer(
@@ -72,8 +68,8 @@ def transfer_logo(
     )
 
 
-def align(source: Bodies, target: Bodies) -> Float[np.ndarray, "vertices 3"]:
-    """The source's vertices, as high as the target, soles level with soles, the middles of the surfaces in line."""
+def align(source: Bodies, target: Bodies) -> Bodies:
+    """The source's first pose, as high as the target, soles level with soles, the middles of the surfaces in line."""
     boxes, middles = [], []
     for bodies in (source, target):
         vectors, centroid = area_vectors(bodies, 0)
@@ -83,36 +79,50 @@ def align(source: Bodies, target: Bodies) -> Float[np.ndarray, "vertices 3"]:
         boxes.append((y.min(), y.max()))
     scale = (boxes[1][1] - boxes[1][0]) / max(boxes[0][1] - boxes[0][0], 1e-9)
     origin, goal = (np.array([m[0], box[0], m[2]]) for m, box in zip(middles, boxes, strict=True))
-    return (source.vertices[0] - origin) * scale + goal
+    moved = (source.vertices[:1] - origin) * scale + goal
+    return replace(source, vertices=moved, names=source.names[:1], recorded_topology=source.topology)
 
 
-def logo_under(
-    target: Bodies, goal: np.ndarray, source: Bodies, moved: np.ndarray, position: np.ndarray, reach: float
-) -> tuple[np.ndarray, Shares]:
+def logo_under(target: Bodies, source: Bodies, position: np.ndarray, reach: float) -> tuple[np.ndarray, Shares]:
     """Target faces that lie on the logo [L'], and which logo faces lie under them."""
-    triangles, solid = goal[target.triangles], moved[source.triangles]
-    logo = position[source.triangle_face] >= 0
-    low, high = (f(solid[logo], axis=(0, 1)) for f in (np.min, np.max))
-    near = ((triangles.max(axis=1) > low - reach) & (triangles.min(axis=1) < high + reach)).all(axis=1)
-    around = ((solid.max(axis=1) > low - 3 * reach) & (solid.min(axis=1) < high + 3 * reach)).all(axis=1)
+    triangles, solid = solids(target), solids(source)
+    logo = solid[position[source.triangle_face] >= 0]
+    near, around = within(triangles, logo, reach), within(solid, logo, 3 * reach)
     if not near.any():
         empty = np.zeros(0, np.int64)
         return empty, (empty, empty, np.zeros(0))
     points = np.einsum("pk,tkc->tpc", PLACES, triangles[near]).reshape(-1, 3)
-    cross = np.cross(triangles[near, 1] - triangles[near, 0], triangles[near, 2] - triangles[near, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
-    normals = np.repeat(cross / np.maximum(2 * area, 1e-30)[:, None], len(PLACES), axis=0)
-    found = nearest_triangles(points, normals, solid[around], reach)
+    area, normals = sizes(target)
+    found = nearest_triangles(points, np.repeat(normals[near], len(PLACES), axis=0), solid[around], reach)
     face = np.where(found.triangle >= 0, position[source.triangle_face[around][found.triangle]], -1)
-    weight = np.repeat(area / len(PLACES), len(PLACES))
+    weight = np.repeat(area[near] / len(PLACES), len(PLACES))
     owner = np.repeat(target.triangle_face[near], len(PLACES))
-    total = sum_by_face(target, np.linalg.norm(np.cross(*edges(triangles)), axis=1) / 2)
     on_logo = np.bincount(owner[face >= 0], weights=weight[face >= 0], minlength=target.face_count)
-    ids = np.flatnonzero((on_logo >= 0.5 * total) & (on_logo > 0)).astype(np.int64)
+    ids = np.flatnonzero((on_logo >= 0.5 * sum_by_face(target, area)) & (on_logo > 0)).astype(np.int64)
     row = np.full(target.face_count, -1)
     row[ids] = np.arange(len(ids))
     use = (face >= 0) & (row[owner] >= 0)
     return ids, (row[owner[use]], face[use], weight[use])
+
+
+def solids(bodies: Bodies) -> Float[np.ndarray, "triangles 3 3"]:
+    """The triangles' corners in the first pose."""
+    return bodies.vertices[0][bodies.triangles].astype(np.float64)
+
+
+def sizes(bodies: Bodies) -> tuple[Float[np.ndarray, " triangles"], Float[np.ndarray, "triangles 3"]]:
+    """The triangles' areas and unit normals in the first pose."""
+    vectors, _ = area_vectors(bodies, 0)
+    area = np.linalg.norm(vectors, axis=1)
+    return area, vectors / np.maximum(area, 1e-30)[:, None]
+
+
+def within(
+    triangles: Float[np.ndarray, "t 3 3"], others: Float[np.ndarray, "n 3 3"], margin: float
+) -> Bool[np.ndarray, " t"]:
+    """Which triangles touch the others' bounding box with a margin (metres) around it."""
+    low, high = others.min(axis=(0, 1)) - margin, others.max(axis=(0, 1)) + margin
+    return ((triangles.max(axis=1) > low) & (triangles.min(axis=1) < high)).all(axis=1)
 
 
 def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -> Float32[np.ndarray, "places 3"]:
@@ -123,23 +133,14 @@ def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -
     return np.clip(np.stack(channels, axis=1), 0, 1).astype(np.float32)
 
 
-def edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-
-
-def missed(
-    source: Bodies, moved: np.ndarray, face_ids: np.ndarray, target: Bodies, goal: np.ndarray, reach: float
-) -> tuple[np.ndarray, float]:
+def missed(source: Bodies, face_ids: np.ndarray, target: Bodies, reach: float) -> tuple[np.ndarray, float]:
     """Logo faces without a surface of the target in reach that faces their way, and the others' largest distance."""
     mine = np.flatnonzero(np.isin(source.triangle_face, face_ids))
-    solid = moved[source.triangles[mine]]
-    cross = np.cross(*edges(solid))
-    normals = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
-    triangles = goal[target.triangles]
-    low, high = solid.min(axis=(0, 1)) - 2 * reach, solid.max(axis=(0, 1)) + 2 * reach
-    near = ((triangles.max(axis=1) > low) & (triangles.min(axis=1) < high)).all(axis=1)
+    solid, triangles = solids(source)[mine], solids(target)
+    near = within(triangles, solid, 2 * reach)
     if not near.any():
         return np.asarray(face_ids, np.int64), 0.0
+    normals = sizes(source)[1][mine]
     found = nearest_triangles(solid.mean(axis=1), normals, triangles[near], reach)
     reached = found.triangle >= 0
     lost = np.setdiff1d(face_ids, source.triangle_face[mine[reached]]).astype(np.int64)
