@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cloak_core.bench.accuracy import COLUMNS, SCENES
-from cloak_core.bench.records import circumstances, earlier
+from cloak_core.bench.records import circumstances, table, with_earlier
 from cloak_core.files.writing import write_json
 
 _COLORS = {
@@ -22,8 +22,7 @@ def write_report(result: dict, folder: Path) -> dict:
     file cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    result = result | {"scenes": earlier(folder / "accuracy.json", "scenes") | result["scenes"]}
-    result["scenes"] = {name: result["scenes"][name] for name in SCENES if name in result["scenes"]}
+    result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], SCENES)}
     write_json(folder / "accuracy.json", result)
     (folder / "accuracy.md").write_text(tables(result), encoding="utf-8")
     plot(result, folder / "accuracy.png")
@@ -35,14 +34,11 @@ def tables(result: dict) -> str:
     lines = []
     for name, scene in result["scenes"].items():
         lines += ["", f"### {name}: {scene['triangles']:,} triangles, {scene['pixels']:,} pixels", ""]
-        lines += [
-            f"Reference: {scene['reference']}. {circumstances(scene)}; medians of at least {scene['repeats']}.",
-            "",
-        ]
-        lines += ["| | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 1) + "|"]
-        for point in scene["points"]:
-            label = f"**{point['name']}**" if point["name"] == result["default"] else point["name"]
-            lines.append(f"| {label} | " + " | ".join(_figure(point[key]) for key in COLUMNS) + " |")
+        place = f"{circumstances(scene)}; medians of at least {scene['repeats']}."
+        lines += [f"Reference: {scene['reference']}. {place}", ""]
+        names = [f"**{p['name']}**" if p["name"] == result["default"] else p["name"] for p in scene["points"]]
+        figures = [[_figure(point[key]) for key in COLUMNS] for point in scene["points"]]
+        lines += table(["", *COLUMNS.values()], [[name, *row] for name, row in zip(names, figures, strict=True)])
     return "\n".join(lines[1:]) + "\n"
 
 

@@ -1,13 +1,14 @@
 """What a detector costs: forward, and forward with the gradient of the images, against the same model used naively."""
 
 import statistics
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
 
-from cloak_core.bench.views import machine
+from cloak_core.bench.records import table
+from cloak_core.bench.step import Clock
+from cloak_core.bench.views import machine, torch_threads
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
@@ -32,12 +33,8 @@ def run_bench_detectors(
     The two ways take turns, so that both meet the same machine. A black box has no gradients: those entries are absent.
     `options` go to `load_detector`.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads or before)
-    try:
+    with torch_threads(threads or torch.get_num_threads()):
         return {spec: _bench(spec, batch, size, repeats, device, options) for spec in specs}
-    finally:
-        torch.set_num_threads(before)
 
 
 def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options: dict) -> dict[str, float]:
@@ -49,13 +46,12 @@ def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options:
         plain = {name: value for name, value in options.items() if name not in ("precision", "compiled")}
         naive = load_detector(spec, device=device, fold=False, **plain).requires_grad_(True)
         ways |= {"gradient_ms": lambda: _gradient(detector, images), "naive_ms": lambda: _gradient(naive, images)}
-    times: dict[str, list[float]] = {name: [] for name in ways}
+    clock = Clock(images.device)
     for turn in range(repeats + 1):
+        clock.counts = turn > 0  # the first turn warms up
         for name, work in ways.items():
-            elapsed = _timed(work, images.device)
-            if turn:  # the first turn warms up
-                times[name].append(elapsed)
-    result = {name: 1e3 * statistics.median(values) / batch for name, values in times.items()}
+            clock.time(name, work)
+    result = {name: statistics.median(values) / batch for name, values in clock.milliseconds.items()}
     if "naive_ms" in result:
         result["speedup"] = result["naive_ms"] / result["gradient_ms"]
     return result | {"batch": batch, "threads": torch.get_num_threads()}
@@ -63,18 +59,16 @@ def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options:
 
 def write_table(results: dict[str, dict[str, float]], path: Path, device: str = "cpu") -> None:
     """The figures of `run_bench_detectors` as a Markdown table, with machine, versions and date."""
-    lines = [
-        "| detector | forward | forward + input gradient | the same, naive use | times as fast |",
-        "|---|---|---|---|---|",
-    ]
+    rows = []
     for spec, figures in results.items():
         cells = [f"{figures[key]:.1f}" if key in figures else "" for key in ("forward_ms", "gradient_ms", "naive_ms")]
         speedup = f"{figures['speedup']:.2f}" if "speedup" in figures else ""
-        lines.append(f"| {' | '.join([short_name(spec), *cells, speedup])} |")
+        rows.append([short_name(spec), *cells, speedup])
+    columns = ["detector", "forward", "forward + input gradient", "the same, naive use", "times as fast"]
     batch, threads = (next(iter(results.values()))[key] for key in ("batch", "threads"))
     facts = ", ".join(f"{name} {value}" for name, value in machine(device).items())
     head = f"Milliseconds per image, {batch} images at a time, {threads} threads; {facts}."
-    path.write_text("\n".join([head, "", *lines, ""]), "utf-8")
+    path.write_text("\n".join([head, "", *table(columns, rows), ""]), "utf-8")
 
 
 @torch.no_grad()
@@ -85,11 +79,3 @@ def _forward(detector: Detector, images: torch.Tensor) -> None:
 def _gradient(detector: Detector, images: torch.Tensor) -> None:
     detector.zero_grad(set_to_none=True)
     max_person_score(detector(images.clone().requires_grad_())).sum().backward()
-
-
-def _timed(work: Callable[[], None], device: torch.device) -> float:
-    start = time.perf_counter()
-    work()
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
-    return time.perf_counter() - start

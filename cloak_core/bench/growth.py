@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloak_core.bench.records import circumstances, earlier
+from cloak_core.bench.records import circumstances, table, with_earlier
 from cloak_core.bench.views import machine
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -98,8 +98,7 @@ def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
 def write_report(series: dict, folder: Path) -> dict:
     """Write growth.json and growth.md, with what the folder held before of other series, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
-    series = earlier(folder / "growth.json", "series") | series
-    result = _result({name: series[name] for name in _SIZES if name in series})
+    result = _result(with_earlier(folder / "growth.json", "series", series, _SIZES))
     write_json(folder / "growth.json", result)
     (folder / "growth.md").write_text(tables(result), encoding="utf-8")
     return result
@@ -109,16 +108,17 @@ def tables(result: dict) -> str:
     """One table for each series."""
     lines = []
     for name, record in result["series"].items():
-        heading = {"pixels": "pixels along each side"}.get(name, name)
-        lines += [
-            "",
-            f"### {name}: time ∝ size^{record['exponent']:.2f}, memory ∝ size^{record['memory_exponent']:.2f}",
-            "",
-        ]
+        heading = "pixels along each side" if name == "pixels" else name
+        slopes = f"time ∝ size^{record['exponent']:.2f}, memory ∝ size^{record['memory_exponent']:.2f}"
+        lines += ["", f"### {name}: {slopes}", ""]
         lines += [f"{circumstances(record)}; budget for kept views {record['memory'] / 2**30:.3g} GiB.", ""]
-        lines += [f"| {heading} | seconds | held while building, MiB | peak of the process, MiB |", "|---|---|---|---|"]
-        for p in record["points"]:
-            lines.append(f"| {p['size']:,} | {p['seconds']:.3f} | {p['working_mib']:.0f} | {p['peak_mib']:.0f} |")
+        lines += table(
+            [heading, "seconds", "held while building, MiB", "peak of the process, MiB"],
+            [
+                [f"{p['size']:,}", f"{p['seconds']:.3f}", f"{p['working_mib']:.0f}", f"{p['peak_mib']:.0f}"]
+                for p in record["points"]
+            ],
+        )
     return "\n".join(lines[1:]) + "\n"
 
 

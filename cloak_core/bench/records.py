@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
 
 
-def earlier(path: Path, key: str) -> dict:
-    """What an earlier run left in a JSON file under `key`; nothing where there is none."""
-    if not path.exists():
-        return {}
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8"))[key])
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not the record of an earlier run ({error!r})") from None
+def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
+    """What an earlier run left in a JSON file under `key`, and what is new instead or beside it, in that order."""
+    known = {}
+    if path.exists():
+        try:
+            known = dict(json.loads(path.read_text(encoding="utf-8"))[key])
+        except (ValueError, KeyError, TypeError) as error:
+            raise InputError(f"{path}: not the record of an earlier run ({error!r})") from None
+    return {name: (known | new)[name] for name in order if name in known | new}
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
+    first, *others = (f"| {' | '.join(cells)} |" for cells in (head, *rows))
+    return [first, "|" + "---|" * len(head), *others]
 
 
 def circumstances(record: dict) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+import trimesh
 from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
@@ -130,23 +131,11 @@ def _space(rng: np.random.Generator, spread: float, camera: Camera, flatten: flo
     return Case(screen, rows(rng.integers(0, 30, (40, 3))))
 
 
-def ball(rng: np.random.Generator, levels: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """A closed, convex, outward body in a random orientation: an octahedron, subdivided. Vertices [V, 3], triangles."""
-    points = [np.array(p, float) for p in ((1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1))]
-    triangles = [(0, 1, 2), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 0, 5), (3, 1, 5), (4, 3, 5), (0, 4, 5)]
-    for _ in range(levels):
-        middle: dict[tuple[int, int], int] = {}
-
-        def between(a: int, b: int, middle: dict = middle) -> int:
-            if (key := (min(a, b), max(a, b))) not in middle:
-                middle[key] = len(points)
-                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
-            return middle[key]
-
-        split = [(a, b, c, between(a, b), between(b, c), between(c, a)) for a, b, c in triangles]
-        triangles = [t for a, b, c, d, e, f in split for t in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))]
+def ball(rng: np.random.Generator, levels: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """A closed, convex, outward body in a random orientation: a subdivided icosahedron. Vertices [V, 3], triangles."""
+    solid = trimesh.creation.icosphere(subdivisions=levels)
     turn = np.linalg.qr(rng.normal(0, 1, (3, 3)))[0]
-    return np.array(points) @ (turn * np.linalg.det(turn)), np.array(triangles)
+    return solid.vertices @ (turn * np.linalg.det(turn)), solid.faces
 
 
 def _closed(rng: np.random.Generator) -> Case:

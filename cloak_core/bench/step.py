@@ -22,6 +22,7 @@ from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.attack.training import make_bank
+from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine, torch_threads
 from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
@@ -69,19 +70,17 @@ def run_bench_step(
 def step_table(result: dict) -> str:
     """A record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
     rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
+    head = ["detector", "batch", "views", "floor, ms", "step, ms", "ratio", "beside the detector, ms per image"]
     lines = [
-        "| detector | batch | views | floor, ms | step, ms | ratio | beside the detector, ms per image "
-        "| next batch, ms | paint, ms | update, ms | page faults a step |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        [row["name"], str(row["batch"]), row["views"], f"{row['floor_ms']:.1f}", f"{row['step_ms']:.1f}"]
+        + [f"{row['ratio']:.3f}", f"{row['overhead_ms_per_image']:.2f}"]
+        + [f"{row['parts_ms'][name]:.1f}" for name in ("next_batch", "paint", "update")]
+        + [str(row["page_faults"]["step"])]
+        for row in rows
     ]
-    for row in rows:
-        parts = " | ".join(f"{row['parts_ms'][name]:.1f}" for name in ("next_batch", "paint", "update"))
-        lines.append(
-            f"| {row['name']} | {row['batch']} | {row['views']} | {row['floor_ms']:.1f} | {row['step_ms']:.1f} "
-            f"| {row['ratio']:.3f} | {row['overhead_ms_per_image']:.2f} | {parts} | {row['page_faults']['step']} |"
-        )
     place = ", ".join(f"{key} {value}" for key, value in result["machine"].items())
-    return "\n".join(lines) + f"\n\n{place}; {result['threads']} threads.\n"
+    cells = table([*head, "next batch, ms", "paint, ms", "update, ms", "page faults a step"], lines)
+    return "\n".join(cells) + f"\n\n{place}; {result['threads']} threads.\n"
 
 
 class _Bench:
@@ -127,11 +126,11 @@ class _Bench:
             optimizer.update(settings.optimization.lr)
             log.write({"type": "step", "step": 0, "time": 0.0})
 
-        clock = _Clock(self.device)
+        clock = Clock(self.device)
         batches = {}
         with _event_log() as log:
             for number in range(repeats + WARM_UP):
-                clock.start_round(counts=number >= WARM_UP)
+                clock.counts = number >= WARM_UP
                 clock.time("floor", floor)
                 clock.time("step", lambda n=number: step(n))
                 clock.time("next_batch", lambda n=number: batches.update({n: self.batcher.batch(500_000 + n)}))
@@ -152,16 +151,13 @@ class _Bench:
         return int(np.ceil(wanted / self.settings.run.batch)) + 1
 
 
-class _Clock:
-    """Milliseconds and page faults of named actions, by round."""
+class Clock:
+    """Milliseconds and page faults of named actions, one entry for each round that `counts`."""
 
     def __init__(self, device: torch.device) -> None:
         self.device, self.counts = device, False
         self.milliseconds: dict[str, list[float]] = {}
         self.faults: dict[str, list[int]] = {}
-
-    def start_round(self, counts: bool) -> None:
-        self.counts = counts
 
     def time(self, name: str, action: Callable[[], None]) -> None:
         self._wait()

@@ -23,6 +23,7 @@ from cloak_core.render.compositing import compose
 from cloak_core.render.view_files import StoredViews
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.geometry import face_centres, face_normals
 
 BATCH = 8
 """Views at once."""
@@ -112,15 +113,12 @@ def chest_and_thighs(bodies: Bodies) -> np.ndarray:
     """
     if "chest_thighs" in bodies.regions:
         return np.nonzero(bodies.regions["chest_thighs"])[0]
-    vertices, triangles = bodies.vertices[0].astype(np.float64), bodies.triangles
-    corner = vertices[triangles]
-    low, high = vertices[:, 1].min(), vertices[:, 1].max()
-    level = (corner[..., 1].mean(1) - low) / max(high - low, 1e-9)
-    front = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0
-    chosen = front & (((level > 0.66) & (level < 0.82)) | ((level > 0.3) & (level < 0.48)))
-    if not chosen.any():
-        chosen[:] = True
-    return np.unique(bodies.triangle_face[chosen]).astype(np.int64)
+    level = face_centres(bodies)[:, 1]
+    low, high = bodies.vertices[0][:, 1].min(), bodies.vertices[0][:, 1].max()
+    level = (level - low) / max(high - low, 1e-9)
+    chosen = ((level > 0.66) & (level < 0.82)) | ((level > 0.3) & (level < 0.48))
+    chosen &= face_normals(bodies)[:, 2] > 0
+    return np.flatnonzero(chosen if chosen.any() else ~chosen)
 
 
 def timed(work: Callable[[], object], repeats: int, device: str = "cpu", warm_up: int = 3) -> dict[str, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.geometry import face_centres, face_normals
 
 Rng = np.random.Generator
 Colors = Float[np.ndarray, "F 3"]
@@ -25,14 +26,9 @@ class Wardrobe:
     """Draws outfits for the faces of one topology."""
 
     def __init__(self, bodies: Bodies) -> None:
-        corners = bodies.vertices[0][bodies.triangles]
-        count = np.bincount(bodies.triangle_face, minlength=bodies.face_count).clip(1)[:, None]
-        middle, normal = corners.mean(1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self.centre, self.normal = (
-            _sum_by(bodies.triangle_face, v, bodies.face_count) / count for v in (middle, normal)
-        )
-        self.centre = (self.centre - self.centre.mean(0)).astype(np.float32)
-        self.normal = (self.normal / np.linalg.norm(self.normal, axis=1, keepdims=True).clip(1e-12)).astype(np.float32)
+        centre = face_centres(bodies)
+        self.centre = (centre - centre.mean(0)).astype(np.float32)
+        self.normal = face_normals(bodies).astype(np.float32)
         self.base = bodies.face_colors
         self.garments = [bodies.regions[n] for n in GARMENTS if n in bodies.regions]
         self.patches = [bodies.regions[n] for n in PATCHED if n in bodies.regions]
@@ -69,10 +65,6 @@ class Wardrobe:
         """One of the patterns, over the whole body."""
         weights = np.array(list(kinds.values()))
         return list(kinds)[rng.choice(len(kinds), p=weights / weights.sum())](rng, self.centre)
-
-
-def _sum_by(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    return np.stack([np.bincount(group, values[:, k], count) for k in range(values.shape[1])], 1)
 
 
 def _color(rng: Rng) -> Float[np.ndarray, 3]:
