@@ -63,7 +63,6 @@ class CloakPanel:
 class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
     """Step 1: the mesh that wears the logo"""
 
-    bl_idname = "CLOAK_PT_body"
     bl_label = "1. Body"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -86,8 +85,6 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
 class CLOAK_UL_logos(bpy.types.UIList):
     """The mesh's logos: its boolean face attributes"""
 
-    bl_idname = "CLOAK_UL_logos"
-
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         layout.prop(item, "name", text="", emboss=False, icon="FACESEL")
 
@@ -98,7 +95,6 @@ class CLOAK_UL_logos(bpy.types.UIList):
 class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
     """Step 2: the faces that get trained colours"""
 
-    bl_idname = "CLOAK_PT_logo"
     bl_label = "2. Logo"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -167,7 +163,6 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
 class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
     """Step 3: the poses to train on"""
 
-    bl_idname = "CLOAK_PT_poses"
     bl_label = "3. Poses"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -194,7 +189,6 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
 class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
     """Step 4: train the logo's colours against a detector"""
 
-    bl_idname = "CLOAK_PT_train"
     bl_label = "4. Train"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -240,7 +234,6 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
 class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
     """Step 5: the trained colours on the model"""
 
-    bl_idname = "CLOAK_PT_result"
     bl_label = "5. Result"
 
     def draw(self, context: bpy.types.Context) -> None:

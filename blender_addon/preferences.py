@@ -68,7 +68,6 @@ class CloakPreferences(bpy.types.AddonPreferences):
 class CLOAK_OT_find_python(CloakOperator):
     """Look for a Python that has cloak_core"""
 
-    bl_idname = "cloak.find_python"
     bl_label = "Find Python"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -82,7 +81,6 @@ class CLOAK_OT_find_python(CloakOperator):
 class CLOAK_OT_test_python(CloakOperator):
     """Start the trainer and show its version and device"""
 
-    bl_idname = "cloak.test_python"
     bl_label = "Test Trainer"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -111,7 +109,6 @@ def _show_answer(job: Job, python: str) -> str:
 class CLOAK_OT_copy_install_line(CloakOperator):
     """Copy the line that installs the trainer to the clipboard"""
 
-    bl_idname = "cloak.copy_install_line"
     bl_label = "Copy Installation Line"
 
     def run(self, context: bpy.types.Context) -> str:

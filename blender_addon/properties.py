@@ -6,14 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.props import (
-    BoolProperty,
-    EnumProperty,
-    FloatProperty,
-    IntProperty,
-    PointerProperty,
-    StringProperty,
-)
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from .command_lines import TrainRequest
 from .faces import is_logo, logo_names
@@ -28,6 +21,22 @@ def _share(name: str, description: str, default: float, least: float = 0.0, most
 
 def _path(name: str, description: str, subtype: str = "FILE_PATH") -> object:
     return StringProperty(name=name, description=description, subtype=subtype)
+
+
+def _text(name: str, description: str, default: str = "") -> object:
+    return StringProperty(name=name, description=description, default=default)
+
+
+def _switch(name: str, description: str, default: bool = False) -> object:
+    return BoolProperty(name=name, description=description, default=default)
+
+
+def _whole(name: str, description: str, default: int, **bounds: int) -> object:
+    return IntProperty(name=name, description=description, default=default, **bounds)
+
+
+def _choice(name: str, description: str, *items: tuple[str, str, str]) -> object:
+    return EnumProperty(name=name, description=description, items=items)
 
 
 def _logo_index(self: CloakObject) -> int:
@@ -47,7 +56,7 @@ def _set_logo_index(self: CloakObject, index: int) -> None:
 class CloakObject(bpy.types.PropertyGroup):
     """What Cloak keeps on an object."""
 
-    logo: StringProperty(name="Logo", description="Name of the active logo of this object")
+    logo: _text("Logo", "Name of the active logo of this object")
     logo_index: IntProperty(
         name="Active Logo",
         description="Position of the active logo among the mesh's attributes",
@@ -55,39 +64,35 @@ class CloakObject(bpy.types.PropertyGroup):
         set=_set_logo_index,
     )
     run: _path("Run Folder", "Folder of the training whose colours this object wears, or will wear", "DIR_PATH")
-    verdict: StringProperty(name="Render Check", description="What the detector said about the Cycles renders")
+    verdict: _text("Render Check", "What the detector said about the Cycles renders")
 
 
 class CloakSettings(bpy.types.PropertyGroup):
     """What Cloak keeps on a scene."""
 
-    triangulate: BoolProperty(
-        name="Triangulate",
-        description="Also split every face into triangles, so that each triangle gets its own colour as in the paper",
+    triangulate: _switch(
+        "Triangulate",
+        "Also split every face into triangles, so that each triangle gets its own colour as in the paper",
         default=True,
     )
-    tint: BoolProperty(name="Tint", description="Tint the active logo's faces in the viewport", default=True)
+    tint: _switch("Tint", "Tint the active logo's faces in the viewport", default=True)
 
-    stamp_kind: EnumProperty(
-        name="Stamp",
-        description="What to project onto the body",
-        items=[
-            ("TEXT", "Text", "A letter or a word in Blender's font"),
-            ("IMAGE", "Image", "The dark, opaque pixels of an image"),
-            ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
-        ],
+    stamp_kind: _choice(
+        "Stamp",
+        "What to project onto the body",
+        ("TEXT", "Text", "A letter or a word in Blender's font"),
+        ("IMAGE", "Image", "The dark, opaque pixels of an image"),
+        ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
     )
-    stamp_text: StringProperty(name="Text", description="Text to stamp", default="G")
+    stamp_text: _text("Text", "Text to stamp", "G")
     stamp_image: PointerProperty(
         name="Image", description="Image whose dark, opaque pixels are stamped", type=bpy.types.Image
     )
-    stamp_from: EnumProperty(
-        name="From",
-        description="Where the stamp is projected from",
-        items=[
-            ("FRONT", "Front", "Straight onto the body's front, placed by Size, Height and Offset"),
-            ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
-        ],
+    stamp_from: _choice(
+        "From",
+        "Where the stamp is projected from",
+        ("FRONT", "Front", "Straight onto the body's front, placed by Size, Height and Offset"),
+        ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
     )
     stamp_size: _share("Size", "Height of the stamp as a share of the body's height (or of the viewport's)", 0.2, 0.01)
     stamp_center: _share("Height", "Middle of the stamp above the ground, as a share of the body's height", 0.72)
@@ -101,77 +106,55 @@ class CloakSettings(bpy.types.PropertyGroup):
         0.001,
     )
 
-    pose_source: EnumProperty(
-        name="Poses",
-        description="Which poses to train on",
-        items=[
-            ("CURRENT", "Current Pose", "The body as it stands now"),
-            ("RANGE", "Frame Range", "Every so many frames of the animation"),
-            ("ACTIONS", "All Actions", "Every so many frames of each action that moves the body"),
-        ],
+    pose_source: _choice(
+        "Poses",
+        "Which poses to train on",
+        ("CURRENT", "Current Pose", "The body as it stands now"),
+        ("RANGE", "Frame Range", "Every so many frames of the animation"),
+        ("ACTIONS", "All Actions", "Every so many frames of each action that moves the body"),
     )
-    frame_start: IntProperty(name="Start", description="First frame to export", default=1)
-    frame_end: IntProperty(name="End", description="Last frame to export", default=12)
-    frame_step: IntProperty(name="Step", description="Frames from one exported pose to the next", default=1, min=1)
-    clothing: BoolProperty(
-        name="Include Clothing",
-        description="Export visible meshes parented to the body, or moved by its armature, as clothing",
+    frame_start: _whole("Start", "First frame to export", 1)
+    frame_end: _whole("End", "Last frame to export", 12)
+    frame_step: _whole("Step", "Frames from one exported pose to the next", 1, min=1)
+    clothing: _switch(
+        "Include Clothing", "Export visible meshes parented to the body, or moved by its armature, as clothing"
     )
 
-    detector: EnumProperty(
-        name="Detector",
-        description="The person detector to hide from",
-        items=[
-            ("BUILTIN", "Built-in", "The small YOLOv2-family detector that comes with Cloak"),
-            ("DARKNET", "Darknet Files", "A YOLO network from its .cfg and .weights files"),
-            ("TORCHVISION", "Torchvision", "A torchvision detector by name, with its checkpoint"),
-            ("PYTHON", "Python Module", "A function in a Python file that makes a detector"),
-        ],
+    detector: _choice(
+        "Detector",
+        "The person detector to hide from",
+        ("BUILTIN", "Built-in", "The small YOLOv2-family detector that comes with Cloak"),
+        ("DARKNET", "Darknet Files", "A YOLO network from its .cfg and .weights files"),
+        ("TORCHVISION", "Torchvision", "A torchvision detector by name, with its checkpoint"),
+        ("PYTHON", "Python Module", "A function in a Python file that makes a detector"),
     )
     darknet_cfg: _path("Config", "Darknet .cfg file")
     darknet_weights: _path("Weights", "Darknet .weights file")
-    torchvision_name: StringProperty(
-        name="Model", description="Name of a torchvision detector", default="fasterrcnn_mobilenet_v3_large_fpn"
-    )
+    torchvision_name: _text("Model", "Name of a torchvision detector", "fasterrcnn_mobilenet_v3_large_fpn")
     torchvision_checkpoint: _path("Checkpoint", "File with the model's weights")
     python_file: _path("File", "Python file that makes the detector (it will be run)")
-    python_function: StringProperty(
-        name="Function", description="Function in that file that returns the detector", default="load"
-    )
+    python_function: _text("Function", "Function in that file that returns the detector", "load")
     backgrounds: _path("Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH")
-    preset: EnumProperty(
-        name="Preset",
-        description="Which settings to train with",
-        items=[
-            ("best", "Best", "What works best"),
-            ("paper", "Paper", "The settings of the paper"),
-            ("reference", "Reference", "The settings of the paper's published code"),
-        ],
+    preset: _choice(
+        "Preset",
+        "Which settings to train with",
+        ("best", "Best", "What works best"),
+        ("paper", "Paper", "The settings of the paper"),
+        ("reference", "Reference", "The settings of the paper's published code"),
     )
     config: _path("Settings File", "TOML file with further settings of cloak train; empty for the preset's own")
-    angle_first: IntProperty(
-        name="From",
-        description="First azimuth to train at, in degrees; 0 looks at the front",
-        default=-10,
-        min=-180,
-        max=180,
-    )
-    angle_last: IntProperty(
-        name="To", description="Last azimuth to train at, in degrees", default=10, min=-180, max=180
-    )
-    angle_step: IntProperty(
-        name="Step", description="Degrees from one training azimuth to the next", default=5, min=1, max=360
-    )
-    steps: IntProperty(name="Steps", description="Updates of the colours", default=600, min=1, max=10_000_000)
-    device: EnumProperty(
-        name="Device",
-        description="What to train on",
-        items=[("cpu", "CPU", "The processor"), ("cuda", "GPU", "An NVIDIA graphics card (CUDA)")],
+    angle_first: _whole("From", "First azimuth to train at, in degrees; 0 looks at the front", -10, min=-180, max=180)
+    angle_last: _whole("To", "Last azimuth to train at, in degrees", 10, min=-180, max=180)
+    angle_step: _whole("Step", "Degrees from one training azimuth to the next", 5, min=1, max=360)
+    steps: _whole("Steps", "Updates of the colours", 600, min=1, max=10_000_000)
+    device: _choice(
+        "Device",
+        "What to train on",
+        ("cpu", "CPU", "The processor"),
+        ("cuda", "GPU", "An NVIDIA graphics card (CUDA)"),
     )
     output: _path("Output", "Folder that run folders are made in; empty for the add-on's own folder", "DIR_PATH")
-    live: BoolProperty(
-        name="Live Colours", description="Show the colours on the model while they are being trained", default=True
-    )
+    live: _switch("Live Colours", "Show the colours on the model while they are being trained", default=True)
     live_seconds: FloatProperty(
         name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
     )

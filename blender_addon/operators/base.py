@@ -14,9 +14,12 @@ WITH_UNDO = {"REGISTER", "UNDO"}
 
 
 class CloakOperator(bpy.types.Operator):
-    """Base: `run` does the work and returns what to say, "" for nothing."""
+    """Base: `run` does the work and returns what to say, "" for nothing. CLOAK_OT_name is `bpy.ops.cloak.name`."""
 
     bl_options = PLAIN
+
+    def __init_subclass__(cls) -> None:
+        cls.bl_idname = "cloak." + cls.__name__.removeprefix("CLOAK_OT_")
 
     def run(self, context: bpy.types.Context) -> str:
         raise NotImplementedError

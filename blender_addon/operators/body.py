@@ -22,7 +22,6 @@ class CLOAK_OT_subdivide(BodyOperator):
     """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
 keys, weights, materials, UVs and logos are kept"""
 
-    bl_idname = "cloak.subdivide"
     bl_label = "Subdivide Body"
 
     triangulate: bpy.props.BoolProperty(
@@ -43,7 +42,6 @@ keys, weights, materials, UVs and logos are kept"""
 class CLOAK_OT_add_sample_body(CloakOperator):
     """Add Cloak's sample body: people of varied shape as shape keys, one per frame, with named regions as logos"""
 
-    bl_idname = "cloak.add_sample_body"
     bl_label = "Add Sample Body"
 
     def run(self, context: bpy.types.Context) -> str:

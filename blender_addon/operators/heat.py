@@ -31,7 +31,6 @@ HEAT = "cloak_heat"
 class CLOAK_OT_heatmap(CloakOperator):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
 
-    bl_idname = "cloak.heatmap"
     bl_label = "Heatmap"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -74,7 +73,6 @@ def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarra
 class CLOAK_OT_logo_from_heat(BodyOperator):
     """Make a logo of the faces that move the detector most for their size"""
 
-    bl_idname = "cloak.logo_from_heat"
     bl_label = "New from Heatmap"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:

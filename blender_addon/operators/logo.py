@@ -49,7 +49,6 @@ class LogoOperator(BodyOperator):
 class CLOAK_OT_logo_new(BodyOperator):
     """Make a logo of the selected faces"""
 
-    bl_idname = "cloak.logo_new"
     bl_label = "New from Selection"
 
     name: StringProperty(name="Name", description="Name of the new logo", default="Logo")
@@ -63,7 +62,6 @@ class CLOAK_OT_logo_new(BodyOperator):
 class CLOAK_OT_logo_assign(LogoOperator):
     """Add the selected faces to the active logo"""
 
-    bl_idname = "cloak.logo_assign"
     bl_label = "Assign"
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -73,7 +71,6 @@ class CLOAK_OT_logo_assign(LogoOperator):
 class CLOAK_OT_logo_unassign(LogoOperator):
     """Take the selected faces out of the active logo"""
 
-    bl_idname = "cloak.logo_unassign"
     bl_label = "Remove"
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -83,7 +80,6 @@ class CLOAK_OT_logo_unassign(LogoOperator):
 class CLOAK_OT_logo_select(BodyOperator):
     """Select the faces of the active logo"""
 
-    bl_idname = "cloak.logo_select"
     bl_label = "Select"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
@@ -97,7 +93,6 @@ class CLOAK_OT_logo_select(BodyOperator):
 class CLOAK_OT_logo_remove(BodyOperator):
     """Delete the active logo; the faces themselves stay"""
 
-    bl_idname = "cloak.logo_remove"
     bl_label = "Delete Logo"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
@@ -110,7 +105,6 @@ class CLOAK_OT_logo_remove(BodyOperator):
 class CLOAK_OT_logo_mirror(BodyOperator):
     """Mirror the active logo across the object's X axis"""
 
-    bl_idname = "cloak.logo_mirror"
     bl_label = "Mirror"
 
     extend: BoolProperty(name="Extend", description="Keep the faces of this side as well", default=True)
@@ -131,7 +125,6 @@ class CLOAK_OT_logo_mirror(BodyOperator):
 class CLOAK_OT_logo_grow(LogoOperator):
     """Extend the active logo by the faces around it"""
 
-    bl_idname = "cloak.logo_grow"
     bl_label = "Grow"
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -141,7 +134,6 @@ class CLOAK_OT_logo_grow(LogoOperator):
 class CLOAK_OT_logo_shrink(LogoOperator):
     """Take the outermost faces off the active logo"""
 
-    bl_idname = "cloak.logo_shrink"
     bl_label = "Shrink"
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -157,7 +149,6 @@ class CLOAK_OT_logo_shrink(LogoOperator):
 class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
     """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
 
-    bl_idname = "cloak.logo_export"
     bl_label = "Export Face List"
 
     filename_ext = ".npy"
@@ -174,7 +165,6 @@ class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
 class CLOAK_OT_logo_import(BodyOperator, ImportHelper):
     """Make a logo from a face list (.npy) that was made for this mesh"""
 
-    bl_idname = "cloak.logo_import"
     bl_label = "Import Face List"
 
     filename_ext = ".npy"

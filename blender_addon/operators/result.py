@@ -27,7 +27,6 @@ def run_of(obj: bpy.types.Object) -> Path:
 class CLOAK_OT_result_load(BodyOperator):
     """Bring the colours of the run folder onto the model"""
 
-    bl_idname = "cloak.result_load"
     bl_label = "Load Colours"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
@@ -38,7 +37,6 @@ class CLOAK_OT_result_load(BodyOperator):
 class CLOAK_OT_result_toggle(BodyOperator):
     """Switch between the cloak and the body's own materials"""
 
-    bl_idname = "cloak.result_toggle"
     bl_label = "Toggle Cloak"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
@@ -55,7 +53,6 @@ class CLOAK_OT_result_toggle(BodyOperator):
 class CLOAK_OT_use_standard_view(CloakOperator):
     """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
 
-    bl_idname = "cloak.use_standard_view"
     bl_label = "Use Standard"
     bl_options = WITH_UNDO
 
@@ -67,7 +64,6 @@ class CLOAK_OT_use_standard_view(CloakOperator):
 class CLOAK_OT_open_report(CloakOperator):
     """Open the run's report in the web browser, after making it if need be"""
 
-    bl_idname = "cloak.open_report"
     bl_label = "Open Report"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -96,7 +92,6 @@ def _open(report: Path) -> str:
 class CLOAK_OT_render_check(CloakOperator):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
-    bl_idname = "cloak.render_check"
     bl_label = "Render Check"
 
     def run(self, context: bpy.types.Context) -> str:

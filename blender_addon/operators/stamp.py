@@ -20,7 +20,6 @@ from .logo import active_logo
 class CLOAK_OT_logo_stamp(BodyOperator):
     """Project the stamp onto the body and make a logo of the faces it covers"""
 
-    bl_idname = "cloak.logo_stamp"
     bl_label = "Stamp"
 
     target: EnumProperty(

@@ -24,7 +24,6 @@ from .logo import active_logo
 class CLOAK_OT_train_start(CloakOperator):
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
 
-    bl_idname = "cloak.train_start"
     bl_label = "Start"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -44,7 +43,6 @@ class CLOAK_OT_train_start(CloakOperator):
 class CLOAK_OT_train_cancel(CloakOperator):
     """End the running job; a training ends after the current step and can be resumed"""
 
-    bl_idname = "cloak.train_cancel"
     bl_label = "Cancel"
 
     def run(self, context: bpy.types.Context) -> str:
@@ -58,7 +56,6 @@ class CLOAK_OT_train_cancel(CloakOperator):
 class CLOAK_OT_train_resume(CloakOperator):
     """Go on with this object's training from its last checkpoint"""
 
-    bl_idname = "cloak.train_resume"
     bl_label = "Resume"
 
     def run(self, context: bpy.types.Context) -> str:

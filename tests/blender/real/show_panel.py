@@ -59,8 +59,8 @@ def sidebar(*names):
     """Show the Cloak tab, and of its panels only those named."""
     yield from show_tab()
     for cls in sys.modules["cloak.panel"].CLASSES:
-        short = cls.bl_idname.removeprefix("CLOAK_PT_")
-        if short != cls.bl_idname and short not in names and cls.is_registered:
+        short = cls.__name__.removeprefix("CLOAK_PT_")
+        if short != cls.__name__ and short not in names and cls.is_registered:
             bpy.utils.unregister_class(cls)
             HIDDEN.append(cls)
     yield from show_tab()
