@@ -96,9 +96,7 @@ def attribute_material(name: str) -> bpy.types.Material:
     if material is not None and material.library is None and _shows_attribute(material, name):
         return material
     material = bpy.data.materials.new(name)
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes, links = nodes_of(material)
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = 0.6
     source = nodes.new("ShaderNodeVertexColor")
@@ -106,6 +104,13 @@ def attribute_material(name: str) -> bpy.types.Material:
     source.location = (shader.location.x - 220, shader.location.y)
     links.new(source.outputs["Color"], shader.inputs["Base Color"])
     return material
+
+
+def nodes_of(owner: bpy.types.Material | bpy.types.World) -> tuple:
+    """The nodes of a new material or world, and their links."""
+    if bpy.app.version < (5, 0, 0):
+        owner.use_nodes = True
+    return owner.node_tree.nodes, owner.node_tree.links
 
 
 def _shows_attribute(material: bpy.types.Material, name: str) -> bool:

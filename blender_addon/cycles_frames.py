@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render many bodies, cameras and lights in Cycles, for the experiment `render-gap`; run by a Python that has bpy.
+"""Render many bodies, cameras and lights in Cycles, for the experiment `render-gap`, in a process of its own.
 
-    python blender_addon/cycles_frames.py FOLDER
+    python blender_addon/train.py -- cycles-frames FOLDER      (a Python with the bpy package)
 
 FOLDER holds `meshes.npz` (vertices and normals [P, V, 3], y up; triangles [T, 3]; colors [K, T, 3], sRGB) and
 `job.json` (size, samples, near and far planes, and frames: pose, colors, light, camera, file). Every frame becomes an
@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,18 +21,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from .body import blender_axes
+from .colors import nodes_of, srgb_to_linear
+from .render_check import set_up
+
 COLORS = "colors"
-
-
-def srgb_to_linear(values: np.ndarray | float) -> np.ndarray:
-    """IEC 61966-2-1, elementwise."""
-    values = np.asarray(values, np.float64)
-    return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4)
-
-
-def to_blender(points: np.ndarray) -> np.ndarray:
-    """[..., 3] from y up, facing +z to z up, facing -y."""
-    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], -1)
 
 
 # --- light -----------------------------------------------------------------------------------------------------------
@@ -85,9 +77,7 @@ LIGHTS: dict[str, Callable[[bpy.types.Scene, bpy.types.Material], None]] = {
 
 def _empty(material: bpy.types.Material) -> tuple:
     """A material's nodes and links with nothing but the output and the face colours, and those colours."""
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes, links = nodes_of(material)
     nodes.clear()
     nodes.new("ShaderNodeOutputMaterial").name = "Output"
     source = nodes.new("ShaderNodeVertexColor")
@@ -108,7 +98,7 @@ def _lamp(scene: bpy.types.Scene, kind: str, place: tuple[float, float, float], 
     lamp = bpy.data.lights.new("lamp", kind)
     lamp.energy = power
     holder = bpy.data.objects.new("lamp", lamp)
-    where = Vector(to_blender(np.array(place)).tolist())
+    where = Vector(blender_axes(np.array(place)).tolist())
     holder.location, holder.rotation_euler = where, where.to_track_quat("Z", "Y").to_euler()
     scene.collection.objects.link(holder)
     return lamp
@@ -117,9 +107,7 @@ def _lamp(scene: bpy.types.Scene, kind: str, place: tuple[float, float, float], 
 def _surround(scene: bpy.types.Scene, above: tuple[float, ...], below: tuple[float, ...]) -> None:
     """A world of two colours (linear) that meet softly at the horizon."""
     world = scene.world = bpy.data.worlds.new("world")
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes, links = nodes_of(world)
     nodes.clear()
     where, split, ramp, light, out = (
         nodes.new(f"ShaderNode{n}") for n in ("TexCoord", "SeparateXYZ", "MapRange", "Background", "OutputWorld")
@@ -143,24 +131,14 @@ def new_scene(light: str, size: int, samples: int) -> tuple[bpy.types.Scene, bpy
     """An empty scene under one of `LIGHTS`, its material and its camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    render = scene.render
-    render.engine = "CYCLES"
-    render.resolution_x = render.resolution_y = size
-    render.resolution_percentage = 100
-    render.film_transparent = True
-    render.dither_intensity = 0
-    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGBA"
-    render.use_persistent_data = True
+    set_up(scene, size, samples)
+    scene.render.dither_intensity = 0
+    scene.render.use_persistent_data = True
     if "OMP_NUM_THREADS" in os.environ:
-        render.threads_mode, render.threads = "FIXED", int(os.environ["OMP_NUM_THREADS"])
-    cycles = scene.cycles
-    cycles.device, cycles.samples, cycles.use_denoising, cycles.seed = "CPU", samples, False, 0
-    cycles.use_adaptive_sampling = False
+        scene.render.threads_mode, scene.render.threads = "FIXED", int(os.environ["OMP_NUM_THREADS"])
+    scene.cycles.use_adaptive_sampling = False
     # The trainer's pixels are boxes of one pixel.
-    cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
-    scene.display_settings.display_device = "sRGB"
-    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
-    scene.view_settings.exposure, scene.view_settings.gamma = 0, 1
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 1.0
     material = bpy.data.materials.new("body")
     LIGHTS[light](scene, material)
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
@@ -171,11 +149,11 @@ def new_scene(light: str, size: int, samples: int) -> tuple[bpy.types.Scene, bpy
 def new_body(scene: bpy.types.Scene, vertices: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> object:
     """One body: smooth, with the trainer's own vertex normals, and room for a colour per face."""
     mesh = bpy.data.meshes.new("body")
-    mesh.from_pydata(to_blender(vertices).tolist(), [], triangles.tolist())
+    mesh.from_pydata(blender_axes(vertices).tolist(), [], triangles.tolist())
     if len(mesh.polygons) != len(triangles):
         raise RuntimeError(f"Blender made {len(mesh.polygons)} faces of {len(triangles)} triangles")
     mesh.polygons.foreach_set("use_smooth", np.ones(len(triangles), bool))
-    mesh.normals_split_custom_set_from_vertices(to_blender(normals).tolist())
+    mesh.normals_split_custom_set_from_vertices(blender_axes(normals).tolist())
     mesh.color_attributes.new(COLORS, "FLOAT_COLOR", "CORNER")
     obj = bpy.data.objects.new("body", mesh)
     scene.collection.objects.link(obj)
@@ -192,18 +170,18 @@ def paint(obj: bpy.types.Object, colors: np.ndarray) -> None:
 
 def aim(camera: bpy.types.Object, frame: dict, near: float, far: float) -> None:
     """Stand where the frame says: position and the axes right, up, back (y up)."""
-    axes = to_blender(np.array(frame["axes"]))
+    axes = blender_axes(np.array(frame["axes"]))
     matrix = Matrix.Identity(4)
     for column in range(3):
         matrix.col[column][:3] = axes[column]
-    matrix.translation = to_blender(np.array(frame["position"])).tolist()
+    matrix.translation = blender_axes(np.array(frame["position"])).tolist()
     camera.matrix_world = matrix
     camera.data.sensor_fit = "VERTICAL"
     camera.data.angle = math.radians(frame["field_of_view"])
     camera.data.clip_start, camera.data.clip_end = near, far
 
 
-def render(folder: Path) -> None:
+def render_frames(folder: Path) -> None:
     """Every frame of the job that is not there yet, light by light and body by body."""
     job = json.loads((folder / "job.json").read_text("utf-8"))
     arrays = np.load(folder / "meshes.npz", allow_pickle=False)
@@ -227,10 +205,3 @@ def render(folder: Path) -> None:
         bpy.ops.render.render(write_still=True)
         os.replace(partial, folder / frame["file"])
         print(f"frame {number} of {len(order)}: {frame['file']}", flush=True)
-
-
-if __name__ == "__main__":
-    render(Path(sys.argv[-1]))
-    # The bpy package may wait for ever at a regular exit.
-    sys.stdout.flush()
-    os._exit(0)

@@ -123,7 +123,7 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
     try:
         for thing in (obj, *clothing_of(obj), *holders):
             scene.collection.objects.link(thing)
-        _set_up(scene, size, samples)
+        set_up(scene, size, samples)
         _light(scene, holders[1], world)
         scene.frame_set(bpy.context.scene.frame_current)
         metre = 1 / bpy.context.scene.unit_settings.scale_length
@@ -141,7 +141,8 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
         raise InputError(f"{path}: the render was not written")
 
 
-def _set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
+def set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
+    """Cycles on the processor, not denoised: square RGBA PNGs in display colours, transparent around the body."""
     render = scene.render
     render.engine = "CYCLES"
     render.resolution_x = render.resolution_y = size
@@ -158,9 +159,7 @@ def _set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
 
 def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World) -> None:
     """A uniform surround of radiance 0.5 and a sun whose irradiance makes a white diffuse face reflect 0.3."""
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    background = next(n for n in world.node_tree.nodes if n.type == "BACKGROUND")
+    background = next(n for n in colors.nodes_of(world)[0] if n.type == "BACKGROUND")
     background.inputs["Color"].default_value = (1, 1, 1, 1)
     background.inputs["Strength"].default_value = AMBIENT
     scene.world = world

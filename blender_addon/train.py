@@ -31,7 +31,7 @@ if not __package__:
     _spec.loader.exec_module(sys.modules[_spec.name])
     __package__ = _spec.name
 
-from . import properties, render_check, runs
+from . import cycles_frames, properties, render_check, runs
 from .body import add_from_scene, require_body, subdivide
 from .command_lines import TrainRequest, absolute_detector, sample_command, train_command
 from .exchange.scenes import read_scene
@@ -244,6 +244,8 @@ def run_as_script(arguments: list[str]) -> int:
     try:
         if arguments[:1] == ["render-check"]:
             render_check.run_plan(Path(arguments[1]))
+        elif arguments[:1] == ["cycles-frames"]:
+            cycles_frames.render_frames(Path(arguments[1]))
         else:
             main(arguments)
     except InputError as error:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.evaluation.measurement import Trials
 from cloak_core.evaluation.stage import Indices, Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -51,14 +52,10 @@ def require_blender() -> str:
     return python
 
 
-@dataclass(frozen=True)
-class FrameKey:
-    """What one frame shows."""
-
-    pose: int
-    angle: float
-    control: str
-    light: str
+def first_trials(trials: Trials) -> dict[tuple[int, float], int]:
+    """Every pose and angle (degrees), sorted, and the first trial that shows it."""
+    places = list(zip(trials.pose.tolist(), trials.angle.tolist(), strict=True))
+    return {place: places.index(place) for place in sorted(set(places))}
 
 
 def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int, on_frame: OnFrame) -> Path:
@@ -68,15 +65,18 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
     python = require_blender()
-    views = sorted({(int(p), float(a)) for p, a in zip(stage.trials.pose, stage.trials.angle, strict=True)})
     colors = np.stack([_triangle_colors(stage, control) for control in controls])
-    keys = [FrameKey(p, a, c, light) for light in LIGHTS for p, a in views for c in controls]
     job = {
         "size": stage.camera(0).height,
         "samples": samples,
         "near": stage.camera(0).near_plane,
         "far": 100 * stage.camera(0).distance,
-        "frames": [_frame(stage, key, list(controls).index(key.control)) for key in keys],
+        "frames": [
+            {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(stage, trial)
+            for light in LIGHTS
+            for place, trial in first_trials(stage.trials).items()
+            for number, control in enumerate(controls)
+        ],
     }
     bodies = stage.bodies
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
@@ -95,14 +95,10 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
 def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
     log = folder / "blender.log"
+    command = [python, str(ADD_ON / "train.py"), "--", "cycles-frames", str(folder)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with open_to_append(log) as said:
-        process = subprocess.Popen(
-            [python, str(ADD_ON / SCRIPT), str(folder)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env=environment,
-        )
+        process = subprocess.Popen(command, env=environment, **pipes)
         try:
             for line in process.stdout:
                 said.write(line.encode())
@@ -118,25 +114,21 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
 
 
-def _frame(stage: Stage, key: FrameKey, colors: int) -> dict:
-    trial = int(np.flatnonzero((stage.trials.pose == key.pose) & np.isclose(stage.trials.angle, key.angle))[0])
-    camera = stage.camera(trial)
-    vertices = stage.bodies.vertices[key.pose].astype(np.float64)
+def _view(stage: Stage, trial: int) -> dict:
+    camera, pose = stage.camera(trial), int(stage.trials.pose[trial])
+    vertices = stage.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
-        "file": file_name(key),
-        "pose": key.pose,
-        "colors": colors,
-        "light": key.light,
+        "pose": pose,
         "position": [float(x) for x in camera.position(pivot)],
         "axes": camera.axes,
         "field_of_view": camera.field_of_view,
     }
 
 
-def file_name(key: FrameKey) -> str:
+def file_name(light: str, pose: int, angle: float, control: str) -> str:
     """The PNG of a frame."""
-    return f"{key.light}-{key.pose}-{key.angle:+g}-{key.control}.png"
+    return f"{light}-{pose}-{angle:+g}-{control}.png"
 
 
 def _triangle_colors(stage: Stage, control: str) -> Float32[np.ndarray, "T 3"]:
@@ -161,8 +153,7 @@ class CyclesStage(Stage):
     """A stage whose bodies come from frames of `render_frames` under one light."""
 
     def __init__(self, stage: Stage, folder: Path, light: str) -> None:
-        parts = (stage.colors, stage.logo, stage.bodies, stage.backdrops, stage.trials)
-        super().__init__(*parts, camera=stage.viewpoint, seed=stage.seed, bank=stage.bank)
+        super().__init__(**{field.name: getattr(stage, field.name) for field in fields(Stage)})
         self._folder, self._light = folder, light
         self._bodies: dict[tuple[int, float, str], Tensor] = {}
 
@@ -186,9 +177,8 @@ class CyclesStage(Stage):
         """One frame: RGBA in [0, 1], straight alpha."""
         key = (pose, angle, control)
         if key not in self._bodies:
-            path = self._folder / file_name(FrameKey(*key, self._light))
-            pixels = torch.from_numpy(read_picture(path, "RGBA")).permute(2, 0, 1)
-            self._bodies[key] = pixels.contiguous()
+            pixels = read_picture(self._folder / file_name(self._light, *key), "RGBA")
+            self._bodies[key] = torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
         return self._bodies[key].to(self._device).float() / 255
 
 
@@ -208,12 +198,9 @@ def image_difference(ours: Stage, cycles: CyclesStage, control: str = LOGO) -> d
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
     cover the pixel wholly, so that silhouettes do not count.
     """
-    views = sorted({(int(p), float(a)) for p, a in zip(ours.trials.pose, ours.trials.angle, strict=True)})
     squares, inner, bias, count, whole = 0.0, 0.0, 0.0, 0, 0
-    for pose, angle in views:
-        i = int(np.flatnonzero((ours.trials.pose == pose) & np.isclose(ours.trials.angle, angle))[0])
-        view = ours.views([i])[0]
-        mine, covered = ours.before_grey(view, i, control)
+    for (pose, angle), trial in first_trials(ours.trials).items():
+        mine, covered = ours.before_grey(ours.views([trial])[0], trial, control)
         frame = cycles.body(pose, angle, control)
         theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
         difference = (theirs - mine).flatten(1)
