@@ -1,4 +1,4 @@
-"""Intervals: the quantiles are right, degenerate cases are honest, and the stated coverage is what simulation finds."""
+"""Intervals: degenerate cases are honest, and the stated coverage is what simulation finds."""
 
 import math
 from collections.abc import Callable
@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cloak_core.evaluation.intervals import clustered_rate, student_t, wilson
-
-
-@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 7, 20, 101])
-@pytest.mark.parametrize("probability", [0.9, 0.975, 0.995])
-def test_student_t_quantiles(freedom: int, probability: float) -> None:
-    assert student_t(freedom, probability) == pytest.approx(stats.t.ppf(probability, freedom), rel=1e-9)
+from cloak_core.evaluation.intervals import clustered_rate, wilson
 
 
 def test_wilson_against_scipy() -> None:
