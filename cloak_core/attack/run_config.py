@@ -65,7 +65,7 @@ def run_config(
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
-        "environment": _environment(settings.compute.device, processes),
+        "environment": environment() | {"processes": processes, "device": device_kind(settings.compute.device)},
     }
 
 
@@ -93,15 +93,14 @@ def _backgrounds(backgrounds: Backgrounds) -> dict:
     }
 
 
-def _environment(device: str, processes: int) -> dict:
+def environment() -> dict:
+    """Versions, the machine's kind, and the threads of torch."""
     return {
         "python": platform.python_version(),
         "torch": torch.__version__,
         "numpy": np.__version__,
         "platform": platform.platform(),
-        "processes": processes,
         "threads": torch.get_num_threads(),
-        "device": device_kind(device),
     }
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings import Preset
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out, warn
 from cloak_core.commands.compute import prepare_process
+from cloak_core.evaluation.experiments.options import Options
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ class Reproduce(Command):
     name: Positional[str]
     """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, render-gap (needs
     Blender), cost, or all."""
-    out: Path = Path("runs/reproduce")
-    """Folder for results and shared trainings; what is there already is not done again."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
     scene: str = "sample"
@@ -40,31 +38,20 @@ class Reproduce(Command):
     """Folder of images, or procedural."""
     unseen_backgrounds: str | None = None
     """Backgrounds to test on (default: every second one of --backgrounds)."""
-    quick: bool = False
-    """Fewer steps, angles, images and seeds."""
-    steps: UseAppendAction[tuple[int, ...]] = ()
-    """Updates of a training, once for all or once for each --detector, in their order (default: 150 with --quick, else
-    what the preset says)."""
-    seeds: int | None = None
-    """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
-    seed: int = 0
-    """Every random draw derives from it; repetitions count on from it."""
-    preset: Preset = "best"
-    """Training preset."""
     publish: Path | None = None
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-
     redraw: bool = False
     """Train and evaluate nothing: draw figures and write words again from the numbers in --out."""
+    amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.evaluation.experiments.index_page import make_page
         from cloak_core.evaluation.experiments.markdown import publish
 
         done, skipped = self._redraw() if self.redraw else self._measure()
-        published = {"published": str(publish(self.out, self.publish))} if self.publish else {}
-        return {"page": str(make_page(self.out)), "experiments": done, "skipped": skipped} | published
+        published = {"published": str(publish(self.amount.out, self.publish))} if self.publish else {}
+        return {"page": str(make_page(self.amount.out)), "experiments": done, "skipped": skipped} | published
 
     def _measure(self) -> tuple[dict, dict]:
         """Records by name, and why others were left out."""
@@ -92,18 +79,18 @@ class Reproduce(Command):
         from cloak_core.evaluation.experiments.registry import draw_again, finished
 
         if self.name != "all":
-            return {self.name: draw_again(self.name, self.out)}, {}
+            return {self.name: draw_again(self.name, self.amount.out)}, {}
         done, skipped = {}, {}
-        for name in finished(self.out):
+        for name in finished(self.amount.out):
             try:
-                done[name] = draw_again(name, self.out)
+                done[name] = draw_again(name, self.amount.out)
             except InputError as earlier:
                 warn(f"{earlier}; left as it is")
                 skipped[name] = str(earlier)
         return done, skipped
 
     def _lab(self) -> Lab:
-        from cloak_core.evaluation.experiments.lab import Lab, Options
+        from cloak_core.evaluation.experiments.lab import Lab
         from cloak_core.evaluation.experiments.materials import open_materials
 
         materials = open_materials(
@@ -114,16 +101,8 @@ class Reproduce(Command):
             unseen_backgrounds=self.unseen_backgrounds,
             device=self.compute.device,
         )
-        options = Options(
-            out=self.out,
-            quick=self.quick,
-            preset=self.preset,
-            steps=self.steps,
-            seeds=self.seeds,
-            seed=self.seed,
-            device=self.compute.device,
-            command=shlex.join(["cloak", *sys.argv[1:]]),
-        )
+        command = shlex.join(["cloak", *sys.argv[1:]])
+        options = replace(self.amount, device=self.compute.device, command=command)
         return Lab(materials, options, lambda message: err.print(message))
 
     def show(self, result: dict) -> None:

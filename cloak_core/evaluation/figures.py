@@ -114,8 +114,9 @@ def panel_title(axis: object, name: str, panels: int = 1) -> None:
         axis.set_title(name)
 
 
-def degree_ticks(axis: object) -> None:
-    """Whole degrees on the x axis, at steps people count in."""
+def azimuth_axis(axis: object) -> None:
+    """Whole degrees along x, at steps people count in. Call it when everything is drawn."""
+    axis.set_xlabel("azimuth (degrees)")
     low, high = axis.get_xlim()
     steps = (1, 2, 5, 10, 15, 30, 45, 60, 90)
     axis.xaxis.set_major_locator(MultipleLocator(next((s for s in steps if (high - low) / s <= 13), 90)))

@@ -19,11 +19,12 @@ from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation.experiments import lab as lab_module
 from cloak_core.evaluation.experiments import materials as materials_module
 from cloak_core.evaluation.experiments.index_page import make_page
-from cloak_core.evaluation.experiments.lab import Interrupted, Lab, Options
+from cloak_core.evaluation.experiments.lab import Interrupted, Lab
 from cloak_core.evaluation.experiments.logos import PAPER_SHARES, chest_thighs, paper_logos, shapes, trimmed
 from cloak_core.evaluation.experiments.markdown import publish
 from cloak_core.evaluation.experiments.materials import Materials, open_materials
 from cloak_core.evaluation.experiments.numbers import threshold_rows
+from cloak_core.evaluation.experiments.options import Options
 from cloak_core.evaluation.experiments.registry import EXPERIMENTS, draw_again, run_experiment
 from cloak_core.evaluation.experiments.repeats import Repeats
 from cloak_core.evaluation.experiments.tv import PICTURES, SIDE, preview_sheet

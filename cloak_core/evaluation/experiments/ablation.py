@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 
 from cloak_core.evaluation.experiments.drawing import rate_bars, rates_along_x
 from cloak_core.evaluation.experiments.lab import MULTI, SINGLE, Lab, times
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, column
 from cloak_core.evaluation.figures import CYCLE, new_figure
 from cloak_core.evaluation.report.words import said, short_name
@@ -49,7 +48,7 @@ def measure(lab: Lab) -> Numbers:
     for name, change in CHANGES.items():
         if not (lab.options.quick and name in FULL):
             changes = {"preset": "best", "angles": MULTI} | change
-            trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], **changes)
+            trained = lab.chest_thighs(spec, **changes)
             rows.append({"change": name} | times(trained) | lab.evaluate(trained, lab.angles, [spec]).row(spec))
     return Numbers(rows)
 

@@ -7,7 +7,6 @@ from matplotlib.ticker import LogFormatter
 
 from cloak_core.evaluation.experiments.drawing import errors, look
 from cloak_core.evaluation.experiments.lab import MULTI, Lab, times
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, best_row, column, group
 from cloak_core.evaluation.figures import legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
@@ -32,7 +31,7 @@ def measure(lab: Lab) -> Numbers:
     lengths = sorted({max(1, full // share) for share in ((3, 1) if lab.options.quick else (4, 2, 1))})
     for name, changes in list(VARIANTS.items())[: QUICK if lab.options.quick else None]:
         for steps in lengths:
-            trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], angles=MULTI, steps=steps, **changes)
+            trained = lab.chest_thighs(spec, angles=MULTI, steps=steps, **changes)
             label = {"variant": name, "steps": steps}
             rows.append(label | times(trained) | lab.evaluate(trained, lab.angles, [spec]).row(spec))
     return Numbers(rows)

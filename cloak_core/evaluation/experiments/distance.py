@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.experiments.drawing import azimuth_axis, band, clothing_line, look
+from cloak_core.evaluation.experiments.drawing import band, clothing_line, look
 from cloak_core.evaluation.experiments.lab import SINGLE, Lab
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, column, group, select
-from cloak_core.evaluation.figures import SERIES, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import SERIES, azimuth_axis, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 
 TITLE = "Distance (appendix A)"
@@ -23,7 +22,7 @@ def measure(lab: Lab) -> Numbers:
     angles = tuple(float(a) for a in range(-10, 11, 10 if quick else 1))
     whole, rows = [], []
     for name, drawn in TRAINED.items():
-        trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], angles=SINGLE, distance=drawn)
+        trained = lab.chest_thighs(spec, angles=SINGLE, distance=drawn)
         images = 2 * lab.options.test_images
         result = lab.evaluate(trained, (0.0,), [spec], distances=near, images_per_view=images)
         turned = lab.evaluate(trained, angles, [spec], distances=FIVE_DISTANCES)

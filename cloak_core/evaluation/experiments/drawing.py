@@ -18,7 +18,6 @@ from cloak_core.evaluation.figures import (
     INK,
     MARKERS,
     SERIES,
-    degree_ticks,
     legend_above,
     new_figure,
     percent_along_x,
@@ -64,12 +63,6 @@ def rates_along_x(axis: Axes, names: Sequence[str]) -> None:
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.grid(axis="y", visible=False)
-
-
-def azimuth_axis(axis: Axes) -> None:
-    """Whole degrees along x."""
-    axis.set_xlabel("azimuth (degrees)")
-    degree_ticks(axis)
 
 
 def threshold_axis(axis: Axes) -> None:

@@ -24,7 +24,9 @@ from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluation.controls import NATURAL, STANDARD
 from cloak_core.evaluation.evaluate import make_stage
+from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.materials import Materials, backgrounds_record, bodies_record
+from cloak_core.evaluation.experiments.options import QUICK_STEPS, Options
 from cloak_core.evaluation.experiments.repeats import Repeats
 from cloak_core.evaluation.inference import measure
 from cloak_core.evaluation.measurement import Measurement, read_measurement
@@ -46,56 +48,10 @@ PACKAGES = ("torch", "numpy", "numba", "pillow")
 CONTROLS = (*STANDARD, *NATURAL)
 SINGLE, MULTI = "0", "-10:10:5"
 """Training angles of the paper."""
-QUICK_STEPS = 150
 
 
 class Interrupted(Exception):
     """A training was stopped in order; the same command goes on from there."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """How much an experiment does."""
-
-    out: Path
-    """Folder that takes results, runs and evaluations."""
-    quick: bool = False
-    """Fewer steps, angles, images and seeds: the whole set within 90 minutes on two cores."""
-    preset: str = "best"
-    """Training preset."""
-    steps: tuple[int, ...] = ()
-    """Updates of a training: one number for all, or one for each detector; none: 150 when quick, else the preset's."""
-    batch: int | None = None
-    """Images per update; None: what the preset says."""
-    seeds: int | None = None
-    """Repetitions of every training with another seed; None: 1 when quick, else 3."""
-    seed: int = 0
-    """Of the first repetition, and of every evaluation."""
-    images_per_view: int | None = None
-    """Test images per body and angle; None: 2 when quick, else 8."""
-    size: int = 416
-    """Width and height of the images, pixels."""
-    samples: int | None = None
-    """Samples per pixel; None takes the renderer's default."""
-    device: str = "cpu"
-    """Torch device."""
-    command: str = ""
-    """The command line that asked for it, for the record."""
-
-    @property
-    def seed_list(self) -> tuple[int, ...]:
-        return tuple(range(self.seed, self.seed + (self.seeds or (1 if self.quick else 3))))
-
-    @property
-    def test_images(self) -> int:
-        return self.images_per_view or (2 if self.quick else 8)
-
-    def counts(self) -> dict:
-        """What "quick" and the options came to, for the record."""
-        length = QUICK_STEPS if self.quick else f"as in preset {self.preset}"
-        if self.steps:
-            length = self.steps[0] if len(self.steps) == 1 else " / ".join(map(str, self.steps)) + " by detector"
-        return {"steps": length, "seeds": len(self.seed_list), "images_per_view": self.test_images, "quick": self.quick}
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +109,10 @@ class Lab:
     def repeat(self, faces: np.ndarray, specs: Sequence[str], **changes: object) -> list[Trained]:
         """`train` once per seed."""
         return [self.train(faces, specs, seed=seed, **changes) for seed in self.options.seed_list]
+
+    def chest_thighs(self, spec: str, **changes: object) -> list[Trained]:
+        """`repeat` for the training bodies' chest + thighs against one detector."""
+        return self.repeat(chest_thighs(self.materials.bodies), [spec], **changes)
 
     def train(
         self,

@@ -23,6 +23,7 @@ PAPER_SHARES = {"letter G": 2426 / 55152, "smiley": 2427 / 55152, "chest + thigh
 
 def paper_logos(bodies: Bodies, folder: Path) -> dict[str, FaceIds]:
     """The paper's three logos at its shares of the body, and chest + thighs whole. `folder` takes the drawn smiley."""
+    folder.mkdir(parents=True, exist_ok=True)
     whole = chest_thighs(bodies)
     smiley = draw_smiley(folder / "smiley.png")
     return {
@@ -49,6 +50,7 @@ def shirt_trousers(bodies: Bodies) -> FaceIds:
 
 def shapes(bodies: Bodies, folder: Path, quick: bool) -> dict[str, FaceIds]:
     """A family of shapes on the chest at growing shares of the body's area, up to what the front of the trunk holds."""
+    folder.mkdir(parents=True, exist_ok=True)
     makers: dict[str, Callable[..., FaceIds]] = {
         "disc": partial(project_mask, bodies, draw_disc(folder / "disc.png")),
         "smiley": partial(project_mask, bodies, draw_smiley(folder / "smiley.png")),
@@ -108,29 +110,21 @@ def trimmed(bodies: Bodies, ids: FaceIds, share: float) -> FaceIds:
 
 def draw_smiley(path: Path, side: int = 512) -> Path:
     """A smiley: ring, eyes and mouth, black on white."""
-    image, draw = _canvas(side)
+    image = Image.new("L", (side, side), 255)
+    draw = ImageDraw.Draw(image)
     unit = side / 16
     draw.ellipse((0.3 * unit, 0.3 * unit, 15.7 * unit, 15.7 * unit), fill=0)
     draw.ellipse((2.1 * unit, 2.1 * unit, 13.9 * unit, 13.9 * unit), fill=255)
     for x in (5.6, 10.4):
         draw.ellipse(((x - 1.2) * unit, 4.4 * unit, (x + 1.2) * unit, 7.2 * unit), fill=0)
     draw.arc((4 * unit, 4.2 * unit, 12 * unit, 12.2 * unit), 20, 160, fill=0, width=round(1.7 * unit))
-    return _save(image, path)
+    save_picture(path, image)
+    return path
 
 
 def draw_disc(path: Path, side: int = 256) -> Path:
     """A disc, black on white."""
-    image, draw = _canvas(side)
-    draw.ellipse((1, 1, side - 2, side - 2), fill=0)
-    return _save(image, path)
-
-
-def _canvas(side: int) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     image = Image.new("L", (side, side), 255)
-    return image, ImageDraw.Draw(image)
-
-
-def _save(image: Image.Image, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    ImageDraw.Draw(image).ellipse((1, 1, side - 2, side - 2), fill=0)
     save_picture(path, image)
     return path

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from PIL import Image
 
 from cloak_core import __version__
+from cloak_core.attack.run_config import environment
 from cloak_core.evaluation.experiments.lab import Lab
 from cloak_core.evaluation.experiments.repeats import CURVES
 from cloak_core.evaluation.rates import THRESHOLDS
@@ -52,7 +50,7 @@ def write_numbers(folder: Path, name: str, numbers: Numbers, lab: Lab) -> None:
     if thresholds:
         write_csv(folder / "thresholds.csv", thresholds)
     counts = lab.options.counts()
-    config = {"command": lab.options.command} | counts | lab.materials.record() | environment()
+    config = {"command": lab.options.command} | counts | lab.materials.record() | {"cloak": __version__} | environment()
     write_json(folder / "config.json", config)
     measured = {"rows": rows, "thresholds": thresholds, "facts": numbers.facts, "counts": counts}
     pictures = [f"{key}.jpg" for key in numbers.pictures]
@@ -76,18 +74,6 @@ def threshold_rows(rows: Rows) -> Rows:
             values = {f"at_{t:g}": value for t, value in zip(THRESHOLDS, curve, strict=True)}
             found.append(label | {"control": control} | values)
     return found
-
-
-def environment() -> dict:
-    """Versions and the machine's kind."""
-    return {
-        "cloak": __version__,
-        "python": platform.python_version(),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-        "platform": platform.platform(),
-        "threads": torch.get_num_threads(),
-    }
 
 
 def write_csv(path: Path, rows: Rows) -> None:

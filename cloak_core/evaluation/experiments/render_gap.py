@@ -17,7 +17,6 @@ from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.cycles import LIGHTS, SAMPLES, CyclesStage, image_difference, render_frames, require_blender
 from cloak_core.evaluation.experiments.drawing import errors
 from cloak_core.evaluation.experiments.lab import CONTROLS, MULTI, Lab
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, column, group, select
 from cloak_core.evaluation.experiments.repeats import Repeats
 from cloak_core.evaluation.figures import SERIES, WIDTH, legend_above, new_figure, panel_title, percent_axis
@@ -37,7 +36,7 @@ def measure(lab: Lab) -> Numbers:
     settings = lab.evaluate_settings(images_per_view=4 * lab.options.test_images)
     rows, pictures, paths = [], {}, SAMPLES // 2 if quick else SAMPLES
     for spec in lab.specs:
-        trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], angles=MULTI)[0]
+        trained = lab.chest_thighs(spec, angles=MULTI)[0]
         stage = lab.stage(trained, angles, settings)
         # In the first outfit: every other would need frames of its own.
         stage.trials = replace(stage.trials, outfit=np.zeros_like(stage.trials.outfit))

@@ -38,8 +38,7 @@ def measure(lab: Lab) -> Numbers:
 
 def gradient_reach(lab: Lab, bodies: Bodies, faces: np.ndarray) -> float:
     """Share of the faces that get a gradient from the first body's training views."""
-    options = {} if lab.options.samples is None else {"samples": lab.options.samples}
-    bank = ViewBank(bodies.select_poses([0]), device=lab.options.device, **options)
+    bank = ViewBank(bodies.select_poses([0]), samples=lab.options.samples, device=lab.options.device)
     seen = torch.zeros(len(faces), dtype=torch.bool, device=bank.device)
     for azimuth in (-10.0, -5.0, 0.0, 5.0, 10.0):
         camera = Camera(azimuth=azimuth, width=lab.options.size, height=lab.options.size)

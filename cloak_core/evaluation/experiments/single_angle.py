@@ -5,11 +5,10 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from cloak_core.evaluation.experiments import table1
-from cloak_core.evaluation.experiments.drawing import azimuth_axis, band, clothing_line, look
+from cloak_core.evaluation.experiments.drawing import band, clothing_line, look
 from cloak_core.evaluation.experiments.lab import SINGLE, Lab
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, column, group, select
-from cloak_core.evaluation.figures import legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import azimuth_axis, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import percent, said, short_name
 
 TITLE = "Trained at one angle, tested at unseen ones"
@@ -21,7 +20,7 @@ PAPER = [
 def measure(lab: Lab) -> Numbers:
     whole, rows = [], []
     for spec in lab.specs:
-        trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], angles=SINGLE)
+        trained = lab.chest_thighs(spec, angles=SINGLE)
         result = lab.evaluate(trained, lab.angles, [spec])
         whole.append({"angle": "all"} | result.row(spec))
         rows += result.rows_at(spec, "angle", lab.angles)

@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.experiments.lab import MULTI, Lab
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, best_row, column, group
 from cloak_core.evaluation.figures import SERIES, new_figure
 from cloak_core.evaluation.report.words import percent, short_name
@@ -18,7 +17,7 @@ TITLE = "Transfer between detectors"
 def measure(lab: Lab) -> Numbers:
     rows = []
     for source in lab.specs:
-        result = lab.evaluate(lab.repeat(chest_thighs(lab.materials.bodies), [source], angles=MULTI), lab.angles)
+        result = lab.evaluate(lab.chest_thighs(source, angles=MULTI), lab.angles)
         for target in lab.specs:
             row = result.row(target)
             rows.append({"trained_on": source, "tested_on": row.pop("detector")} | row)

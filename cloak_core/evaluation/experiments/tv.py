@@ -7,11 +7,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from cloak_core.evaluation.contact_sheet import Cell, draw_sheet
-from cloak_core.evaluation.experiments.drawing import azimuth_axis, errors, look
+from cloak_core.evaluation.experiments.drawing import errors, look
 from cloak_core.evaluation.experiments.lab import SINGLE, Lab
-from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, best_row, column, group, select
-from cloak_core.evaluation.figures import CYCLE, MARKERS, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import CYCLE, MARKERS, azimuth_axis, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 from cloak_core.scene.pictures import read_picture
 
@@ -32,7 +31,7 @@ def measure(lab: Lab) -> Numbers:
     images = 4 * lab.options.test_images  # one body instead of several
     whole, rows, first = [], [], {}
     for weight in PAPER_WEIGHTS if lab.options.quick else WEIGHTS:
-        trained = lab.repeat(chest_thighs(lab.materials.bodies), [spec], tv_weight=weight, **changes)
+        trained = lab.chest_thighs(spec, tv_weight=weight, **changes)
         first[weight] = trained[0]
         for name, bodies in tests.items():
             result = lab.evaluate(trained, lab.angles, [spec], bodies=bodies, images_per_view=images)

@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.experiments.drawing import azimuth_axis, band, clothing_line, look
+from cloak_core.evaluation.experiments.drawing import band, clothing_line, look
 from cloak_core.evaluation.experiments.lab import MULTI, Lab
 from cloak_core.evaluation.experiments.logos import chest_thighs, shirt_trousers
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, column, group, select
-from cloak_core.evaluation.figures import INK, SERIES, WIDTH, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import INK, SERIES, WIDTH, azimuth_axis, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 
 TITLE = "Wide angles and the full circle"

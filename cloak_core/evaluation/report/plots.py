@@ -9,7 +9,7 @@ from cloak_core.evaluation.figures import (
     CYCLE,
     SERIES,
     WIDTH,
-    degree_ticks,
+    azimuth_axis,
     legend_above,
     new_figure,
     percent_along_x,
@@ -29,45 +29,33 @@ MOST_BODIES = 40
 
 def success_by_angle(measurement: Measurement, detector: int, threshold: float) -> Figure:
     """Success of the trained colours with its 95 % band, and of every control, over the azimuth."""
-    figure, (axis,) = new_figure(width=2 * WIDTH, height=3.0)
-    _grouped(axis, measurement, detector, measurement.trials.angle, threshold)
-    axis.set_xlabel("azimuth (degrees)")
-    degree_ticks(axis)
-    legend_above(figure)
+    figure = _grouped(measurement, detector, "angle", threshold, width=2 * WIDTH, height=3.0)
+    azimuth_axis(figure.axes[0])
     return figure
 
 
 def success_by_distance(measurement: Measurement, detector: int, threshold: float) -> Figure:
     """Success over the camera's distance."""
-    figure, (axis,) = new_figure()
-    _grouped(axis, measurement, detector, measurement.trials.distance, threshold)
-    axis.set_xlabel("distance (m)")
-    legend_above(figure)
+    figure = _grouped(measurement, detector, "distance", threshold)
+    figure.axes[0].set_xlabel("distance (m)")
     return figure
 
 
-def _grouped(axis: object, measurement: Measurement, detector: int, values: np.ndarray, threshold: float) -> None:
+def _grouped(measurement: Measurement, detector: int, column: str, threshold: float, **size: float) -> Figure:
+    figure, (axis,) = new_figure(**size)
     for c, control in enumerate(measurement.controls):
-        keys, rates = group_rates(measurement, detector, c, values, threshold)
+        keys, rates = group_rates(measurement, detector, c, getattr(measurement.trials, column), threshold)
         line(axis, keys, rates, control, band=c == 0)
     percent_axis(axis)
+    legend_above(figure)
+    return figure
 
 
 def line(axis: object, keys: np.ndarray, rates: list[Rate], name: str, band: bool = True) -> None:
     """One series of rates with its band of intervals."""
     look = SERIES[name]
-    size = 4.5 if len(keys) <= 30 else 0
-    axis.plot(
-        keys,
-        [r.value for r in rates],
-        color=look.color,
-        marker=look.marker,
-        markersize=size,
-        linestyle=look.dash,
-        label=look.label,
-        clip_on=False,
-        zorder=3 if band else 2,
-    )
+    drawn = {"color": look.color, "marker": look.marker, "ls": look.dash, "markersize": 4.5 if len(keys) <= 30 else 0}
+    axis.plot(keys, [r.value for r in rates], label=look.label, clip_on=False, zorder=3 if band else 2, **drawn)
     if band:
         axis.fill_between(keys, [r.low for r in rates], [r.high for r in rates], color=look.color, alpha=0.18, lw=0)
 
@@ -103,9 +91,8 @@ def _success_sorted(measurement: Measurement, detector: int, threshold: float) -
         gone = measurement.score[detector, c] <= threshold
         rates = np.sort([gone[pose == body].mean() for body in np.unique(pose)])
         look = SERIES[control]
-        axis.step(
-            np.arange(len(rates)) + 1, rates, where="mid", color=look.color, linestyle=look.dash, label=look.label
-        )
+        at = np.arange(len(rates)) + 1
+        axis.step(at, rates, where="mid", color=look.color, linestyle=look.dash, label=look.label)
     percent_axis(axis)
     axis.set_xlabel("bodies, from the worst to the best")
     legend_above(figure)
@@ -122,15 +109,8 @@ def success_by_threshold(measurement: Measurement, detector: int, threshold: flo
         share = np.searchsorted(score, grid, side="right") / len(score)
         axis.plot(grid, share, color=look.color, linestyle=look.dash, label=look.label)
     axis.axvline(threshold, color="#1f2328", lw=0.8, ls=(0, (2, 2)))
-    axis.annotate(
-        f"threshold {threshold:g}",
-        (threshold, 0.5),
-        (4, 0),
-        textcoords="offset points",
-        rotation=90,
-        va="center",
-        fontsize=8,
-    )
+    place = {"xytext": (4, 0), "textcoords": "offset points", "rotation": 90, "va": "center"}
+    axis.annotate(f"threshold {threshold:g}", (threshold, 0.5), fontsize=8, **place)
     percent_axis(axis)
     axis.set_xlim(0, 1)
     axis.set_xlabel("detection threshold")
