@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cloak_core.attack.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.protocol import Detections, Detector
-    from cloak_core.evaluation.report import make_report
+    from cloak_core.evaluation.report.page import make_report
     from cloak_core.evaluation.settings import EvaluateSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
@@ -63,7 +63,7 @@ _PLACES = {
     "load_logo": "scene.logos.logo:load_logo",
     "load_scene": "scene.opening:load_scene",
     "make_logo": "scene.logos.logo:make_logo",
-    "make_report": "evaluation.report:make_report",
+    "make_report": "evaluation.report.page:make_report",
     "make_settings": "attack.settings:make_settings",
     "print_logo": "output.printing:print_logo",
     "train": "library:train",

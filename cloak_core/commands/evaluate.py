@@ -118,7 +118,7 @@ class Report(Command):
     """Run folder that `cloak train` wrote."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.report import make_report
+        from cloak_core.evaluation.report.page import make_report
         from cloak_core.evaluation.trained_run import read_run
 
         read_run(self.run_folder)

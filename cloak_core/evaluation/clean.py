@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -10,12 +11,15 @@ import torch
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import is_detected
+from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.measurement import Trials
+from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.logos.logo import make_logo
 
 SHIFT = (50, 20)
 """The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""
@@ -43,29 +47,24 @@ def check_scene(
     if not len(angles):
         raise InputError("--angles: none given")
     rng = np.random.default_rng(seed)
-    bank = ViewBank(bodies, device=detector.device)
+    pose = np.repeat(np.arange(bodies.pose_count), len(angles) * images_per_view)
+    angle = np.tile(np.repeat(np.asarray(angles, np.float32), images_per_view), bodies.pose_count)
+    camera = Camera(width=SIZE, height=SIZE)
+    trials = Trials(
+        pose=pose,
+        angle=angle,
+        distance=np.full(len(pose), camera.distance, np.float32),
+        background=rng.integers(len(backgrounds), size=len(pose)),
+        shift=np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1),
+        outfit=np.zeros(len(pose), np.int64),
+    )
     # One face stands for the logo, in its own colour: the body as it is.
-    face = np.zeros(1, np.int64)
-    own = torch.from_numpy(bodies.face_colors[0, face]).to(detector.device)
-    views = [
-        (pose, Camera(azimuth=float(a), width=SIZE, height=SIZE)) for pose in range(len(bodies.names)) for a in angles
-    ]
-    renders = [view for view in views for _ in range(images_per_view)]
-    drawn = rng.integers(len(backgrounds), size=len(renders))
-    shifts = torch.from_numpy(np.stack([rng.integers(-s, s, len(renders), endpoint=True) for s in SHIFT], 1))
-
-    def render(chosen: range) -> torch.Tensor:
-        dressed = [bank.dress(*renders[i], face, 0) for i in chosen]
-        behind = backgrounds.batch([int(drawn[i]) for i in chosen], SIZE, SIZE).to(detector.device)
-        return compose(dressed, own, behind, shifts[chosen.start : chosen.stop], None)
-
-    def bare(chosen: range) -> torch.Tensor:
-        return backgrounds.batch(list(chosen), SIZE, SIZE).to(detector.device)
-
+    colors, logo, bank = bodies.face_colors[0, :1], make_logo(bodies, [0]), ViewBank(bodies, device=detector.device)
+    stage = Stage(colors, logo, bodies, backgrounds, trials, viewpoint=camera, bank=bank)
     return {
-        "clean_recall": _share(detector, render, len(renders), threshold),
-        "false_alarms": _share(detector, bare, len(backgrounds), threshold),
-        "n": len(renders),
+        "clean_recall": _share(detector, partial(stage.images, control=CLOTHING), len(pose), threshold),
+        "false_alarms": _share(detector, stage.bare, len(backgrounds), threshold),
+        "n": len(pose),
         "backgrounds": len(backgrounds),
     }
 

@@ -109,16 +109,7 @@ def make_stage(
     settings: EvaluateSettings,
 ) -> Stage:
     """Draw the trials and make ready to render them."""
-    trials = draw_trials(
-        bodies.pose_count,
-        tuple(float(a) for a in angles),
-        settings.distances,
-        len(backgrounds),
-        bodies.outfit_count,
-        images_per_view=settings.images_per_view,
-        shift=settings.shift,
-        seed=settings.seed,
-    )
-    options = {} if settings.samples is None else {"samples": settings.samples}
-    bank = ViewBank(bodies, device=next(iter(detectors.values())).device, files=view_files(), **options)
-    return Stage(colors, logo, bodies, backgrounds, trials, camera=settings.camera, seed=settings.seed, bank=bank)
+    trials = draw_trials(bodies.pose_count, angles, len(backgrounds), bodies.outfit_count, settings)
+    device = next(iter(detectors.values())).device
+    bank = ViewBank(bodies, samples=settings.samples, device=device, files=view_files())
+    return Stage(colors, logo, bodies, backgrounds, trials, settings.camera, bank, settings.seed)

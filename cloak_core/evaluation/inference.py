@@ -63,7 +63,7 @@ def _judge_trials(
 ) -> tuple[Float32[np.ndarray, "D C N"], Float32[np.ndarray, "D C N"], Boxes]:
     """A measurement's `score`, `score_on` and `boxes`, `size` images at once."""
     score = np.zeros((len(detectors), len(controls), len(stage.trials)), np.float32)
-    score_on, kept = np.zeros_like(score), BoxList()
+    score_on, found = np.zeros_like(score), []
     for batch in batches(np.arange(len(stage.trials)), size):
         views = stage.views(batch)
         true = stage.boxes(views, batch)
@@ -72,9 +72,13 @@ def _judge_trials(
                 detections = detector(images)
                 score[d, c, batch] = max_person_score(detections).cpu().numpy()
                 score_on[d, c, batch] = max_score_on(detections, true).cpu().numpy()
-                kept.add(d, c, batch, detections, true.cpu())
+                found += _found(d, c, batch, detections, true.cpu())
             progress.advance(len(batch))
-    return score, score_on, kept.boxes()
+    kinds = (np.int64, np.int64, np.int64, np.float32, np.bool_)
+    columns = (
+        np.concatenate(column).astype(kind) for column, kind in zip(zip(*found, strict=True), kinds, strict=True)
+    )
+    return score, score_on, Boxes(*columns)
 
 
 def _judge_bare(
@@ -109,24 +113,13 @@ def max_score_on(detections: Detections, boxes: Tensor, iou: float = IOU) -> Ten
     return scores.max(1).values if scores.shape[1] else scores.sum(1)
 
 
-class BoxList:
-    """Collects person boxes after non-maximum suppression, and which of them found the body."""
-
-    def __init__(self) -> None:
-        self._rows: list[tuple[np.ndarray, ...]] = []
-
-    def add(self, detector: int, control: int, batch: np.ndarray, detections: Detections, true: Tensor) -> None:
-        """Boxes of one batch; `true` [B, 4] on the CPU."""
-        for image, boxes, truth in zip(batch, person_boxes(detections, BOX_THRESHOLD), true, strict=True):
-            hit = np.zeros(len(boxes), bool)
-            on = (box_iou(boxes[:, :4], truth.to(boxes)) >= IOU).nonzero()[:, 0]
-            if len(on):  # best first
-                hit[int(on[0])] = True
-            label = np.broadcast_to(np.array([[detector], [control], [int(image)]]), (3, len(boxes)))
-            self._rows.append((*label, boxes[:, 4].numpy(), hit))
-
-    def boxes(self) -> Boxes:
-        """All of them."""
-        columns = [np.concatenate(column) for column in zip(*self._rows, strict=True)]
-        kinds = (np.int64, np.int64, np.int64, np.float32, np.bool_)
-        return Boxes(*(column.astype(kind) for column, kind in zip(columns, kinds, strict=True)))
+def _found(
+    detector: int, control: int, batch: np.ndarray, detections: Detections, true: Tensor
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """The columns of `Boxes` for each image of a batch: person boxes after non-maximum suppression; `true` [B, 4]."""
+    for image, boxes, truth in zip(batch, person_boxes(detections, BOX_THRESHOLD), true, strict=True):
+        hit = np.zeros(len(boxes), bool)
+        on = (box_iou(boxes[:, :4], truth.to(boxes)) >= IOU).nonzero()[:, 0]
+        hit[on[:1]] = True  # best first
+        label = np.broadcast_to(np.array([[detector], [control], [int(image)]]), (3, len(boxes)))
+        yield (*label, boxes[:, 4].numpy(), hit)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
+from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
@@ -34,23 +36,15 @@ class Trials:
 
 
 def draw_trials(
-    poses: int,
-    angles: tuple[float, ...],
-    distances: tuple[float, ...],
-    backgrounds: int,
-    outfits: int,
-    *,
-    images_per_view: int,
-    shift: int,
-    seed: int,
+    poses: int, angles: Sequence[float], backgrounds: int, outfits: int, settings: EvaluateSettings
 ) -> Trials:
-    """Every pose at every angle and distance, `images_per_view` times; background, shift and outfit drawn by seed.
+    """Every pose at every angle (degrees) and distance, several times; background, shift and outfit drawn by seed.
 
     Backgrounds are dealt like cards from a shuffled deck, so all come about equally often.
     """
-    rng = np.random.default_rng([seed, 0xE7A1])
-    axes = (np.arange(poses), np.asarray(angles, np.float32), np.asarray(distances, np.float32))
-    grid = np.meshgrid(*axes, np.arange(images_per_view), indexing="ij")
+    rng = np.random.default_rng([settings.seed, 0xE7A1])
+    axes = (np.arange(poses), np.asarray(angles, np.float32), np.asarray(settings.distances, np.float32))
+    grid = np.meshgrid(*axes, np.arange(settings.images_per_view), indexing="ij")
     pose, angle, distance = (axis.ravel() for axis in grid[:3])
     count = len(pose)
     decks = [rng.permutation(backgrounds) for _ in range(-(-count // backgrounds))]
@@ -59,7 +53,7 @@ def draw_trials(
         angle=angle,
         distance=distance,
         background=np.concatenate(decks)[:count].astype(np.int64),
-        shift=rng.integers(-shift, shift + 1, (count, 2)),
+        shift=rng.integers(-settings.shift, settings.shift + 1, (count, 2)),
         outfit=rng.integers(0, outfits, count),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -25,34 +25,25 @@ Indices = Sequence[int] | np.ndarray
 """Which trials, by number."""
 
 
+@dataclass(eq=False)
 class Stage:
     """Trained colours, bodies and backgrounds, ready to render any trial under any control.
 
     Nothing but the shift of the trial moves an image: no contrast, brightness or noise is added.
     """
 
-    def __init__(
-        self,
-        colors: Float32[np.ndarray, "L 3"],
-        logo: Logo,
-        bodies: Bodies,
-        backgrounds: Backgrounds,
-        trials: Trials,
-        *,
-        camera: Camera,
-        seed: int = 0,
-        bank: ViewBank,
-    ) -> None:
-        self.trials = trials
-        self.bodies = bodies
-        self.colors = colors
-        self.logo = logo
-        self.backdrops = backgrounds
-        self.viewpoint = camera
-        """The camera, but for azimuth and distance."""
-        self.seed = seed
-        self.bank = bank
-        self._device = torch.device(bank.device)
+    colors: Float32[np.ndarray, "L 3"]
+    logo: Logo
+    bodies: Bodies
+    backdrops: Backgrounds
+    trials: Trials
+    viewpoint: Camera
+    """The camera, but for azimuth and distance."""
+    bank: ViewBank
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._device = torch.device(self.bank.device)
         self._controls: dict[str, Tensor] = {}
 
     def images(self, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:

@@ -20,7 +20,7 @@ def make_measurement(
     """3 bodies x 5 angles x 4 images; the logo works but on the last body, the controls hardly."""
     rng = np.random.default_rng(3)
     angles = (-10.0, -5.0, 0.0, 5.0, 10.0)
-    trials = draw_trials(len(bodies), angles, (2.2,), 30, 1, images_per_view=4, shift=50, seed=0)
+    trials = draw_trials(len(bodies), angles, 30, 1, EvaluateSettings())
     count = len(trials)
     mean = np.array([0.2, 0.95, 0.9, 0.8])[:, None] + np.zeros((4, count))
     mean[0, trials.pose == len(bodies) - 1] = 0.5

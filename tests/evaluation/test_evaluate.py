@@ -16,7 +16,7 @@ from cloak_core.evaluation.controls import random_colors
 from cloak_core.evaluation.evaluate import evaluate, make_stage
 from cloak_core.evaluation.evaluation_folder import read_evaluation
 from cloak_core.evaluation.inference import max_score_on
-from cloak_core.evaluation.report import make_report
+from cloak_core.evaluation.report.page import make_report
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies

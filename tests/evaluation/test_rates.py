@@ -10,6 +10,7 @@ from made_evaluation import make_measurement
 
 from cloak_core.evaluation.measurement import Boxes, Measurement, Trials, draw_trials, read_measurement
 from cloak_core.evaluation.rates import average_precision, rate_record, summarize
+from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.errors import InputError
 
 
@@ -89,7 +90,10 @@ def test_average_precision_by_hand() -> None:
 
 
 def test_trials_cover_the_grid_and_deal_backgrounds_evenly() -> None:
-    draw = lambda seed: draw_trials(3, (-10.0, 10.0), (2.2, 3.0), 7, 4, images_per_view=5, shift=50, seed=seed)
+    def draw(seed: int) -> Trials:
+        settings = EvaluateSettings(distances=(2.2, 3.0), images_per_view=5, seed=seed)
+        return draw_trials(3, (-10.0, 10.0), 7, 4, settings)
+
     trials = draw(0)
     assert len(trials) == 3 * 2 * 2 * 5
     views, counts = np.unique(np.stack([trials.pose, trials.angle, trials.distance]), axis=1, return_counts=True)

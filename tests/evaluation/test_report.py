@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from made_evaluation import make_measurement, write_run
 
-from cloak_core.evaluation.report import make_report
+from cloak_core.evaluation.report.page import make_report
 from cloak_core.evaluation.report.words import duration, interval, percent, short_name
 from cloak_core.files.errors import InputError
 

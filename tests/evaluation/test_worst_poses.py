@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cloak_core.evaluation.pictures import WORST, worst_trials
-from cloak_core.evaluation.report import make_report
+from cloak_core.evaluation.report.page import make_report
 from cloak_core.evaluation.report.plots import success_by_body
 from tests.evaluation.made_evaluation import make_measurement, write_run
 

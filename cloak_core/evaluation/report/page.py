@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 
 import jinja2
@@ -91,6 +93,7 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         _detector(stored, d, spec, rates, threshold) for d, (spec, rates) in enumerate(summary["detectors"].items())
     ]
     specs = list(summary["detectors"])
+    gallery = [_pair(folder, specs, shot) for shot in pictures["gallery"]]
     return {
         "summary": summary,
         "threshold": threshold,
@@ -98,7 +101,7 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         "controls": list(stored.measurement.controls),
         "lede": words.lede(summary),
         "badges": words.badges(summary),
-        "gallery": _by_body([_pair(folder, specs, shot) for shot in pictures["gallery"]]),
+        "gallery": [(body, list(pairs)) for body, pairs in groupby(gallery, key=itemgetter("body"))],
         "strip": _strip(folder, specs, pictures["controls"]),
         "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
         "size": summary["settings"]["size"],
@@ -151,13 +154,6 @@ def _shot(folder: Path, specs: list[str], picture: dict) -> dict:
     ]
     found = [(d, bool(picture["boxes"].get(spec)), picture["scores"].get(spec, 0)) for d, spec in enumerate(specs)]
     return {"image": data_uri(folder / Path(picture["file"]).name), "boxes": boxes, "found": found}
-
-
-def _by_body(pairs: list[dict]) -> list[tuple[str, list[dict]]]:
-    bodies: dict[str, list[dict]] = {}
-    for pair in pairs:
-        bodies.setdefault(pair["body"], []).append(pair)
-    return list(bodies.items())
 
 
 def svg(figure: Figure) -> Markup:
