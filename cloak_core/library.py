@@ -7,9 +7,9 @@ may be called twice, and from any thread.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.loop import RunResult
@@ -29,6 +29,7 @@ from cloak_core.scene.opening import load_scene
 if TYPE_CHECKING:
     from cloak_core.evaluation.inference import OnProgress
 
+T = TypeVar("T")
 Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
 
@@ -58,9 +59,7 @@ def train(
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
     folder that exists and is not resumed is refused.
     """
-    if settings is not None and changes:
-        raise TypeError(f"settings are given: change {', '.join(changes)} there")
-    settings = settings or make_settings(**changes)
+    settings = _either(settings, changes, make_settings)
     named = {"scene": scene, "logo": logo, "backgrounds": backgrounds}
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene)
     return train_logo(
@@ -103,12 +102,9 @@ def evaluate(
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluation_folder import FOLDER
 
-    if settings is not None and changes:
-        raise TypeError(f"settings are given: change {', '.join(changes)} there")
+    settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out if isinstance(run, RunResult) else run)
     config = read_run(folder)
-    if detectors is None:
-        detectors = [trained["spec"] for trained in config["detectors"]]
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
     if not isinstance(backgrounds, Backgrounds):
         backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
@@ -118,13 +114,20 @@ def evaluate(
         logo,
         bodies,
         backgrounds,
-        _by_name(detectors, device),
+        _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device),
         from_plain("angles", angles, Angles) if isinstance(angles, str) else angles,
-        settings or EvaluateSettings(**changes),
+        settings,
         training=config,
         out=folder / FOLDER,
         on_progress=on_progress,
     )
+
+
+def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:
+    """The settings, or those made by the changes. TypeError: both are given."""
+    if settings is not None and changes:
+        raise TypeError(f"settings are given: change {', '.join(changes)} there")
+    return make(**changes) if settings is None else settings
 
 
 def _detector(detector: Detector | str, device: str) -> Detector:

@@ -77,18 +77,8 @@ class Demo(Command):
         further = HARDER | {"seed": self.seed}
         further |= {} if self.compute.threads is None else {"threads": self.compute.threads}
         write_text(config, "".join(f"{key} = {json.dumps(value)}\n" for key, value in further.items()))
-        words = [
-            "--sample",
-            "--logo",
-            str(logo.absolute()),
-            "--frames",
-            f"1:{poses}:1",
-            "--preset",
-            "best",
-            "--angles",
-            ANGLES,
-        ]
-        words += ["--steps", str(self.steps), "--device", self.compute.device, "--config", str(config), "--resume"]
+        words = f"--sample --frames 1:{poses}:1 --preset best --angles {ANGLES} --steps {self.steps} --resume".split()
+        words += ["--logo", str(logo.absolute()), "--device", self.compute.device, "--config", str(config)]
         train_in_blender(blender, words, self.out)
 
     def show(self, result: dict) -> None:
