@@ -158,15 +158,12 @@ def find(arguments: list[str]) -> tuple[str, list[str]]:
     given = [a for a in arguments[:2] if not a.startswith("-")]
     group = {name: place for name, place in COMMANDS.items() if given and name.startswith(given[0] + " ")}
     if given and not group:
-        raise InputError(f"unknown command '{given[0]}' (known: {', '.join(dict.fromkeys(map(_first, COMMANDS)))})")
+        known = dict.fromkeys(name.split()[0] for name in COMMANDS)
+        raise InputError(f"unknown command '{given[0]}' (known: {', '.join(known)})")
     if len(given) > 1:
         raise InputError(f"unknown command '{words}' (known: {', '.join(group)})")
     print_help(group or COMMANDS)
     sys.exit(0 if {"-h", "--help"} & set(arguments) else 2)
-
-
-def _first(name: str) -> str:
-    return name.split(" ")[0]
 
 
 def load(name: str) -> type[Command]:

@@ -16,9 +16,11 @@ import hashlib
 import itertools
 import json
 import logging
+import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from cloak_core.attack.events import OnEvent, read_events
@@ -105,9 +107,7 @@ def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> 
         twice = [value for i, value in enumerate(values) if value in values[:i]]
         if twice:
             raise InputError(f"{path}: [grid] {key}: {twice[0]!r} stands there twice")
-    count = 1
-    for values in grid.values():
-        count *= len(values)
+    count = math.prod(map(len, grid.values()))
     if count > MOST_RUNS:
         raise InputError(f"{path}: {count} runs, more than {MOST_RUNS}")
     combinations = (dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values()))
@@ -153,22 +153,18 @@ class _Opened:
     """What runs are made of, opened once."""
 
     def __init__(self) -> None:
-        self._scenes: dict[str, Bodies] = {}
-        self._backgrounds: dict[str, Backgrounds] = {}
-        self._detectors: dict[tuple[str, str], Detector] = {}
+        self._scene, self._background_set, self._detector = (
+            cache(load_scene),
+            cache(load_backgrounds),
+            cache(load_detector),
+        )
 
     def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
         """Bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
-        bodies = self._scenes.get(run.scene) or self._scenes.setdefault(run.scene, load_scene(run.scene))
+        bodies = self._scene(run.scene)
         logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
-        for spec in run.detectors:
-            if (spec, run.settings.compute.device) not in self._detectors:
-                loaded = load_detector(spec, device=run.settings.compute.device)
-                self._detectors[spec, run.settings.compute.device] = loaded
-        if run.backgrounds not in self._backgrounds:
-            self._backgrounds[run.backgrounds] = load_backgrounds(run.backgrounds)
-        detectors = [self._detectors[spec, run.settings.compute.device] for spec in run.detectors]
-        return bodies, logo, detectors, self._backgrounds[run.backgrounds]
+        detectors = [self._detector(spec, device=run.settings.compute.device) for spec in run.detectors]
+        return bodies, logo, detectors, self._background_set(run.backgrounds)
 
 
 class Sweep:
@@ -226,20 +222,10 @@ class Sweep:
         folder = self.out / "runs" / run.name
         record = {"name": run.name, "varied": run.varied}
         try:
-            bodies, logo, detectors, backgrounds = self._opened.open(run)
+            opened = self._opened.open(run)
             inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
-            result = train(
-                run.settings,
-                bodies,
-                logo,
-                detectors,
-                backgrounds,
-                folder,
-                resume=True,
-                on_event=on_event,
-                inputs=inputs,
-                alone=True,
-            )
+            how = {"resume": True, "on_event": on_event, "inputs": inputs, "alone": True}
+            result = train(run.settings, *opened, folder, **how)
         except InputError as error:
             tell(f"failed: {error}")
             record["error"] = str(error)

@@ -48,6 +48,10 @@ class Command:
     def run(self) -> dict:
         raise NotImplementedError
 
+    def given(self, *others: str) -> dict:
+        """The options by name, but for --json and these others."""
+        return {name: value for name, value in vars(self).items() if name not in ("json", *others)}
+
     def show(self, result: dict) -> None:
         """Say the result to a person, on standard output."""
 

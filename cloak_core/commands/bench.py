@@ -33,9 +33,7 @@ class Views(Command):
     def run(self) -> dict:
         from cloak_core.bench.views import run_bench_views
 
-        return run_bench_views(
-            self.scene, samples=self.samples, threads=self.threads, repeats=self.repeats, device=self.device
-        )
+        return run_bench_views(**self.given())
 
     def show(self, result: dict) -> None:
         out.print(f"{result['samples']} sample(s) per pixel, {result['threads']} threads; ms per view")
@@ -134,17 +132,7 @@ class Ranks(Command):
     def run(self) -> dict:
         from cloak_core.bench.ranks import run_bench_ranks
 
-        return run_bench_ranks(
-            self.detector,
-            self.scene,
-            self.logo,
-            self.backgrounds,
-            batch=self.batch,
-            ranks=self.ranks,
-            threads=self.threads,
-            steps=self.steps,
-            rounds=self.rounds,
-        )
+        return run_bench_ranks(self.detector, **self.given("detector"))
 
     def show(self, result: dict) -> None:
         found = result[self.detector]
@@ -177,15 +165,8 @@ class Detectors(Command):
 
         if self.out is not None:
             require_new(self.out)
-        specs = self.detector or ("builtin",)
-        result = run_bench_detectors(
-            specs,
-            batch=self.batch,
-            threads=self.threads,
-            repeats=self.repeats,
-            device=self.device,
-            **self.options.arguments(),
-        )
+        how = self.given("detector", "out", "options") | self.options.arguments()
+        result = run_bench_detectors(self.detector or ("builtin",), **how)
         if self.out is not None:
             write_table(result, self.out, self.device)
         return result
@@ -213,8 +194,7 @@ class Accuracy(Command):
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
 
-        bodies = load_scene(self.scene)
-        return run_bench_accuracy(bodies, threads=self.threads, repeats=self.repeats, out=self.out, only=self.only)
+        return run_bench_accuracy(load_scene(self.scene), **self.given("scene"))
 
     def show(self, result: dict) -> None:
         for name, version in result["peers"].items():

@@ -106,14 +106,8 @@ class TrainBuiltin(Command):
         require_new(self.out)
         if self.steps < 1:
             raise InputError(f"--steps {self.steps}: at least 1 is needed")
-        return {"out": str(self.out)} | train_builtin(
-            self.out,
-            self.backgrounds,
-            steps=self.steps,
-            seed=self.seed,
-            on_event=show_event,
-            start_from=self.start_from,
-        )
+        given = self.given("out", "compute")
+        return {"out": str(self.out)} | train_builtin(self.out, on_event=show_event, **given)
 
     def show(self, result: dict) -> None:
         out.print(

@@ -46,17 +46,8 @@ class Print(Command):
         bodies = load_scene(scene)
         ids = load_logo(bodies, self.run_folder / "logo.npy").face_ids
         colors = read_colors(self.run_folder / "colors.npy", len(ids))
-        report = print_logo(
-            bodies,
-            ids,
-            colors,
-            self.out,
-            dpi=self.dpi,
-            page=self.page,
-            project=self.project,
-            title=self.run_folder.resolve().name,
-            palette=palette,
-        )
+        how = {"title": self.run_folder.resolve().name, "palette": palette, "project": self.project}
+        report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 
     def show(self, result: dict) -> None:

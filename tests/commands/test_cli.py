@@ -115,7 +115,7 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
     assert {"--translation-per {image,batch}", "--jpeg {None}|LOW:HIGH"} <= set(shown["augmentation"])
     shown = help_of("evaluate", capsys)
     assert list(shown) == ["positional arguments", "options", "detectors", "evaluation", "computing"]
-    assert "--preset {paper,reference,best}" in help_of("reproduce", capsys)["options"]
+    assert "--preset {paper,reference,best}" in help_of("reproduce", capsys)["experiments"]
 
 
 @pytest.mark.parametrize(
