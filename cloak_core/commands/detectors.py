@@ -62,6 +62,8 @@ class Check(Command):
             out.print(f"best person score {result['max_person']:.3f}")
             for x1, y1, x2, y2, score in result["boxes"]:
                 out.print(f"  {score:.3f}  at {x1:.0f},{y1:.0f} to {x2:.0f},{y2:.0f}")
+            for options, score in result.get("pixels", {}).items():
+                out.print(f"  {score:.3f}  with pixels as @{options}")
         else:
             out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f}")
 

@@ -8,6 +8,8 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
+from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.pixels import USUAL
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
 from cloak_core.files.errors import InputError
@@ -22,8 +24,9 @@ def check_image(
     """Run a detector on one image file (any size and mode; EXIF orientation applied).
 
     Returns {"max_person": best person score, thresholded or not, "boxes": [[x1, y1, x2, y2, score], ...]}: the boxes
-    above `threshold` after non-maximum suppression, in the file's pixels, best first. With `out`, also writes the
-    picture with those boxes drawn. InputError names a file that cannot be read or written.
+    above `threshold` after non-maximum suppression, in the file's pixels, best first. Where nobody said how the network
+    wants its pixels, "pixels" has the best person score for each usual way, best first, by the options of a spec. With
+    `out`, also writes the picture with those boxes drawn. InputError names a file that cannot be read or written.
     """
     if out is not None and (out.suffix.lower() not in (".png", ".jpg", ".jpeg") or not out.absolute().parent.is_dir()):
         raise InputError(f"{out}: give a .png or .jpg in a folder that exists")
@@ -33,7 +36,22 @@ def check_image(
     boxes = person_boxes(detections, threshold)[0]
     if out is not None:
         save_picture(out, draw_boxes(pixels, boxes))
-    return {"max_person": max_person_score(detections).item(), "boxes": boxes.tolist()}
+    found: dict[str, object] = {"max_person": max_person_score(detections).item(), "boxes": boxes.tolist()}
+    if getattr(detector, "pixels_assumed", False):
+        found["pixels"] = try_pixels(detector, pixels)
+    return found
+
+
+@torch.no_grad()
+def try_pixels(detector: OnnxDetector, image: Float[Tensor, "3 H W"]) -> dict[str, float]:
+    """The best person score that each usual way to hand over pixels gives, best first."""
+    before, scores = detector.pixels, {}
+    try:
+        for detector.pixels in USUAL:
+            scores[detector.pixels.options] = max_person_score(detector(image[None])).item()
+    finally:
+        detector.pixels = before
+    return dict(sorted(scores.items(), key=lambda item: -item[1]))
 
 
 def read_image(path: Path) -> Float[Tensor, "3 H W"]:

@@ -4,7 +4,7 @@ import importlib.util
 
 from cloak_core.files.errors import InputError
 
-EXTRAS = {"transformers": "transformers", "onnxruntime": "onnx"}
+EXTRAS = {"transformers": "transformers", "onnxruntime": "onnx", "onnx": "onnx", "onnx2torch": "onnx"}
 """Package -> the extra of this project that installs it."""
 
 

@@ -48,6 +48,10 @@ class Detector(nn.Module):
     precision: Literal["float32", "bfloat16"] = "float32"
     compiled: bool = False
     """Whether it runs through torch.compile."""
+    operating_point: float = 0.5
+    """The score above which the detector, as people run it, reports a box."""
+    operating_point_assumed: bool = True
+    """Nobody said so: it is what its family usually runs at."""
     source: dict[str, object]
     """What decides its answers beside its tensors, as plain values: hashes of the files that run it, its input size and
     options. Families fill it."""

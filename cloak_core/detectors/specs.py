@@ -3,12 +3,23 @@
 import re
 from dataclasses import dataclass
 
+from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.files.errors import InputError
 from cloak_core.files.specs import split_spec
 
 PERSON = "person"
 """The class that is looked for unless told otherwise."""
-OPTIONS = {"size": r"\d+(?:x\d+)?", "letterbox": "letterbox", "person": "person=[^,@]+"}
+_NUMBER = r"[0-9.]+(?:e-?[0-9]+)?"
+OPTIONS = {
+    "size": r"\d+(?:x\d+)?",
+    "letterbox": "letterbox|stretch",
+    "person": "person=[^,@]+",
+    "bgr": "bgr|rgb",
+    "range": "range=(?:1|255)",
+    "mean": f"mean={_NUMBER}(?:/{_NUMBER}){{2}}",
+    "std": f"std={_NUMBER}(?:/{_NUMBER}){{2}}",
+    "conf": f"conf={_NUMBER}",
+}
 """How each option after the @ is written; `parse_spec` says what becomes of it."""
 _ANY = "|".join(OPTIONS.values())
 _OPTIONS = re.compile(rf"^(?P<what>.*)@(?P<options>(?:{_ANY})(?:,(?:{_ANY}))*)$", re.DOTALL)
@@ -25,8 +36,14 @@ class Request:
     input_size: tuple[int, int] | None = None
     """The network's (height, width); None for the detector's own."""
     letterbox: bool = False
+    stretch: bool = False
+    """Stretch images to the network's input even where its family letterboxes them."""
     person_class: str | None = None
     """Name or index of the class to look for; None where nobody said."""
+    pixels: PixelFormat | None = None
+    """How the network wants its pixels; None as its family does."""
+    confidence: float | None = None
+    """The score above which the detector, as it is used, reports a box; None for its own default."""
     layout: str | None = None
     """Of a model's outputs, where the family has several."""
     fold: bool = True
@@ -46,7 +63,7 @@ class Request:
 
 
 def parse_spec(spec: str) -> Request:
-    """Take a spec apart. InputError: an option given twice, a size of zero."""
+    """Take a spec apart. InputError: an option given twice, one that is no number or outside its range."""
     match = _OPTIONS.match(spec)
     what, options = (match["what"], match["options"].split(",")) if match else (spec, [])
     kinds = [_kind(option) for option in options]
@@ -60,9 +77,38 @@ def parse_spec(spec: str) -> Request:
         family,
         what,
         input_size=(sides[0], sides[-1]) if sides else None,
-        letterbox="letterbox" in given,
+        letterbox=given.get("letterbox") == "letterbox",
+        stretch=given.get("letterbox") == "stretch",
         person_class=given["person"].partition("=")[2] if "person" in given else None,
+        pixels=_pixels(spec, given),
+        confidence=_confidence(spec, given),
     )
+
+
+def _confidence(spec: str, given: dict[str, str]) -> float | None:
+    if "conf" not in given:
+        return None
+    (value,) = _numbers(spec, given["conf"])
+    if not 0 < value < 1:
+        raise InputError(f"detector {spec!r}: conf={value:g} is not in (0, 1)")
+    return value
+
+
+def _pixels(spec: str, given: dict[str, str]) -> PixelFormat | None:
+    if not {"bgr", "range", "mean", "std"} & given.keys():
+        return None
+    values = {name: _numbers(spec, given[name]) for name in ("mean", "std", "range") if name in given}
+    if 0 in values.get("std", ()):
+        raise InputError(f"detector {spec!r}: a standard deviation of 0 in {given['std']}")
+    (scale,) = values.pop("range", (1.0,))
+    return PixelFormat(bgr=given.get("bgr") == "bgr", range=scale, **values)
+
+
+def _numbers(spec: str, option: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in option.partition("=")[2].split("/"))
+    except ValueError:
+        raise InputError(f"detector {spec!r}: {option} holds something that is no number") from None
 
 
 def with_person_class(spec: str, person_class: str) -> str:

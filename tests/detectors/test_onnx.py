@@ -1,120 +1,332 @@
-"""ONNX models of each output layout, made by hand so that the boxes are known."""
+"""ONNX files as detectors: converted and checked against onnxruntime, run image by image, or left a black box."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from cloak_core.detectors.families import FAMILIES, list_families
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
-from cloak_core.detectors.scoring import person_boxes
+from cloak_core.detectors.onnx_family import parity
+from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.networks import Session
+from cloak_core.detectors.protocol import detector_record, state_hash
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
+from tests.detectors.test_gradients import lowers_score
 
-onnx = pytest.importorskip("onnx", reason="pip install onnx")
+onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
 pytest.importorskip("onnxruntime", reason="pip install 'cloak-core[onnx]'")
+pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
+helper, numpy_helper = onnx.helper, onnx.numpy_helper
 
-SIDE = 32
-
-
-def write(path: Path, *outputs: np.ndarray, names: str | None = None, batch: int | str = 1) -> Path:
-    """A model that answers with these arrays, brighter pictures raising all of it a little."""
-    helper, numpy_helper = onnx.helper, onnx.numpy_helper
-    image = helper.make_tensor_value_info("images", onnx.TensorProto.FLOAT, [batch, 3, SIDE, SIDE])
-    nodes = [helper.make_node("ReduceMean", ["images"], ["mean"], axes=[1, 2, 3], keepdims=1)]
-    nodes.append(helper.make_node("Constant", [], ["zero"], value=numpy_helper.from_array(np.float32(0))))
-    nodes.append(helper.make_node("Constant", [], ["flat"], value=numpy_helper.from_array(np.array([-1, 1, 1]))))
-    nodes.append(helper.make_node("Mul", ["mean", "zero"], ["nothing"]))
-    nodes.append(helper.make_node("Reshape", ["nothing", "flat"], ["column"]))
-    infos = []
-    for index, array in enumerate(outputs):
-        value = numpy_helper.from_array(array.astype(np.float32))
-        nodes.append(helper.make_node("Constant", [], [f"c{index}"], value=value))
-        nodes.append(helper.make_node("Add", [f"c{index}", "column"], [f"out{index}"]))
-        infos.append(helper.make_tensor_value_info(f"out{index}", onnx.TensorProto.FLOAT, [batch, *array.shape[1:]]))
-    graph = helper.make_graph(nodes, "made", [image], infos)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-    if names is not None:
-        helper.set_model_props(model, {"names": names})
-    onnx.save(model, str(path))
-    return path
+SIDE = 64
+NAMES = "{0: 'cat', 1: 'person'}"
+FLOAT, HALF = onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16
 
 
-def yolox_rows() -> np.ndarray:
-    rows = np.zeros((1, 16 + 4 + 1, 7))  # strides 8, 16, 32 on 32 px
-    rows[0, 5] = [0.5, 0.25, np.log(2), np.log(1), 0.9, 0.1, 0.8]  # cell x=1, y=1 of stride 8
-    return rows
+class Made:
+    """A small network in YOLOv8's layout: two convolutions, SiLU between them, boxes and scores of an 8 x 8 grid."""
+
+    def __init__(self, kind: int = FLOAT) -> None:
+        self.kind, self.nodes, self.weights = kind, [], []
+        random = np.random.default_rng(3)
+        self.weight("first", random.normal(0, 0.2, (8, 3, 8, 8)))
+        self.weight("second", random.normal(0, 0.3, (6, 8, 3, 3)))
+        self.weight("bias", np.array([30, 30, 20, 20, -1, -1.0]))
+        self.weight("flat", np.array([0, 6, -1]), onnx.TensorProto.INT64)
+        self.weight("four", np.array([0, 4]), onnx.TensorProto.INT64)
+
+    def weight(self, name: str, values: np.ndarray, kind: int | None = None) -> None:
+        dtype = helper.tensor_dtype_to_np_dtype(self.kind if kind is None else kind)
+        self.weights.append(numpy_helper.from_array(np.asarray(values, dtype), name))
+
+    def node(self, operation: str, inputs: str, outputs: str, **attributes: object) -> None:
+        self.nodes.append(
+            helper.make_node(operation, inputs.split(), outputs.split(), name=outputs.split()[0], **attributes)
+        )
+
+    def body(self, images: str = "images", bias: str = "bias") -> None:
+        self.node("Conv", f"{images} first", "stem", strides=[8, 8])
+        self.node("Sigmoid", "stem", "gate")
+        self.node("Mul", "stem gate", "active")
+        self.node("Conv", f"active second {bias}", "grid", pads=[1, 1, 1, 1])
+
+    def head(self, flat: str = "flat") -> None:
+        self.node("Reshape", f"grid {flat}", "rows")
+        self.weight("cut", np.array([4]), onnx.TensorProto.INT64)
+        self.weight("from", np.array([0]), onnx.TensorProto.INT64)
+        self.weight("to", np.array([6]), onnx.TensorProto.INT64)
+        self.weight("axis", np.array([1]), onnx.TensorProto.INT64)
+        self.node("Slice", "rows from cut axis", "boxes")
+        self.node("Slice", "rows cut to axis", "logits")
+        self.node("Sigmoid", "logits", "scores")
+        self.node("Concat", "boxes scores", "output", axis=1)
+
+    def save(self, path: Path, batch: int | str = "batch", sides: tuple = (SIDE, SIDE), **said: str) -> Path:
+        inputs = [helper.make_tensor_value_info("images", self.kind, [batch, 3, *sides])]
+        outputs = [helper.make_tensor_value_info("output", self.kind, None)]
+        graph = helper.make_graph(self.nodes, "made", inputs, outputs, self.weights)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+        helper.set_model_props(model, {"names": NAMES} | said)
+        onnx.save(model, str(path))
+        return path
 
 
-ROW = [12.0, 10.0, 16.0, 8.0]
-ROWS = {
-    "yolov5": (np.array([[[*ROW, 0.9, 0.1, 0.8]] + [[1, 1, 1, 1, 0.1, 0.1, 0.1]] * 9]),),
-    "yolov8": (np.concatenate([np.array([[*ROW, 0.1, 0.72]]).transpose()[None], np.zeros((1, 6, 9))], axis=2),),
-    "yolox": (yolox_rows(),),
-    "detr": (
-        np.array([[[0.0, np.log(0.72 / 0.14), 0.0], [0.0, -9, 9]]]),
-        np.array([[[12 / 32, 10 / 32, 16 / 32, 8 / 32], [0.5, 0.5, 0.1, 0.1]]]),
-    ),
-}
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    made = Made()
+    made.body()
+    made.head()
+    return made.save(tmp_path / "made.onnx")
 
 
-@pytest.mark.parametrize("layout", ROWS)
-@pytest.mark.parametrize("batch", [1, "batch"])
-def test_layouts(layout: str, batch: int | str, tmp_path: Path) -> None:
-    path = write(tmp_path / "m.onnx", *ROWS[layout], names="{0: 'cat', 1: 'person'}", batch=batch)
-    detector = load_detector(f"onnx:{path}:{layout}")
-    assert not detector.differentiable and detector.input_size == (SIDE, SIDE)
-    found = detector(images(2, 64, 64))  # twice the network's size
-    for boxes in person_boxes(found, threshold=0.6):
-        assert boxes[:, 4].tolist() == pytest.approx([0.72], abs=1e-5)
-        assert boxes[0, :4].tolist() == pytest.approx([8.0, 12.0, 40.0, 28.0], abs=1e-3)
+def close(converted: OnnxDetector, session: Session) -> None:
+    """The two say the same of five images, at once."""
+    inputs = converted.pixels.apply(torch.rand(5, 3, *converted.input_size))
+    found = converted.answer(inputs)
+    expected = [converted.decode(session(image), converted.input_size) for image in inputs.split(1)]
+    torch.testing.assert_close(found.boxes, torch.cat([e.boxes for e in expected]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.classes, torch.cat([e.classes for e in expected]), atol=1e-5, rtol=0)
 
 
-def test_layout_is_told_from_outputs_or_asked_for(tmp_path: Path) -> None:
-    names = "{0: 'cat', 1: 'person'}"
-    for layout in ("yolov8", "detr"):
-        path = write(tmp_path / f"{layout}.onnx", *ROWS[layout], names=names)
-        assert load_detector(f"onnx:{path}").layout == layout
-    path = write(tmp_path / "v5.onnx", *ROWS["yolov5"], names=names)
-    with pytest.raises(InputError, match="fit several layouts; say onnx:FILE:LAYOUT"):
-        load_detector(f"onnx:{path}")
-    with pytest.raises(InputError, match=r"v5.onnx: its outputs \[\[1, 10, 7\]\] are not laid out as yolox"):
-        load_detector(f"onnx:{path}:yolox")
-    with pytest.raises(InputError, match=r"v5.onnx: its outputs .* are not laid out as detr"):
-        load_detector(f"onnx:{path}:detr")
-    with pytest.raises(InputError, match="unknown layout 'yolo9'"):
+def test_a_file_trains(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    detector = load_detector(f"onnx:{path}")
+    assert detector.differentiable and detector.person == 1 and not caplog.records
+    assert detector.source["layout"] == "yolov8" and detector.input_size == (SIDE, SIDE)
+    session = detector_session(path)
+    close(detector, session)
+    before, after = lowers_score(detector, images(2, 90, 60))
+    assert bool((after < before).all())
+    kinds = {type(module).__name__ for module in detector.modules()}
+    assert not kinds & {"OnnxSlice", "OnnxReshape", "OnnxBinaryMathOperation"}  # numbers where tensors were
+
+
+def detector_session(path: Path) -> Session:
+    from cloak_core.detectors.onnx_family.model_file import read_model
+
+    file = read_model(path)
+    return Session(file.session(1), file)
+
+
+def test_a_reshape_of_a_fixed_batch_is_run_image_by_image_and_named(tmp_path: Path, caplog) -> None:
+    made = Made()
+    made.weight("fixed", np.array([1, 6, -1]), onnx.TensorProto.INT64)
+    made.body()
+    made.head("fixed")
+    path = made.save(tmp_path / "fixed.onnx")
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{path}")
+    assert "a batch goes wrong in it at node rows; its images are run one by one" in caplog.text
+    assert detector.differentiable and detector.network.one_by_one
+    close(detector, detector_session(path))
+    before, after = lowers_score(detector, images(2, 90, 60))
+    assert bool((after < before).all())
+
+
+def test_a_batch_fixed_to_one(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'one.onnx', batch=1)}")
+    assert detector.differentiable and len(detector(images(3, 90, 60)).scores) == 3
+
+
+def test_a_bias_that_is_a_constant_node(tmp_path: Path) -> None:
+    made = Made()
+    made.node("Constant", "", "offset", value=made.weights[2])
+    made.body(bias="offset")
+    made.head()
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'constant.onnx')}")
+    assert detector.differentiable
+    close(detector, detector_session(tmp_path / "constant.onnx"))
+
+
+def test_half_precision_becomes_single(tmp_path: Path) -> None:
+    made = Made(HALF)
+    made.body()
+    made.head()
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'half.onnx')}")
+    assert detector.differentiable and detector(images(2, SIDE, SIDE)).scores.dtype == torch.float32
+
+
+def test_integers_are_a_black_box(tmp_path: Path, caplog) -> None:
+    made = Made()
+    made.weight("scale", np.array(1 / 255))
+    made.weight("zero", np.array(0), onnx.TensorProto.UINT8)
+    made.node("QuantizeLinear", "images scale zero", "bytes")
+    made.node("DequantizeLinear", "bytes scale zero", "back")
+    made.body("back")
+    made.head()
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{made.save(tmp_path / 'int8.onnx')}")
+    assert "a black box, good for evaluation alone: it computes in integers (bytes, back)" in caplog.text
+    assert not detector.differentiable
+    assert detector(images(2, SIDE, SIDE)).scores.shape == (2, 64)
+    with pytest.raises(InputError, match="a black box without gradients: evaluate with it, do not train"):
+        detector(images(1, SIDE, SIDE).requires_grad_())
+
+
+def test_an_operator_without_a_translation_is_named(tmp_path: Path, caplog) -> None:
+    made = Made()
+    made.body()
+    made.nodes[-1].output[0] = made.nodes[-1].name = "rough"
+    made.node("Shrink", "rough", "grid", lambd=0.0)
+    made.head()
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{made.save(tmp_path / 'shrink.onnx')}")
+    assert "a black box" in caplog.text and "Shrink" in caplog.text
+    assert not detector.differentiable
+
+
+def test_what_is_wrong_in_torch_is_not_trained_against(path: Path, monkeypatch, caplog) -> None:
+    monkeypatch.setattr(parity, "SCORES", -1.0)
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{path}")
+    assert "converted to torch it answers otherwise than in onnxruntime" in caplog.text
+    assert not detector.differentiable
+
+
+def test_the_check_is_made_once_for_each_content(path: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("CLOAK_CACHE", str(tmp_path / "cache"))
+    load_detector(f"onnx:{path}")
+    from cloak_core.detectors.onnx_family import detector as module
+
+    monkeypatch.setattr(module, "compare", lambda *_: pytest.fail("compared again"))
+    path.rename(tmp_path / "moved.onnx")
+    assert load_detector(f"onnx:{tmp_path / 'moved.onnx'}").differentiable
+
+
+def test_what_the_file_says_counts(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "said.onnx", sides=("height", "width"), imgsz="[96, 128]", conf="0.4")
+    detector = load_detector(f"onnx:{path}")
+    assert detector.input_size == (96, 128)
+    assert detector.operating_point == 0.4 and not detector.operating_point_assumed
+    assert load_detector(f"onnx:{path}@64").input_size == (64, 64)
+    own = load_detector(f"onnx:{path}@conf=0.3,64x96")
+    assert own.operating_point == 0.3 and own.input_size == (64, 96)
+
+
+def test_the_usual_confidence_is_marked_as_assumed(path: Path) -> None:
+    detector = load_detector(f"onnx:{path}")
+    assert detector.operating_point == 0.25 and detector.operating_point_assumed
+
+
+def test_pixels_as_the_spec_says(path: Path) -> None:
+    plain = load_detector(f"onnx:{path}@stretch")
+    other = load_detector(f"onnx:{path}@stretch,bgr,range=255,mean=255/0/0,std=255/255/255")
+    batch = images(2, SIDE, SIDE)
+    flipped = batch.flip(1)
+    flipped[:, 0] -= 1
+    torch.testing.assert_close(other(batch).scores, plain.answer(flipped).classes[..., 1])
+    assert detector_record(plain) != detector_record(other)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("conf=1.5", "conf=1.5 is not in"),
+        ("mean=1/2/3,std=1/0/1", "a standard deviation of 0"),
+        ("mean=1..2/2/3", "no number"),
+        ("bgr,rgb", "bgr is given twice"),
+    ],
+)
+def test_bad_options(path: Path, options: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        load_detector(f"onnx:{path}@{options}")
+
+
+def test_sizes_and_layouts_that_do_not_fit(path: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="its input is fixed to 64x64, it cannot run at 96x96"):
+        load_detector(f"onnx:{path}@96")
+    with pytest.raises(InputError, match=r"outputs output \[1, 6, 64\] are not laid out as fastestdet"):
+        load_detector(f"onnx:{path}:fastestdet")
+    with pytest.raises(InputError, match="unknown layout 'yolo9'; known are yolov5"):
         load_detector(f"onnx:{path}:yolo9")
-    with pytest.raises(InputError, match="its input is fixed to 32x32"):
-        load_detector(f"onnx:{path}:yolov5@64")
+    made = Made()
+    made.body()
+    made.node("Identity", "grid", "output")
+    with pytest.raises(InputError, match=r"output \[1, 6, 8, 8\] are of no known layout; say onnx:FILE:LAYOUT"):
+        load_detector(f"onnx:{made.save(tmp_path / 'grid.onnx')}")
 
 
-def test_black_box_refuses_training_and_hashes_its_file(tmp_path: Path) -> None:
-    path = write(tmp_path / "m.onnx", *ROWS["yolov5"], names="{0: 'cat', 1: 'person'}")
-    detector = load_detector(f"onnx:{path}:yolov5")
-    with pytest.raises(InputError, match="black box without gradients: evaluate with it, do not train"):
-        detector(images().requires_grad_())
-    other = write(tmp_path / "n.onnx", *ROWS["yolov5"], names="{1: 'person', 0: 'dog'}")
-    assert state_hash(detector) != state_hash(load_detector(f"onnx:{other}:yolov5"))
-
-
-def test_names_are_needed(tmp_path: Path) -> None:
-    path = write(tmp_path / "m.onnx", *ROWS["yolov5"])
-    with pytest.raises(InputError, match="names of its 2 classes are unknown"):
-        load_detector(f"onnx:{path}:yolov5")
-    assert load_detector(f"onnx:{path}:yolov5", person_class="1").person == 1
-
-
-def test_broken_files(tmp_path: Path) -> None:
+def test_files_that_are_no_such_model(tmp_path: Path) -> None:
     (tmp_path / "m.onnx").write_bytes(b"no model")
-    with pytest.raises(InputError, match="not an ONNX model"):
+    with pytest.raises(InputError, match="not an ONNX file"):
         load_detector(f"onnx:{tmp_path / 'm.onnx'}")
     with pytest.raises(InputError, match=r"none.onnx: no such file"):
         load_detector("onnx:none.onnx")
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "two.onnx")
+    model = onnx.load(str(path))
+    model.graph.input.append(helper.make_tensor_value_info("scale", FLOAT, [1]))
+    onnx.save(model, str(path))
+    with pytest.raises(InputError, match=r"has 2 inputs \(images, scale\), not one of images"):
+        load_detector(f"onnx:{path}")
+
+
+def test_weights_outside_the_folder_are_not_read(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    (tmp_path / "in").mkdir()
+    path = made.save(tmp_path / "in" / "m.onnx")
+    model = onnx.load(str(path))
+    onnx.save(model, str(path), save_as_external_data=True, location="m.data", size_threshold=0)
+    assert load_detector(f"onnx:{path}").differentiable
+    (tmp_path / "in" / "m.data").rename(tmp_path / "m.data")
+    with pytest.raises(InputError, match=r"m\.data: no such file"):
+        load_detector(f"onnx:{path}")
+    path.write_bytes(path.read_bytes().replace(b"m.data", b"../m.d"))
+    with pytest.raises(InputError, match=r"keeps weights in \.\./m.d, outside its folder"):
+        load_detector(f"onnx:{path}")
+
+
+def test_names_are_needed(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "m.onnx", names="")
+    with pytest.raises(InputError, match="names of its 2 classes are unknown"):
+        load_detector(f"onnx:{path}")
+    assert load_detector(f"onnx:{path}", person_class="1").person == 1
+
+
+def test_a_black_box_hashes_its_file(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(parity, "SCORES", -1.0)
+    hashes = set()
+    for names in (NAMES, "{0: 'dog', 1: 'person'}"):
+        made = Made()
+        made.body()
+        made.head()
+        hashes.add(state_hash(load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', names=names)}")))
+    assert len(hashes) == 2
 
 
 def test_the_list_names_every_family() -> None:
     entries = list_families()["families"]
     assert {entry["family"] for entry in entries} == set(FAMILIES)
-    assert [entry["family"] for entry in entries if not entry["trains"]] == ["onnx"]
+    assert all(entry["trains"] for entry in entries)
     assert all(entry["installed"] == (entry["install"] is None) for entry in entries)
+
+
+def test_pixels_are_tried_where_nobody_says(path: Path, tmp_path: Path) -> None:
+    from PIL import Image
+
+    from cloak_core.detectors.check import check_image
+
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), dtype=np.uint8)).save(tmp_path / "a.png")
+    detector = load_detector(f"onnx:{path}")
+    found = check_image(detector, tmp_path / "a.png")
+    assert list(found["pixels"].values()) == sorted(found["pixels"].values(), reverse=True)
+    assert found["pixels"]["rgb"] == pytest.approx(found["max_person"])
+    for options in ("bgr", "range=255", "bgr,range=255"):
+        own = check_image(load_detector(f"onnx:{path}@{options}"), tmp_path / "a.png")
+        assert "pixels" not in own and own["max_person"] == pytest.approx(found["pixels"][options], abs=1e-6)

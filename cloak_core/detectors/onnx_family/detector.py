@@ -1,0 +1,182 @@
+"""`onnx:FILE[:LAYOUT]`: an ONNX file as a detector that can be trained against, or else as a black box."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import is_dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors.classes import names_beside, person_index
+from cloak_core.detectors.extras import require
+from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
+from cloak_core.detectors.onnx_family.guessing import guess_layout
+from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
+from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
+from cloak_core.detectors.onnx_family.networks import Converted, Session
+from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images
+from cloak_core.detectors.pixels import PixelFormat
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.resizing import fit
+from cloak_core.detectors.specs import Request
+from cloak_core.files.errors import InputError, first_line
+
+GREY = 114 / 255
+"""What the YOLO exports were trained to see around letterboxed pictures."""
+COCO_91 = (90, 91, 92)
+"""Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
+PACKAGES = ("onnx", "onnx2torch", "onnxruntime")
+_log = logging.getLogger("cloak")
+
+
+class OnnxDetector(Detector):
+    """A network from an ONNX file: a torch module where conversion succeeded, else an onnxruntime session."""
+
+    def __init__(
+        self, network: nn.Module, decode: Decode, size: tuple[int, int], pixels: PixelFormat, letterbox: bool, spec: str
+    ) -> None:
+        super().__init__("onnx", spec)
+        self.network, self.decode, self.input_size = network, decode, size
+        self.pixels, self.letterbox = pixels, letterbox
+        self.pixels_assumed = True
+        self.differentiable = not isinstance(network, Session)
+        self.person = 0
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        if images.requires_grad and not self.differentiable:
+            raise InputError(f"{self.spec}: a black box without gradients: evaluate with it, do not train")
+        inputs, placement = fit(images, self.input_size, self.letterbox, GREY)
+        found = self.answer(self.pixels.apply(inputs))
+        person = found.classes[..., self.person]
+        scores = person if found.objectness is None else person * found.objectness
+        likeliest = None if found.objectness is None else person >= found.classes.amax(dim=-1)
+        return Detections(placement.restore(found.boxes), scores, found.objectness, likeliest)
+
+    def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
+        """What the network says of its own input, decoded."""
+        return self.decode(self.network(inputs), self.input_size)
+
+
+def load_onnx(request: Request) -> OnnxDetector:
+    """A detector from an ONNX file. The layout is one of LAYOUTS; without one it is told from the outputs if possible.
+
+    The file is converted to torch, and what came of it is compared with onnxruntime at the first loading; where that
+    fails it stays a black box, and a line says why. Class names, input size and confidence come from the file's own
+    metadata, else class names as for Darknet. InputError names what is missing or ambiguous.
+    """
+    for package in PACKAGES:
+        require(package, request.spec)
+    name, named = (*request.parts, "")[:2]
+    if named and request.layout:
+        raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
+    file = read_model(Path(name).expanduser())
+    size = file.input_size(request.input_size)
+    try:
+        detector = _assemble(request, named, file, _converted(file, size))
+        _compare(detector, file)
+    except NotConvertible as error:
+        session = Session(file.session(torch.get_num_threads()), file)
+        detector = _assemble(request, named, file, session)
+        _log.warning("%s: a black box, good for evaluation alone: %s", file.path, error)
+    return detector.freeze()
+
+
+def _converted(file: ModelFile, size: tuple[int, int]) -> Converted:
+    """The file as a torch module that runs."""
+    if file.quantised:
+        raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
+    graph = to_torch(file.model).to(memory_format=torch.channels_last)
+    network = Converted(graph, file, one_by_one=file.batch is not None)
+    try:
+        with torch.no_grad():
+            network(sample_images(size)[:1])
+    except Exception as error:  # onnx2torch's modules fail in their own ways
+        raise NotConvertible(f"it fails in torch ({type(error).__name__}: {first_line(error)[:120]})") from None
+    return network
+
+
+def _assemble(request: Request, named: str, file: ModelFile, network: Converted | Session) -> OnnxDetector:
+    """A detector around a network: its layout, its person, its operating point."""
+    size = file.input_size(request.input_size)
+    layout_name, decode = _layout(request, named, file, network, size)
+    layout = LAYOUTS[layout_name]
+    letterbox = request.letterbox or (layout.letterbox and not request.stretch)
+    detector = OnnxDetector(network, decode, size, request.pixels or layout.pixels, letterbox, request.spec)
+    detector.name, detector.pixels_assumed = file.path.stem, request.pixels is None
+    detector.person = _person(file, _class_count(detector, file, layout_name), request.person)
+    detector.operating_point = request.confidence or file.confidence or layout.confidence
+    detector.operating_point_assumed = not (request.confidence or file.confidence)
+    options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
+    detector.source = {"file": file.digest, "input_size": list(size), "person": detector.person} | options
+    detector.packages = PACKAGES
+    return detector
+
+
+@torch.no_grad()
+def _layout(
+    request: Request, named: str, file: ModelFile, network: nn.Module, size: tuple[int, int]
+) -> tuple[str, Decode]:
+    """The layout's name, and what decodes such outputs."""
+    try:
+        outputs = network(sample_images(size)[:1])
+    except Exception as error:  # onnxruntime's own
+        raise InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})") from None
+    labelled = dict(zip(file.output_names, outputs, strict=True))
+    name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
+    shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
+    if not name:
+        known = ", ".join(LAYOUTS)
+        raise InputError(f"{file.path}: outputs {shapes} are of no known layout; say onnx:FILE:LAYOUT ({known})")
+    if name not in LAYOUTS:
+        raise InputError(f"detector {request.spec!r}: unknown layout {name!r}; known are {', '.join(LAYOUTS)}")
+    try:
+        decode = LAYOUTS[name].decoder(outputs)
+        decode(outputs, size)
+    except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
+        raise InputError(f"{file.path}: its outputs {shapes} are not laid out as {name}") from error
+    return name, decode
+
+
+@torch.no_grad()
+def _class_count(detector: OnnxDetector, file: ModelFile, layout: str) -> int:
+    if layout == "end2end" and file.names:
+        return len(file.names)
+    return detector.answer(sample_images(detector.input_size)[:1]).classes.shape[-1]
+
+
+def _compare(detector: OnnxDetector, file: ModelFile) -> None:
+    """NotConvertible where the converted network does not answer as onnxruntime does. Where only batches go wrong its
+    images are run one by one, and a line names the node."""
+    size, decode, converted = detector.input_size, detector.decode, detector.network
+    images = detector.pixels.apply(sample_images(size))
+
+    def look() -> Parity:
+        session = Session(file.session(torch.get_num_threads()), file)
+        return compare(lambda x: decode(converted(x), size), lambda x: decode(session(x), size), images)
+
+    settled = decode if is_dataclass(decode) else ""  # what a layout found out; functions have no words that last
+    parity = remembered(f"{detector.source} {settled}", look)
+    if parity.why or not parity.agrees:
+        raise NotConvertible(parity.why or _disagreement(parity))
+    if not parity.takes_batches:
+        converted.one_by_one = True
+        node = node_that_mixes(converted.graph, images[:2])
+        place = f" at node {node}" if node else ""
+        _log.warning("%s: a batch goes wrong in it%s; its images are run one by one", file.path, place)
+
+
+def _disagreement(parity: Parity) -> str:
+    if parity.gradient is None:
+        return "its scores have no finite gradient in the image"
+    figures = f"scores by {parity.scores:.1e}, boxes by {parity.boxes_px:.2f} px, gradient by {parity.gradient:.0%}"
+    return f"converted to torch it answers otherwise than in onnxruntime ({figures})"
+
+
+def _person(file: ModelFile, count: int, person_class: str) -> int:
+    names = file.names if file.names and len(file.names) == count else names_beside(file.path, count)
+    if names is None and count in COCO_91 and person_class == "person":
+        return 0 if count == COCO_91[0] else 1
+    return person_index(names, person_class, count, str(file.path))

@@ -1,0 +1,64 @@
+"""Which layout a model's outputs have, told from their shapes, names and values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from torch import Tensor
+
+from cloak_core.detectors.onnx_family.layouts import COCO_CLASSES, YOLO_STRIDES, Size, cells, strides_of
+
+MOST_QUERIES = 1000
+"""Transformers and end-to-end heads answer with at most so many boxes."""
+
+
+def guess_layout(outputs: Mapping[str, Tensor], size: Size, class_count: int | None) -> str | None:
+    """The name of the layout, None where several fit or none. Outputs are those of one image; class_count: None where
+    the file does not say."""
+    shapes = [tuple(output.shape) for output in outputs.values()]
+    if len(shapes) == 1:
+        return _of_one(next(iter(outputs.values())), size, class_count)
+    if len(shapes) == 2 and all(len(s) >= 3 for s in shapes) and any(s[-1] == 4 for s in shapes):
+        return _of_two(outputs)
+    if len(shapes) >= 4 and len({s[1:-1] for s in shapes}) == len(shapes) / 2 and len({s[-1] for s in shapes}) == 2:
+        return "nanodet"
+    # Others stand first among raw heads that are exported beside the decoded one (YOLOv5 does so).
+    return _of_one(next(iter(outputs.values())), size, class_count) if len(shapes[0]) == 3 else None
+
+
+def _of_one(output: Tensor, size: Size, class_count: int | None) -> str | None:
+    shape = tuple(output.shape)
+    if len(shape) == 4 and shape[2] * 16 == size[0] and shape[3] * 16 == size[1]:
+        return "fastestdet"
+    if len(shape) != 3:
+        return None
+    if shape[2] == 6 and shape[1] <= MOST_QUERIES:
+        return "end2end"
+    if shape[1] < shape[2]:
+        return "yolov8"
+    if any(3 * cells(size, strides) == shape[1] for strides in YOLO_STRIDES):
+        return "yolov5"
+    if strides_of(shape[1], size) is None:
+        return None
+    return _of_rows(output, shape[2], class_count or COCO_CLASSES)
+
+
+def _of_rows(output: Tensor, width: int, class_count: int) -> str | None:
+    """A row for each cell of the usual grids."""
+    if width == 4 + class_count:
+        return "yolov8"
+    if width == 5 + class_count:
+        # YOLOX's own export leaves the logarithm of sizes, of which some are negative.
+        return "yolox" if bool((output[..., 2:4] < 0).any()) else "yolov5"
+    rest = width - class_count
+    return "nanodet" if rest >= 16 and rest % 4 == 0 else None
+
+
+def _of_two(outputs: Mapping[str, Tensor]) -> str:
+    values: Sequence[Tensor] = list(outputs.values())
+    scores = values[1] if values[0].shape[-1] == 4 else values[0]
+    are_logits = bool(scores.min() < 0) or bool(scores.max() > 1)
+    if scores.shape[1] > MOST_QUERIES or not are_logits:
+        return "boxes-scores"
+    # DETR has a class for "no object": 91 and 1 of COCO's own numbering; RT-DETR has none.
+    return "rtdetr" if scores.shape[-1] == COCO_CLASSES else "detr"

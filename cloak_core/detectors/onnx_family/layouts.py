@@ -1,0 +1,230 @@
+"""From a network's raw outputs to boxes and class probabilities, for each layout that exporters write."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.detectors.pixels import IMAGENET, PixelFormat
+
+YOLO_STRIDES = ((8, 16, 32), (8, 16, 32, 64), (16, 32), (4, 8, 16, 32))
+"""Of the grids that dense heads are made of, in the order they are laid out."""
+COCO_CLASSES = 80
+Size = tuple[int, int]
+
+
+class Decoded(NamedTuple):
+    """Of B images: N boxes and what they show; all differentiable."""
+
+    boxes: Float[Tensor, "B N 4"]
+    """xyxy, pixels of the network's input."""
+    classes: Float[Tensor, "B N K"]
+    """Probabilities of the classes, times objectness only where the layout has folded it in."""
+    objectness: Float[Tensor, "B N"] | None = None
+
+
+Decode = Callable[[Sequence[Tensor], Size], Decoded]
+AS_THEY_ARE = PixelFormat()
+NANODET = PixelFormat(bgr=True, range=255.0, mean=(103.53, 116.28, 123.675), std=(57.375, 57.12, 58.395))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How one kind of export is fed and read."""
+
+    decode: Decode | None
+    """None where it takes a look at real outputs to know."""
+    confidence: float
+    """The score above which its family usually reports a box."""
+    letterbox: bool = False
+    """Whether its family keeps the aspect ratio of images."""
+    pixels: PixelFormat = AS_THEY_ARE
+    told_from: Callable[[Sequence[Tensor]], Decode] | None = None
+
+    def decoder(self, outputs: Sequence[Tensor]) -> Decode:
+        """What decodes such outputs; these are of real images, and settle what exports of the layout differ in."""
+        return self.decode or self.told_from(outputs)
+
+
+def yolov5(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """[B, N, 5 + K]: centre and size in input pixels, objectness, classes."""
+    rows = outputs[0]
+    return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
+
+
+def yolov8(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """[B, 4 + K, N], or transposed: centre and size in input pixels, classes; no objectness."""
+    rows = outputs[0] if outputs[0].shape[1] > outputs[0].shape[2] else outputs[0].transpose(1, 2)
+    return Decoded(corners(rows[..., :4]), rows[..., 4:])
+
+
+def yolox(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """[B, N, 5 + K] as YOLOv5, but offsets in cells and log sizes, for strides 8, 16 and 32 in turn."""
+    rows = outputs[0]
+    cell, stride = _grid(size, strides_of(rows.shape[1], size) or YOLO_STRIDES[0], rows)
+    boxes = torch.cat([(rows[..., :2] + cell) * stride, rows[..., 2:4].exp() * stride], dim=-1)
+    return Decoded(corners(boxes), rows[..., 5:], rows[..., 4])
+
+
+def detr(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """Logits [B, Q, K + 1] (the last is "no object") and boxes [B, Q, 4], centre and size as fractions."""
+    logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
+    return Decoded(corners(boxes * _pixels(size, boxes)), logits.softmax(dim=-1)[..., :-1])
+
+
+def rtdetr(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """Logits [B, Q, K] of independent classes and boxes [B, Q, 4], centre and size as fractions."""
+    logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
+    return Decoded(corners(boxes * _pixels(size, boxes)), logits.sigmoid())
+
+
+def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """[B, N, 6]: xyxy in input pixels, the best class's score, its number; YOLOv10 and later, before suppression."""
+    rows = outputs[0]
+    number = rows[..., 5].detach().round().long()
+    count = max(COCO_CLASSES, int(number.max()) + 1)
+    return Decoded(rows[..., :4], F.one_hot(number.clamp(min=0), count) * rows[..., 4:5])
+
+
+@dataclass(frozen=True)
+class NanoDet:
+    """[B, N, K + 4 R], or class and distance outputs apart for each stride: scores, and for each side of the box a
+    distribution over R distances in cells (Generalized Focal Loss, arXiv:2006.04388, equation 5)."""
+
+    logits: bool
+    """Whether scores still want a sigmoid; exports differ."""
+
+    @classmethod
+    def told_from(cls, outputs: Sequence[Tensor]) -> NanoDet:
+        """As these outputs of real images have it."""
+        classes, _ = cls._split(outputs)
+        return cls(logits=bool(classes.min() < 0) or bool(classes.max() > 1))
+
+    def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
+        classes, sides = self._split(outputs)
+        strides = strides_of(classes.shape[1], size) or YOLO_STRIDES[0]
+        cell, stride = _grid(size, strides, classes)
+        bins = sides.unflatten(-1, (4, -1)).softmax(dim=-1)
+        distance = (bins * torch.arange(bins.shape[-1], device=bins.device, dtype=bins.dtype)).sum(-1) * stride
+        # NanoDet-Plus's four strides count from the cell's corner, the older three from its middle.
+        middle = (cell + (0.0 if len(strides) == 4 else 0.5)) * stride
+        boxes = torch.cat([middle - distance[..., :2], middle + distance[..., 2:]], dim=-1)
+        return Decoded(boxes, classes.sigmoid() if self.logits else classes)
+
+    @staticmethod
+    def _split(outputs: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        return _gathered(outputs) if len(outputs) > 1 else _parted(outputs[0])
+
+
+def fastestdet(outputs: Sequence[Tensor], size: Size) -> Decoded:
+    """[B, 5 + K, h, w]: objectness, offsets, sizes, classes of one grid; a score is objectness^0.6 times class^0.4."""
+    grid = outputs[0]
+    height, width = grid.shape[2:]
+    rows = grid.flatten(2).transpose(1, 2)
+    index = torch.arange(height * width, device=grid.device)
+    cell = torch.stack([index % width, index // width], dim=-1).to(grid.dtype)
+    centre = (rows[..., 1:3].tanh() + cell) / torch.tensor([width, height], device=grid.device, dtype=grid.dtype)
+    boxes = torch.cat([centre, rows[..., 3:5].sigmoid()], dim=-1) * _pixels(size, grid)
+    tiny = torch.finfo(grid.dtype).tiny  # the power's slope at 0 is infinite
+    score = rows[..., :1].clamp(min=tiny) ** 0.6 * rows[..., 5:].clamp(min=tiny) ** 0.4
+    return Decoded(corners(boxes), score)
+
+
+@dataclass(frozen=True)
+class BoxesScores:
+    """Boxes [B, N, 4] (or [B, N, 1, 4]) and scores [B, N, K] as two outputs, as SSD exports have them."""
+
+    fractions: bool
+    """Boxes are parts of the input's sides, not pixels."""
+    corners: bool
+    """Boxes are corners, not centre and size."""
+    logits: bool
+    exclusive: bool
+    """Scores are of classes that exclude each other, the first of them "nothing"."""
+
+    @classmethod
+    def told_from(cls, outputs: Sequence[Tensor]) -> BoxesScores:
+        """As these outputs of real images have it."""
+        boxes, scores = cls._split(outputs)
+        logits = bool(scores.min() < 0) or bool(scores.max() > 1)
+        exclusive = logits or bool(((scores.sum(-1) - 1).abs() < 1e-3).all())
+        ordered = bool((boxes[..., 2:] >= boxes[..., :2]).double().mean() > 0.999)
+        return cls(bool(boxes.abs().max() <= 4), ordered, logits, exclusive)
+
+    def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
+        boxes, scores = self._split(outputs)
+        boxes = boxes * _pixels(size, boxes) if self.fractions else boxes
+        scores = scores.softmax(dim=-1) if self.logits else scores
+        return Decoded(boxes if self.corners else corners(boxes), scores[..., 1:] if self.exclusive else scores)
+
+    @staticmethod
+    def _split(outputs: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        boxes, scores = outputs[:2] if outputs[0].shape[-1] == 4 else outputs[1::-1]
+        return boxes.reshape(len(boxes), -1, 4), scores
+
+
+LAYOUTS: dict[str, Layout] = {
+    "yolov5": Layout(yolov5, 0.25, letterbox=True),
+    "yolov8": Layout(yolov8, 0.25, letterbox=True),
+    "yolox": Layout(yolox, 0.25, letterbox=True, pixels=PixelFormat(bgr=True, range=255.0)),
+    "end2end": Layout(end2end, 0.25, letterbox=True),
+    "detr": Layout(detr, 0.5, pixels=PixelFormat(mean=IMAGENET[0], std=IMAGENET[1])),
+    "rtdetr": Layout(rtdetr, 0.5),
+    "nanodet": Layout(None, 0.4, pixels=NANODET, told_from=NanoDet.told_from),
+    "fastestdet": Layout(fastestdet, 0.65, pixels=PixelFormat(bgr=True)),
+    "boxes-scores": Layout(None, 0.5, told_from=BoxesScores.told_from),
+}
+
+
+def corners(boxes: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
+    """Centre and size to corners."""
+    half = boxes[..., 2:] / 2
+    return torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
+
+
+def cells(size: Size, strides: Sequence[int]) -> int:
+    """How many cells the grids of these strides have together on an input (height, width)."""
+    return sum(math.ceil(size[0] / s) * math.ceil(size[1] / s) for s in strides)
+
+
+def strides_of(count: int, size: Size) -> tuple[int, ...] | None:
+    """The usual strides whose grids have `count` cells together; None where no such do."""
+    return next((strides for strides in YOLO_STRIDES if cells(size, strides) == count), None)
+
+
+def _grid(size: Size, strides: Sequence[int], like: Tensor) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 1"]]:
+    """Column and row of every cell, and its stride in pixels."""
+    places, steps = [], []
+    for stride in strides:
+        height, width = math.ceil(size[0] / stride), math.ceil(size[1] / stride)
+        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        places.append(torch.stack([x, y], dim=-1).reshape(-1, 2))
+        steps.append(torch.full((height * width, 1), stride))
+    return torch.cat(places).to(like), torch.cat(steps).to(like)
+
+
+def _pixels(size: Size, like: Tensor) -> Tensor:
+    return torch.tensor([size[1], size[0]] * 2, dtype=like.dtype, device=like.device)
+
+
+def _parted(rows: Float[Tensor, "B N C"]) -> tuple[Tensor, Tensor]:
+    """Classes and distances of rows that hold both; eight distances a side, or more where COCO's classes leave more."""
+    sides = 32 if rows.shape[-1] < COCO_CLASSES + 32 else rows.shape[-1] - COCO_CLASSES
+    return rows[..., :-sides], rows[..., -sides:]
+
+
+def _gathered(outputs: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    """Classes and distances [B, N, C] of outputs for each stride, finest grid first; distances are multiples of 4 wide
+    and the same everywhere."""
+    flat = [output.flatten(2).transpose(1, 2) if output.dim() == 4 else output for output in outputs]
+    flat.sort(key=lambda output: -output.shape[1])
+    widths = [flat[0].shape[-1], flat[1].shape[-1]]
+    sides = 32 if 32 in widths else min(widths)
+    return tuple(torch.cat([o for o in flat if (o.shape[-1] == sides) == wanted], dim=1) for wanted in (False, True))

@@ -1,0 +1,190 @@
+"""An ONNX file: what it says of its input, classes and size, and what of it cannot be run."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import MAX_BYTES, read_bytes
+
+if TYPE_CHECKING:
+    import onnx
+    import onnxruntime
+
+DEFAULT_SIDE = 640
+QUANTISED = (
+    "QuantizeLinear",
+    "DequantizeLinear",
+    "QLinearConv",
+    "ConvInteger",
+    "MatMulInteger",
+    "DynamicQuantizeLinear",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """A model of images, read and understood as far as its file tells."""
+
+    path: Path
+    model: onnx.ModelProto
+    """Its weights with it, all of them float32."""
+    digest: str
+    """SHA-256 of the file and of what it keeps outside itself."""
+    input_name: str
+    output_names: tuple[str, ...]
+    channels_last: bool
+    """The input is [N, H, W, 3] (exports of TensorFlow), not [N, 3, H, W]."""
+    batch: int | None
+    """The batch that the file fixes; None where any goes."""
+    size: tuple[int, int] | None
+    """(height, width) that the file fixes, or says it was made for."""
+    fixed_size: bool
+    names: tuple[str, ...] | None
+    """The classes' names, where its exporter wrote them."""
+    confidence: float | None
+    """Its usual confidence threshold, where its exporter wrote it."""
+    quantised: tuple[str, ...]
+    """Names of its first nodes that compute in integers."""
+
+    def input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
+        """The size to run it at. InputError: it is fixed to another."""
+        if self.fixed_size and wanted not in (None, self.size):
+            fixed, other = (f"{h}x{w}" for h, w in (self.size, wanted))
+            raise InputError(f"{self.path}: its input is fixed to {fixed}, it cannot run at {other}")
+        return wanted or self.size or (DEFAULT_SIDE, DEFAULT_SIDE)
+
+    def session(self, threads: int) -> onnxruntime.InferenceSession:
+        """The model in onnxruntime. InputError with its words where it cannot run it."""
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        options.intra_op_num_threads = threads
+        try:
+            return onnxruntime.InferenceSession(
+                self.model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime has a class of its own for each kind of broken file
+            words = first_line(error)[:160]
+            raise InputError(f"{self.path}: not an ONNX model that onnxruntime can run ({words})") from error
+
+
+def read_model(path: Path) -> ModelFile:
+    """Read a file. InputError: no ONNX; weights outside its folder; several inputs; an input that is no batch of RGB
+    images."""
+    import onnx
+
+    data = read_bytes(path)
+    try:
+        model = onnx.load_from_string(data)
+    except Exception as error:  # protobuf's own
+        raise InputError(f"{path}: not an ONNX file ({first_line(error)[:120]})") from None
+    if not model.graph.node:
+        raise InputError(f"{path}: not an ONNX file, or one without a network")
+    outside = _load_outside(model, path)
+    _as_float32(model)
+    weights = {initializer.name for initializer in model.graph.initializer}
+    inputs = [value for value in model.graph.input if value.name not in weights]
+    if len(inputs) != 1:
+        raise InputError(f"{path}: has {len(inputs)} inputs ({', '.join(i.name for i in inputs)}), not one of images")
+    shape = [d.dim_value or None for d in inputs[0].type.tensor_type.shape.dim]
+    channels_last = len(shape) == 4 and shape[3] == 3 and shape[1] != 3
+    sides = shape[1:3] if channels_last else shape[2:4]
+    if len(shape) != 4 or shape[3 if channels_last else 1] not in (3, None):
+        raise InputError(f"{path}: its input {[d or 'any' for d in shape]} is not a batch of RGB images")
+    said = {entry.key: entry.value for entry in model.metadata_props}
+    return ModelFile(
+        path=path,
+        model=model,
+        digest=sha256_arrays(np.frombuffer(data, np.uint8), *outside),
+        input_name=inputs[0].name,
+        output_names=tuple(output.name for output in model.graph.output),
+        channels_last=channels_last,
+        batch=shape[0],
+        size=tuple(sides) if all(sides) else _said_size(said),
+        fixed_size=all(sides),
+        names=_said_names(said),
+        confidence=_said_confidence(said),
+        quantised=tuple(node.name or node.op_type for node in model.graph.node if node.op_type in QUANTISED)[:3],
+    )
+
+
+def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
+    """Load the weights that lie in other files of its folder, and return those files' bytes, in order."""
+    from onnx.external_data_helper import load_external_data_for_model, uses_external_data
+
+    places = {
+        entry.value
+        for tensor in model.graph.initializer
+        if uses_external_data(tensor)
+        for entry in tensor.external_data
+        if entry.key == "location"
+    }
+    folder, found = path.resolve().parent, []
+    for place in sorted(places):
+        target = (folder / place).resolve()
+        if folder not in target.parents:
+            raise InputError(f"{path}: keeps weights in {place}, outside its folder; they are not read")
+        found.append(np.frombuffer(read_bytes(target, MAX_BYTES), np.uint8))
+    if places:
+        try:
+            load_external_data_for_model(model, str(folder))
+        except Exception as error:
+            raise InputError(f"{path}: its weights beside it cannot be read ({first_line(error)[:120]})") from None
+    return found
+
+
+def _as_float32(model: onnx.ModelProto) -> None:
+    """Half precision to single, in place: torch has no half-precision convolutions worth having on a CPU."""
+    from onnx import TensorProto, numpy_helper
+
+    graph, half = model.graph, TensorProto.FLOAT16
+    for value in (*graph.input, *graph.output, *graph.value_info):
+        if value.type.tensor_type.elem_type == half:
+            value.type.tensor_type.elem_type = TensorProto.FLOAT
+    attributes = [attribute for node in graph.node for attribute in node.attribute]
+    for attribute in attributes:
+        if attribute.name in ("to", "dtype") and attribute.i == half:
+            attribute.i = TensorProto.FLOAT
+    for tensor in (*graph.initializer, *(a.t for a in attributes if a.HasField("t"))):
+        if tensor.data_type == half:
+            tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float32), tensor.name))
+
+
+def _said_names(said: dict[str, str]) -> tuple[str, ...] | None:
+    """Ultralytics writes a dictionary or list in Python's words."""
+    try:
+        names = ast.literal_eval(said["names"])
+    except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    if isinstance(names, dict) and set(names) == set(range(len(names))):
+        names = [names[i] for i in range(len(names))]
+    return tuple(map(str, names)) if isinstance(names, (list, tuple)) and names else None
+
+
+def _said_size(said: dict[str, str]) -> tuple[int, int] | None:
+    try:
+        sides = ast.literal_eval(said["imgsz"])
+    except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):
+        return None
+    sides = [sides, sides] if isinstance(sides, int) else sides
+    whole = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and 0 < s <= 8192 for s in sides)
+    return tuple(sides) if whole else None
+
+
+def _said_confidence(said: dict[str, str]) -> float | None:
+    for key in ("conf", "confidence", "conf_thres", "score_threshold"):
+        try:
+            value = float(said[key])
+        except (KeyError, ValueError):
+            continue
+        if 0 < value < 1:
+            return value
+    return None

@@ -1,0 +1,54 @@
+"""The two ways to run an ONNX file: as a torch module, or by onnxruntime."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors.onnx_family.model_file import ModelFile
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+
+class Session(nn.Module):
+    """An onnxruntime session as a module, on the CPU, without gradients; image by image where the batch is fixed."""
+
+    def __init__(self, session: onnxruntime.InferenceSession, file: ModelFile) -> None:
+        super().__init__()
+        self.session, self.input_name, self.channels_last = session, file.input_name, file.channels_last
+        self.one_by_one = file.batch is not None
+        # The session's weights are no tensors of ours; this stands for them in `state_hash`.
+        self.register_buffer("digest", torch.frombuffer(bytearray.fromhex(file.digest), dtype=torch.uint8))
+
+    @torch.no_grad()
+    def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
+        array = inputs.permute(0, 2, 3, 1) if self.channels_last else inputs
+        array = np.ascontiguousarray(array.cpu().numpy())
+        chunks = np.split(array, len(array)) if self.one_by_one else [array]
+        runs = [self.session.run(None, {self.input_name: chunk}) for chunk in chunks]
+        joined = (np.concatenate(parts) for parts in zip(*runs, strict=True))
+        return [torch.from_numpy(part).float().to(inputs.device) for part in joined]
+
+
+class Converted(nn.Module):
+    """A converted graph with its outputs as a list; one image at a time where batches go wrong in it."""
+
+    def __init__(self, graph: nn.Module, file: ModelFile, one_by_one: bool = False) -> None:
+        super().__init__()
+        self.graph, self.channels_last, self.one_by_one = graph, file.channels_last, one_by_one
+
+    def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
+        array = inputs.permute(0, 2, 3, 1) if self.channels_last else inputs
+        if not self.one_by_one:
+            return self._listed(self.graph(array))
+        runs = [self._listed(self.graph(image)) for image in array.split(1)]
+        return [torch.cat(parts) for parts in zip(*runs, strict=True)]
+
+    @staticmethod
+    def _listed(outputs: Tensor | tuple | list) -> list[Tensor]:
+        return [outputs] if isinstance(outputs, Tensor) else list(outputs)

@@ -1,0 +1,116 @@
+"""A converted graph made plainer, in place, with the same answers.
+
+What onnx2torch leaves as tensors to be read at every run (where to cut, which shape) becomes numbers, and
+x * sigmoid(x) one operation.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, fx, nn
+
+
+def simplify(graph: fx.GraphModule) -> None:
+    """Rewrite the nodes of a graph for which there is something plainer."""
+    modules = dict(graph.named_modules())
+    for node in list(graph.graph.nodes):
+        if node.op != "call_module":
+            continue
+        plainer = REWRITES.get(type(modules[node.target]).__name__, _nothing)(node, modules[node.target], graph)
+        if plainer is None:
+            continue
+        function, arguments = plainer
+        with graph.graph.inserting_before(node):
+            rewritten = graph.graph.call_function(function, arguments)
+        rewritten.meta["onnx"] = node.target  # the node's own name in the file
+        node.replace_all_uses_with(rewritten)
+        graph.graph.erase_node(node)
+    graph.graph.eliminate_dead_code()
+    graph.delete_all_unused_submodules()
+    graph.recompile()
+
+
+Plainer = tuple[Callable, tuple] | None
+
+
+def _nothing(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
+    return None
+
+
+def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
+    """It keeps one tensor for the gradient where a sigmoid and a product keep three."""
+    if module.math_op_function not in (torch.mul, operator.mul) or len(node.args) != 2:
+        return None
+    for x, gate in (node.args, node.args[::-1]):
+        is_call = isinstance(gate, fx.Node) and gate.op == "call_module" and gate.args == (x,)
+        if is_call and isinstance(graph.get_submodule(gate.target), nn.Sigmoid):
+            return F.silu, (x,)
+    return None
+
+
+def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
+    x, *given = node.args
+    known = [_constant(value, graph) for value in given]
+    if any(value is None for value in known[:2]):
+        return None
+    starts, ends = known[:2]
+    axes = known[2] if len(known) > 2 and known[2] is not None else np.arange(len(starts))
+    steps = known[3] if len(known) > 3 and known[3] is not None else np.ones(len(starts), int)
+    if (len(given) > 2 and known[2] is None) or (len(given) > 3 and known[3] is None) or (steps < 1).any():
+        return None
+    return cut, (
+        x,
+        tuple((int(a), int(b), int(e), int(s)) for a, b, e, s in zip(axes, starts, ends, steps, strict=True)),
+    )
+
+
+def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:
+    """Several (axis, start, end, step) at once; ends beyond the tensor are its end."""
+    index = [slice(None)] * x.dim()
+    for axis, start, end, step in slices:
+        index[axis] = slice(start, end, step)
+    return x[tuple(index)]
+
+
+def _reshape(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
+    shape = _constant(node.args[1], graph)
+    return None if shape is None else (reshape, (node.args[0], tuple(map(int, shape))))
+
+
+def reshape(x: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """As ONNX has it: 0 keeps the extent that stands there."""
+    return x.reshape([x.shape[i] if extent == 0 else extent for i, extent in enumerate(shape)])
+
+
+def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
+    """Every second channel, say, is a view, where a list of channels is a copy."""
+    index = _constant(node.args[1], graph)
+    if index is None or index.ndim != 1 or len(index) < 2 or index.min() < 0:
+        return None
+    steps = np.unique(np.diff(index))
+    if len(steps) != 1 or steps[0] < 1:
+        return None
+    return cut, (node.args[0], ((module._axis, int(index[0]), int(index[-1]) + 1, int(steps[0])),))
+
+
+def _constant(value: object, graph: fx.GraphModule) -> np.ndarray | None:
+    """What a node always is; None where it is computed. Of few numbers only: indices, not weights."""
+    if not isinstance(value, fx.Node) or value.op != "get_attr":
+        return None
+    owner, _, name = value.target.rpartition(".")
+    tensor = getattr(graph.get_submodule(owner), name)
+    return tensor.cpu().numpy() if isinstance(tensor, Tensor) and not tensor.is_floating_point() else None
+
+
+REWRITES: dict[str, Callable[[fx.Node, nn.Module, fx.GraphModule], Plainer]] = {
+    "OnnxBinaryMathOperation": _silu,
+    "OnnxSlice": _slice,
+    "OnnxReshape": _reshape,
+    "OnnxGather": _gather,
+}
+"""By the name of onnx2torch's module."""
