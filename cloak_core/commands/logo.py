@@ -90,7 +90,7 @@ class Project(Command):
     """Centre x y of the stamp in metres, in the first pose (default: the chest's)."""
 
     def run(self) -> dict:
-        from cloak_core.scene.logos.logo import project_mask, project_text
+        from cloak_core.scene.logos.stamping import project_mask, project_text
 
         if (self.text is None) == (self.mask is None):
             raise InputError("logo project: give either --text or --mask")

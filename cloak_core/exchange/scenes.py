@@ -15,6 +15,7 @@ from .checks import frozen
 from .versions import FORMAT_VERSION, check_version
 
 AXES = "y up, facing +z, right-handed"
+OPTIONAL = ("triangle_face", "face_colors", "loop_total", "loop_vertices", "uv", "triangle_uv")
 
 
 def read_scene(path: str | os.PathLike) -> Bodies:
@@ -45,13 +46,12 @@ def read_scene(path: str | os.PathLike) -> Bodies:
 
 def _bodies_from_arrays(arrays: dict[str, np.ndarray], name: str, topology: object) -> Bodies:
     named = lambda prefix: {k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)}
-    optional = ("triangle_face", "face_colors", "loop_total", "loop_vertices", "uv", "triangle_uv")
     if arrays.get("uv") is not None and "triangle_uv" not in arrays:
         raise InputError("uv without triangle_uv")
     return Bodies(
         vertices=arrays["vertices"],
         triangles=arrays["triangles"],
-        **{key: arrays.get(key) for key in optional},
+        **{key: arrays.get(key) for key in OPTIONAL},
         regions=named("region_"),
         textures=named("texture_"),
         outfit_textures=tuple(str(n) for n in arrays.get("outfit_textures", ())),
@@ -66,10 +66,8 @@ def write_scene(folder: str | os.PathLike, bodies: Bodies, creator: str = "cloak
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: exists already")
-    arrays = {key: getattr(bodies, key) for key in ("vertices", "triangles", "triangle_face", "face_colors")}
-    for key in ("loop_total", "loop_vertices", "uv", "triangle_uv"):
-        if getattr(bodies, key) is not None:
-            arrays[key] = getattr(bodies, key)
+    arrays = {key: getattr(bodies, key) for key in ("vertices", "triangles", *OPTIONAL)}
+    arrays = {key: array for key, array in arrays.items() if array is not None}
     arrays |= {f"region_{k}": v for k, v in bodies.regions.items()}
     arrays |= {f"texture_{k}": v for k, v in bodies.textures.items()}
     if bodies.outfit_textures:

@@ -92,7 +92,8 @@ def parse_json(data: bytes, name: str) -> dict:
     if sum(map(data.count, (b",", b"[", b"{"))) > MAX_JSON_VALUES:
         raise InputError(f"{name}: more values than any record taken here ({MAX_JSON_VALUES:,})")
     try:
-        record = json.loads(data.decode("utf-8"), parse_int=_integer)
+        record = json.loads(data.decode("utf-8"))
+        _check_integers(record)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{name}: not valid JSON ({first_line(error)})") from None
     if not isinstance(record, dict):
@@ -114,15 +115,8 @@ def read_toml(path: str | os.PathLike) -> dict:
     return record
 
 
-def _integer(digits: str) -> int:
-    """ValueError: an integer beyond 64 bits, which neither arrays nor messages can take."""
-    if len(digits) > 20 or not -(1 << 63) <= int(digits) < 1 << 64:
-        raise ValueError("an integer of more than 64 bits")
-    return int(digits)
-
-
 def _check_integers(value: object) -> None:
-    """The same for all integers in a record."""
+    """ValueError: an integer beyond 64 bits in a record, which neither arrays nor messages can take."""
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:
         raise ValueError("an integer of more than 64 bits")
     for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():

@@ -13,7 +13,8 @@ from PIL import Image, ImageDraw
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_areas, face_centres
-from cloak_core.scene.logos.logo import area_share, project_mask, project_text, select_region
+from cloak_core.scene.logos.logo import area_share, select_region
+from cloak_core.scene.logos.stamping import project_mask, project_text
 from cloak_core.scene.pictures import save_picture
 
 FaceIds = Int64[np.ndarray, "_"]

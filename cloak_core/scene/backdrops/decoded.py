@@ -59,7 +59,3 @@ class DecodedImages:
     def put_picture(self, picture: Picture) -> None:
         """Keep what a picture is."""
         self._pictures.put(f"{picture.file}-{self._decoder}", f"{picture.pixels},{picture.look}".encode())
-
-    def trim(self) -> None:
-        """Remove the least recently used images beyond the limit."""
-        self._files.trim()

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageChops, ImageDraw, ImageFilter
 
 from cloak_core.scene.backdrops import procedural_tiles as tiles
-from cloak_core.scene.backdrops.procedural_canvas import NEAR, Canvas, Number
+from cloak_core.scene.backdrops.procedural_canvas import NEAR, Canvas, Number, Span
 from cloak_core.scene.backdrops.procedural_tiles import Color, random_color, shade
 
 Rng = np.random.Generator
@@ -137,8 +137,7 @@ def _street(rng: Rng, canvas: Canvas) -> None:
             length, height = rng.uniform(4, 16), rng.uniform(3, 22)
             near, x = max(0.8, z - length), middle + side * walk
             face = tiles.facade(rng, max(2, int(height / 3)), max(2, int(length / 2.5)))
-            ends = ((x, height, z), (x, height, near), (x, 0, near), (x, 0, z))
-            canvas.quad(ends if side > 0 else (ends[1], ends[0], ends[3], ends[2]), face, rng.uniform(0.6, 1.1))
+            canvas.side(x, (near, z), (0, height), face, rng.uniform(0.6, 1.1))
             z -= length
     leaves = tiles.foliage(rng, 64, 64)
     for z in sorted(rng.uniform(3, 35, rng.integers(2, 10)), reverse=True):
@@ -189,8 +188,7 @@ def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
         high = rng.uniform(1.5, 3)
         canvas.upright(x, z, 0.07, high, skin)
         w, h = rng.uniform(0.15, 0.6, 2)
-        ends = ((x - w, high + h, z), (x + w, high + h, z), (x + w, high - h, z), (x - w, high - h, z))
-        canvas.quad(ends, tiles.poster(rng))
+        canvas.panel((x - w, x + w), (high - h, high + h), z, tiles.poster(rng))
     elif kind == 2:
         high = rng.uniform(1.2, 4)
         canvas.upright(x, z, 0.06, high, skin)
@@ -223,19 +221,17 @@ def _room(rng: Rng, canvas: Canvas) -> None:
     wall, lights = _surface(rng), rng.uniform(0.6, 1.1, 3)
     shift = rng.uniform(-1, 1)
     left, right = shift - half, shift + half
-    canvas.quad(((left, height, back), (right, height, back), (right, 0, back), (left, 0, back)), wall, lights[0])
+    canvas.panel((left, right), (0, height), back, wall, lights[0])
     side = wall if rng.random() < 0.7 else _surface(rng)
-    near = NEAR
-    canvas.quad(((left, height, near), (left, height, back), (left, 0, back), (left, 0, near)), side, lights[1])
-    canvas.quad(((right, height, back), (right, height, near), (right, 0, near), (right, 0, back)), side, lights[2])
+    canvas.side(left, (NEAR, back), (0, height), side, lights[1])
+    canvas.side(right, (NEAR, back), (0, height), side, lights[2])
     _hang(rng, canvas, (left, right), height, back - 0.01)
     for x in (left + 0.01, right - 0.01):
         if rng.random() < 0.6:
             z, wide = rng.uniform(1.2, back - 1), rng.uniform(0.6, 1.5)
             high = rng.uniform(1.7, 2.2)
             low, picture = (0, tiles.door(rng)) if rng.random() < 0.4 else (rng.uniform(0.6, 1.2), tiles.window(rng))
-            ends = ((x, high, z), (x, high, z + wide), (x, low, z + wide), (x, low, z))
-            canvas.quad(ends if x < 0 else (ends[1], ends[0], ends[3], ends[2]), picture)
+            canvas.side(x, (z, z + wide), (low, high), picture)
     for z in sorted(rng.uniform(1.6, back - 0.4, rng.integers(1, 7)), reverse=True):
         x = rng.uniform(left + 0.3, right - 0.3)
         if rng.random() < 0.4:
@@ -244,7 +240,7 @@ def _room(rng: Rng, canvas: Canvas) -> None:
             _furniture(rng, canvas, x, z)
 
 
-def _hang(rng: Rng, canvas: Canvas, span: tuple[Number, Number], height: Number, z: float) -> None:
+def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> None:
     """Windows, doors, pictures and shelves on a wall that faces the camera."""
     x = span[0] + rng.uniform(0.1, 0.8)
     while x < span[1] - 0.5:
@@ -262,7 +258,7 @@ def _hang(rng: Rng, canvas: Canvas, span: tuple[Number, Number], height: Number,
         else:
             low, high, picture = 0.0, min(height - 0.05, 2.5), tiles.stripes(rng)
             wide *= 0.5
-        canvas.quad(((x, high, z), (x + wide, high, z), (x + wide, low, z), (x, low, z)), picture)
+        canvas.panel((x, x + wide), (low, high), z, picture)
         x += wide + rng.uniform(0.1, 2)
 
 
@@ -316,13 +312,12 @@ def _hall(rng: Rng, canvas: Canvas) -> None:
     canvas.ground(_surface(rng), rng.uniform(2, 5), rng.uniform(0.4, 0.9), ceiling=height)
     half, back = rng.uniform(1.5, 5), rng.uniform(9, 30)
     end = _surface(rng)
-    canvas.quad(((-half, height, back), (half, height, back), (half, 0, back), (-half, 0, back)), end, 0.8)
+    canvas.panel((-half, half), (0, height), back, end, 0.8)
     side = tiles.shelf(rng) if rng.random() < 0.4 else _surface(rng)
     step, width = rng.uniform(1.2, 4), rng.uniform(0.2, 0.9)
     front = tiles.shelf(rng) if rng.random() < 0.3 else _surface(rng)
     for x in (-half, half):
-        ends = ((x, height, NEAR), (x, height, back), (x, 0, back), (x, 0, NEAR))
-        canvas.quad(ends if x < 0 else (ends[1], ends[0], ends[3], ends[2]), side, rng.uniform(0.5, 1))
+        canvas.side(x, (NEAR, back), (0, height), side, rng.uniform(0.5, 1))
     for z in np.arange(back - 1, 1.5, -step):
         for x in (-half, half):
             canvas.box(x, float(z), (width, height, width), front)

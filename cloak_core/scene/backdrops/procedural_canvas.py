@@ -9,6 +9,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageEnhance
 
 Number = float | int
+Span = tuple[Number, Number]
 NEAR = 0.3
 """Metres: what is nearer to the camera is drawn as if it were this far."""
 
@@ -68,12 +69,19 @@ class Canvas:
         band.paste(mean, (0, 0), Image.fromarray(np.ascontiguousarray(mask)))
         self.image.paste(band, (0, int(rows[0])))
 
-    def upright(
-        self, x: Number, z: Number, width: Number, height: Number, tile: Image.Image, light: Number = 1.0
-    ) -> None:
+    def panel(self, across: Span, up: Span, z: Number, tile: Image.Image, light: Number = 1.0) -> None:
+        """A picture that faces the camera, from left to right and from low to high."""
+        (left, right), (low, high) = across, up
+        self.quad(((left, high, z), (right, high, z), (right, low, z), (left, low, z)), tile, light)
+
+    def side(self, x: Number, ahead: Span, up: Span, tile: Image.Image, light: Number = 1.0) -> None:
+        """A picture along the way ahead, from near to far and from low to high, seen from the middle."""
+        first, last = ahead if x < 0 else ahead[::-1]
+        self.quad(((x, up[1], first), (x, up[1], last), (x, up[0], last), (x, up[0], first)), tile, light)
+
+    def upright(self, x: Number, z: Number, width: Number, height: Number, tile: Image.Image) -> None:
         """A picture standing on the ground, facing the camera."""
-        left, right = x - width / 2, x + width / 2
-        self.quad(((left, height, z), (right, height, z), (right, 0, z), (left, 0, z)), tile, light)
+        self.panel((x - width / 2, x + width / 2), (0, height), z, tile)
 
     def box(
         self, x: Number, z: Number, size: tuple[Number, Number, Number], tile: Image.Image, base: Number = 0.0
@@ -83,10 +91,10 @@ class Canvas:
         if top < self.eye:
             self.quad(((left, top, back), (right, top, back), (right, top, z), (left, top, z)), tile, 1.15)
         if left > 0:
-            self.quad(((left, top, back), (left, top, z), (left, base, z), (left, base, back)), tile, 0.65)
+            self.side(left, (z, back), (base, top), tile, 0.65)
         if right < 0:
-            self.quad(((right, top, z), (right, top, back), (right, base, back), (right, base, z)), tile, 0.75)
-        self.quad(((left, top, z), (right, top, z), (right, base, z), (left, base, z)), tile, 0.95)
+            self.side(right, (z, back), (base, top), tile, 0.75)
+        self.panel((left, right), (base, top), z, tile, 0.95)
 
     def blob(
         self, x: Number, y: Number, z: Number, radius: Number, tile: Image.Image, rng: np.random.Generator

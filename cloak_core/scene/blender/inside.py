@@ -82,7 +82,6 @@ def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, 
     """One object as it is evaluated now."""
     evaluated = obj.evaluated_get(graph)
     mesh = evaluated.to_mesh()
-    read = lambda items, name, kind, width: get(items, name, kind, width)
     vertices = read(mesh.vertices, "co", np.float32, 3).astype(np.float64)
     matrix = np.array(evaluated.matrix_world)
     world = vertices @ matrix[:3, :3].T + matrix[:3, 3]
@@ -117,7 +116,7 @@ def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, 
     return result
 
 
-def get(items: object, name: str, kind: type, width: int) -> np.ndarray:
+def read(items: object, name: str, kind: type, width: int) -> np.ndarray:
     values = np.empty(len(items) * width, kind)
     items.foreach_get(name, values)
     return values if width == 1 else values.reshape(-1, width)

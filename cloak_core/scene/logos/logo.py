@@ -21,18 +21,6 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import face_ids, read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_areas, face_centres, face_normals, inner_edges
-from cloak_core.scene.logos.stamping import project_mask, project_text
-
-__all__ = [
-    "Logo",
-    "area_share",
-    "load_logo",
-    "make_logo",
-    "project_mask",
-    "project_text",
-    "select_box",
-    "select_region",
-]
 
 FRONT_BY_DEFAULT = ("chest", "thighs")
 FACETS = ("front", "back", "all")

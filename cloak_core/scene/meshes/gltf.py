@@ -45,16 +45,7 @@ def read_gltf(path: Path, frames: int = 0) -> MeshFile:
         return mesh_of(document, parts, np.stack(poses))
     except InputError:
         raise
-    except (
-        ValueError,
-        IndexError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        struct.error,
-        RecursionError,
-        OverflowError,
-    ) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError, struct.error) as error:
         raise InputError(f"{path}: not a readable glTF file ({type(error).__name__}: {error})") from None
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from cloak_core.files.errors import InputError, first_line
-from cloak_core.files.reading import open_regular, read_npy, read_npz
+from cloak_core.files.reading import read_bytes, read_npy, read_npz
 
 BODY_JOINTS = 22
 """Joints that SMPL (24), SMPL+H (52) and SMPL-X (55) have in common, from the root on."""
@@ -79,11 +80,9 @@ def read_amass(path: Path, joint_count: int) -> Read:
 def read_surreal(path: Path, joint_count: int) -> Read:
     from scipy.io import loadmat
 
+    data = read_bytes(path, MAX_POSE_BYTES)
     try:
-        with open_regular(path, MAX_POSE_BYTES) as file:
-            arrays = loadmat(file, variable_names=["pose", "shape"])
-    except InputError:
-        raise
+        arrays = loadmat(io.BytesIO(data), variable_names=["pose", "shape"])
     except Exception as error:  # scipy raises whatever a damaged file leads it into
         raise InputError(f"{path}: not a readable .mat file ({type(error).__name__}: {error})") from None
     pose, shape = (numbers(path, name, arrays.get(name)) for name in ("pose", "shape"))
@@ -94,11 +93,9 @@ def read_rows(path: Path, joint_count: int) -> Read:
     if path.suffix.lower() == ".npy":
         rows = np.atleast_2d(numbers(path, "rows", read_npy(path), ranks=(1, 2)))
     else:
+        data = read_bytes(path, MAX_POSE_BYTES)
         try:
-            with open_regular(path, MAX_POSE_BYTES) as file:
-                rows = np.loadtxt(file, delimiter=",", ndmin=2, comments="#")
-        except InputError:
-            raise
+            rows = np.loadtxt(io.BytesIO(data), delimiter=",", ndmin=2, comments="#")
         except ValueError as error:
             raise InputError(f"{path}: {first_line(error)}") from None
     width = 3 * joint_count

@@ -7,7 +7,8 @@ from PIL import Image
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_centres, face_normals
-from cloak_core.scene.logos.logo import area_share, make_logo, project_mask, project_text, select_box, select_region
+from cloak_core.scene.logos.logo import area_share, make_logo, select_box, select_region
+from cloak_core.scene.logos.stamping import project_mask, project_text
 from cloak_core.scene.people.samples import sample_bodies
 from tests.scene.solids import cube
 
