@@ -71,8 +71,9 @@ def run_bench_growth(
         raise InputError(f"growth: {threads} threads, {memory} bytes: at least 1 each")
     series = {}
     for quantity in only or _SIZES:
+        field = "side" if quantity == "pixels" else quantity
         sizes = _SIZES[quantity][: max(3, len(_SIZES[quantity]) - 2)] if quick else _SIZES[quantity]
-        points = [_measured(_work(quantity, size), size, threads, memory) for size in sizes]
+        points = [_measured(replace(Work(), **{field: size}), size, threads, memory) for size in sizes]
         fitted = exponents(points, 2 if quantity == "pixels" else 1)
         series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
     if out is not None:
@@ -82,10 +83,6 @@ def run_bench_growth(
 
 def _result(series: dict) -> dict:
     return {"exponents": {name: record["exponent"] for name, record in series.items()}, "series": series}
-
-
-def _work(quantity: str, size: int) -> Work:
-    return replace(Work(), **{"side" if quantity == "pixels" else quantity: size})
 
 
 def exponents(points: list[dict], power: int = 1) -> dict[str, float]:

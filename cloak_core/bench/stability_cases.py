@@ -37,8 +37,8 @@ def _snapped(x: object, y: object, nearness: object, triangles: object, size: tu
     return Case(screen_of(np.asarray(x), np.asarray(y), np.asarray(nearness), *size), rows(triangles), **more)
 
 
-def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int = 1, spread: int = 3) -> Case:
-    low, high = -spread * GRID // unit, (max(size) + spread) * GRID // unit
+def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int = 1) -> Case:
+    low, high = -3 * GRID // unit, (max(size) + 3) * GRID // unit
     x, y = rng.integers(low, high, (2, 40)) * unit
     return _snapped(x, y, rng.uniform(0.1, 1, 40), rng.integers(0, 40, (60, 3)), size)
 

@@ -32,10 +32,10 @@ IMAGE = 1e-6
 _LIGHT = Light(position=(1.0, 2.0, 3.0))
 
 
-def _body(count: int = 4000) -> tuple[Tensor, Tensor]:
+def _body() -> tuple[Tensor, Tensor]:
     rng = np.random.default_rng(0)
-    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, count)))
-    return vertices, rows(rng.integers(0, count, (count, 3)))
+    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, 4000)))
+    return vertices, rows(rng.integers(0, 4000, (4000, 3)))
 
 
 def _ids(vertices: Tensor, triangles: Tensor, cameras: list[Camera]) -> Tensor:

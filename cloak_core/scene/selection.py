@@ -7,6 +7,7 @@ bodies of these names; several choices are joined by commas and keep their order
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -39,8 +40,9 @@ def select(selection: str, names: Sequence[str], spec: str) -> list[int]:
         if not found:
             raise InputError(f"{spec}: '{choice.strip()}' picks none of {_listed(names)}")
         picked += found
-    if len(set(picked)) < len(picked):
-        raise InputError(f"{spec}: picks '{names[_repeated(picked)]}' twice")
+    repeated = [index for index, count in Counter(picked).items() if count > 1]
+    if repeated:
+        raise InputError(f"{spec}: picks '{names[repeated[0]]}' twice")
     return picked
 
 
@@ -58,10 +60,6 @@ def _choose(choice: str, names: Sequence[str], spec: str) -> list[int]:
             raise InputError(f"{spec}: a step of 0 leads nowhere")
         return list(range(count))[start:stop:step]
     return [i for i, name in enumerate(names) if fnmatchcase(name, choice)]
-
-
-def _repeated(picked: list[int]) -> int:
-    return next(index for at, index in enumerate(picked) if index in picked[:at])
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ Images are kept in memory as uint8 at the size they were asked for, up to a boun
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import logging
 import os
@@ -81,10 +82,9 @@ class Backgrounds:
 
     def subset(self, indices: Sequence[int] | range) -> Backgrounds:
         """The images at `indices`, in that order."""
-        part = Backgrounds.__new__(Backgrounds)
+        part = copy.copy(self)
         part.names = tuple(self.names[i] for i in indices)
         part.pictures = tuple(self.pictures[i] for i in indices)
-        part._draw, part._cache = self._draw, self._cache
         part._indices = tuple(self._indices[i] for i in indices)
         return part
 

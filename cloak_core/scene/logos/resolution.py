@@ -51,11 +51,11 @@ def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.n
 
 
 def resolution(
-    bodies: Bodies, camera: Camera | None = None, face_ids: Integer[np.ndarray, " logo"] | None = None, pose: int = 0
+    bodies: Bodies, camera: Camera | None = None, face_ids: Integer[np.ndarray, " logo"] | None = None
 ) -> Resolution:
-    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees them in one pose."""
+    """Report on a logo's faces (default: the whole body's) as a camera (default: training's) sees the first pose."""
     camera = camera or Camera()
-    areas = projected_areas(bodies, camera, pose)
+    areas = projected_areas(bodies, camera)
     areas = areas if face_ids is None else areas[face_ids]
     areas = areas[areas > 0]
     if not len(areas):

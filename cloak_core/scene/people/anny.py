@@ -112,6 +112,7 @@ class AnnySource:
     def __init__(self) -> None:
         try:
             import anny
+            from anny.face_segmentation import get_face_segmentation_mask
         except ImportError:
             raise InputError("anny: not installed (pip install cloak-core[anny])") from None
         import torch
@@ -119,23 +120,18 @@ class AnnySource:
         self._torch = torch
         self.model = anny.Anny(rig="anny", topology="anny-quads", phenotypes="all", skinning_method="lbs")
         faces = self.model.faces.numpy()
-        self.segments = self._segments()
+        segments = {name: get_face_segmentation_mask(self.model, [name]).numpy() for name in SPLITS}
         component = connected_parts(faces, len(self.model.template_vertices))
-        tongue = np.unique(component[faces[self.segments["tongue"]]])
+        tongue = np.unique(component[faces[segments["tongue"]]])
         keep_face = ~np.isin(component[faces[:, 0]], tongue)
         self.kept = np.unique(faces[keep_face])
         renumber = np.full(len(component), -1)
         renumber[self.kept] = np.arange(len(self.kept))
         self.quads = renumber[faces[keep_face]]
-        self.segments = {name: mask[keep_face] for name, mask in self.segments.items()}
+        self.segments = {name: mask[keep_face] for name, mask in segments.items()}
         self.weights = self.model.dense_vertex_bone_weights.numpy()[self.kept]
         self.bone_names = list(self.model.bone_labels)
         self.bone_parents = [-1 if p is None else int(p) for p in self.model.bone_parents]
-
-    def _segments(self) -> dict[str, np.ndarray]:
-        from anny.face_segmentation import get_face_segmentation_mask
-
-        return {name: get_face_segmentation_mask(self.model, [name]).numpy() for name in SPLITS}
 
     def figure(self, shape: Mapping[str, float]) -> tuple[Float[np.ndarray, "vertices 3"], Skeleton]:
         """One adult at rest, in metres, y up: vertices and skeleton. `shape`: Anny's phenotypes, 0 to 1."""

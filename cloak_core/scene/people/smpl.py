@@ -7,7 +7,7 @@ tree.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_BYTES, read_npz
 from cloak_core.files.unpickling import read_pickled_arrays
-from cloak_core.scene.people.smpl_poses import PoseSequence, read_poses
+from cloak_core.scene.people.smpl_poses import read_poses
 
 BATCH = 32
 EXPRESSIONS_FROM = 300
@@ -193,7 +193,11 @@ def import_smpl(
     sequence = read_poses(Path(poses_path), model.joint_count).take(slice(None, None, every), limit)
     if len(sequence.poses) * len(model.weights) * 12 > MAX_BYTES:
         raise InputError(f"{poses_path}: {len(sequence.poses)} poses need more than {MAX_BYTES >> 30} GiB; use a limit")
-    vertices = pose_smpl(model, *rooted(sequence, keep_root))
+    if not keep_root:
+        upright = sequence.poses.copy()
+        upright[:, :3] = 0
+        sequence = replace(sequence, poses=upright, translation=np.zeros_like(sequence.translation))
+    vertices = pose_smpl(model, sequence.poses, sequence.betas, sequence.translation)
     if keep_root and (sequence.up if up == "auto" else up) == "z":
         vertices = vertices[..., [0, 2, 1]] * np.array([1, 1, -1], np.float32)
     stem = Path(poses_path).stem
@@ -202,12 +206,3 @@ def import_smpl(
         return Bodies(vertices, model.triangles, uv=model.uv, triangle_uv=model.triangle_uv, names=names, name=name)
     except InputError as error:
         raise InputError(f"{model_path}: {error}") from None
-
-
-def rooted(sequence: PoseSequence, keep: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(poses, betas, translation) with the root's motion or without."""
-    if keep:
-        return sequence.poses, sequence.betas, sequence.translation
-    poses = sequence.poses.copy()
-    poses[:, :3] = 0
-    return poses, sequence.betas, np.zeros_like(sequence.translation)
