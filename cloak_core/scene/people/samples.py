@@ -25,7 +25,7 @@ def sample_bodies(split: str = "all") -> Bodies:
     `scene.logos.logo.select_region`. A pose's name begins with its motion: standing, walking, running or waving.
     """
     if split not in ("all", "train", "unseen"):
-        raise InputError(f"sample bodies: there is no split '{split}' (all, train, unseen)")
+        raise InputError(f"scene 'sample:{split}': the sample bodies come as sample, sample:train and sample:unseen")
     bodies, unseen = load()
     return bodies if split == "all" else bodies.select_poses(np.flatnonzero(unseen == (split == "unseen")))
 

@@ -7,7 +7,7 @@ tree.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -176,29 +176,20 @@ def import_smpl(
     name: str = "smpl",
     every: int = 1,
     limit: int | None = None,
-    up: str = "auto",
-    keep_root: bool = True,
 ) -> Bodies:
     """Bodies of one SMPL model in the poses of a file (see `scene.people.smpl_poses.read_poses` for its kinds).
 
-    every, limit: take each n-th pose, at most so many; up: the axis that the poses' world has upwards, "y", "z" or
-    "auto" (z for AMASS files, else y); keep_root: False drops the root's rotation and translation, so that every body
-    stands upright facing +z. Raises `InputError` for what does not fit together or would not fit into memory.
+    every, limit: take each n-th pose, at most so many. Raises `InputError` for what does not fit together or would not
+    fit into memory.
     """
     if every < 1 or (limit is not None and limit < 1):
         raise InputError(f"every {every}, limit {limit}: both are at least 1")
-    if up not in ("auto", "y", "z"):
-        raise InputError(f"up {up}: y, z or auto")
     model = read_smpl(model_path)
     sequence = read_poses(Path(poses_path), model.joint_count).take(slice(None, None, every), limit)
     if len(sequence.poses) * len(model.weights) * 12 > MAX_BYTES:
         raise InputError(f"{poses_path}: {len(sequence.poses)} poses need more than {MAX_BYTES >> 30} GiB; use a limit")
-    if not keep_root:
-        upright = sequence.poses.copy()
-        upright[:, :3] = 0
-        sequence = replace(sequence, poses=upright, translation=np.zeros_like(sequence.translation))
     vertices = pose_smpl(model, sequence.poses, sequence.betas, sequence.translation)
-    if keep_root and (sequence.up if up == "auto" else up) == "z":
+    if sequence.up == "z":
         vertices = vertices[..., [0, 2, 1]] * np.array([1, 1, -1], np.float32)
     stem = Path(poses_path).stem
     names = tuple(f"{stem} {index:04}" for index in range(len(vertices)))

@@ -87,5 +87,5 @@ def test_they_survive_a_scene_package(tmp_path) -> None:
 
 
 def test_an_unknown_split_is_refused() -> None:
-    with pytest.raises(InputError, match="'testing'"):
+    with pytest.raises(InputError, match="'sample:testing'"):
         sample_bodies("testing")
