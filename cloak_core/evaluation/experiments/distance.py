@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.experiments.drawing import band, clothing_line, look
+from cloak_core.evaluation.experiments.drawing import angle_panels, band, clothing_line, look
 from cloak_core.evaluation.experiments.lab import SINGLE, Lab
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, column, group, select
-from cloak_core.evaluation.figures import SERIES, azimuth_axis, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import SERIES, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 
 TITLE = "Distance (appendix A)"
@@ -51,7 +51,7 @@ def draw(numbers: Numbers) -> dict[str, Figure]:
     rows = [row for row in numbers.rows if row["distance"] != "all"]
     return {
         "distance": _distance_figure(group(select(rows, test="distances"), "cloak")),
-        "angles": _angle_figure(group(select(rows, test="angles"), "cloak")),
+        "angles": angle_panels(select(rows, test="angles"), "cloak", "distance", "{} m"),
     }
 
 
@@ -64,18 +64,5 @@ def _distance_figure(cloaks: dict[str, Rows]) -> Figure:
     clothing_line(axis, column(first, "distance"), first, SERIES["clothing"].color)
     percent_axis(axis)
     axis.set_xlabel("distance (m)")
-    legend_above(figure)
-    return figure
-
-
-def _angle_figure(cloaks: dict[str, Rows]) -> Figure:
-    figure, axes = new_figure(columns=2, sharey=True)
-    for axis, (name, rows) in zip(axes, cloaks.items(), strict=True):
-        for k, (d, mine) in enumerate(group(rows, "distance").items()):
-            # Without bands: those of five curves in one place hide each other. The intervals are in the table.
-            axis.plot(column(mine, "angle"), column(mine), label=f"{d} m", clip_on=False, **look(k))
-        axis.set_title(name)
-        azimuth_axis(axis)
-    percent_axis(axes[0])
     legend_above(figure)
     return figure

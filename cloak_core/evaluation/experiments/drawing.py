@@ -11,13 +11,14 @@ from matplotlib.figure import Figure
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.experiments.numbers import Rows, column, select
+from cloak_core.evaluation.experiments.numbers import Rows, column, group, select
 from cloak_core.evaluation.figures import (
     CYCLE,
     DASHES,
     INK,
     MARKERS,
     SERIES,
+    azimuth_axis,
     legend_above,
     new_figure,
     percent_along_x,
@@ -63,6 +64,23 @@ def rates_along_x(axis: Axes, names: Sequence[str]) -> None:
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.grid(axis="y", visible=False)
+
+
+def angle_panels(rows: Rows, panel: str, curve: str, label: str) -> Figure:
+    """Success over the azimuth: a panel for each value in one column, a curve for each in another.
+
+    Without bands: those of several curves in one place hide each other. The intervals are in the table.
+    """
+    panels = group(rows, panel)
+    figure, axes = new_figure(columns=len(panels), sharey=True)
+    for axis, (name, shown) in zip(axes, panels.items(), strict=True):
+        for k, (value, mine) in enumerate(group(shown, curve).items()):
+            axis.plot(column(mine, "angle"), column(mine), label=label.format(value), clip_on=False, **look(k))
+        axis.set_title(name)
+        azimuth_axis(axis)
+    percent_axis(axes[0])
+    legend_above(figure)
+    return figure
 
 
 def threshold_axis(axis: Axes) -> None:

@@ -7,10 +7,10 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from cloak_core.evaluation.contact_sheet import Cell, draw_sheet
-from cloak_core.evaluation.experiments.drawing import errors, look
+from cloak_core.evaluation.experiments.drawing import angle_panels, errors
 from cloak_core.evaluation.experiments.lab import SINGLE, Lab
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, best_row, column, group, select
-from cloak_core.evaluation.figures import CYCLE, MARKERS, azimuth_axis, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import CYCLE, MARKERS, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 from cloak_core.scene.pictures import read_picture
 
@@ -64,7 +64,10 @@ def tell(numbers: Numbers) -> list[str]:
 
 def draw(numbers: Numbers) -> dict[str, Figure]:
     rows = [row for row in numbers.rows if row["angle"] != "all"]
-    return {"weights": _weight_figure(select(numbers.rows, angle="all")), "angles": _angle_figure(rows)}
+    return {
+        "weights": _weight_figure(select(numbers.rows, angle="all")),
+        "angles": angle_panels(rows, "test", "tv_weight", "weight {:g}"),
+    }
 
 
 def _weight_figure(whole: Rows) -> Figure:
@@ -78,19 +81,6 @@ def _weight_figure(whole: Rows) -> Figure:
     axis.set_xlabel("weight of total variation")
     axis.grid(axis="x", visible=False)
     percent_axis(axis)
-    legend_above(figure)
-    return figure
-
-
-def _angle_figure(rows: Rows) -> Figure:
-    figure, axes = new_figure(columns=2, sharey=True)
-    for axis, (name, tested) in zip(axes, group(rows, "test").items(), strict=True):
-        for k, (weight, mine) in enumerate(group(tested, "tv_weight").items()):
-            # Without bands: those of four curves in one place hide each other. The weights' figure has intervals.
-            axis.plot(column(mine, "angle"), column(mine), label=f"weight {weight:g}", **look(k))
-        axis.set_title(name)
-        azimuth_axis(axis)
-    percent_axis(axes[0])
     legend_above(figure)
     return figure
 
