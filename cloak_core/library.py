@@ -105,9 +105,7 @@ def evaluate(
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out if isinstance(run, RunResult) else run)
     config = read_run(folder)
-    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
-    if not isinstance(backgrounds, Backgrounds):
-        backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
+    bodies, backgrounds = _unseen(scene, backgrounds, config)
     logo = load_logo(bodies, folder / "logo.npy")
     return evaluate_logo(
         read_colors(folder / "colors.npy", len(logo)),
@@ -121,6 +119,16 @@ def evaluate(
         out=folder / FOLDER,
         on_progress=on_progress,
     )
+
+
+def _unseen(
+    scene: Bodies | Named | None, backgrounds: Backgrounds | Named | None, config: dict
+) -> tuple[Bodies, Backgrounds]:
+    """What to evaluate on: as it is, by name, or what was kept back from the run's training."""
+    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+    if not isinstance(backgrounds, Backgrounds):
+        backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
+    return bodies, backgrounds
 
 
 def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:

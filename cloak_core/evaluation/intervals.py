@@ -29,6 +29,7 @@ from statistics import NormalDist
 
 import numpy as np
 from jaxtyping import Bool, Integer
+from scipy.special import stdtrit
 
 RESAMPLES = 1000
 LEVEL = 0.95
@@ -102,8 +103,6 @@ def _pigeonhole(hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.rand
 
 def _clustered_deviation(residual: np.ndarray, level: float) -> float:
     """Multiway clustered standard deviation of the number of hits; `residual` is each cell's excess."""
-    from scipy.special import stdtrit  # a tenth of a second: not for whoever wants the settings alone
-
     upper = (1 + level) / 2
     z = NormalDist().inv_cdf(upper)
     ways = [way for way, n in enumerate(residual.shape) if n > 1]
