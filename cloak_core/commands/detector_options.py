@@ -21,7 +21,7 @@ class DetectorOptions:
     compile: bool = False
     """Run detectors through torch.compile (needs a C++ compiler; the first images of each size take long)."""
     layout: str | None = None
-    """Of an ONNX model's outputs: yolov5, yolov8, yolox or detr (default: told from the file)."""
+    """Of an ONNX model's outputs: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
     download: bool = False
     """Fetch official weights of torchvision and transformers models that are not on this machine."""
 

@@ -73,7 +73,17 @@ def show_success(result: dict) -> None:
         out.print(matrix(result))
     for spec, measured in result["detectors"].items():
         table = Table(title=f"success against {spec}: the rendered person is not reported")
-        for column in ("", "success", "95 %", "IoU ≥ 0.5", "of those found clean", "images"):
+        own = result.get("operating_points", {}).get(spec, 0)
+        for column in (
+            "",
+            "success",
+            "95 %",
+            f"at its own {own:g}",
+            "IoU ≥ 0.5",
+            "of those found clean",
+            "AP50",
+            "images",
+        ):
             table.add_column(column, justify="left" if not column else "right")
         for name, rates in measured.items():
             if not isinstance(rates, dict) or "success" not in rates:
@@ -84,12 +94,18 @@ def show_success(result: dict) -> None:
                 name,
                 f"{rates['success']:.2f}",
                 f"{low:.2f}–{high:.2f}",
+                _share(rates.get("success_own")),
                 f"{rates['success_iou']:.2f}",
-                "–" if conditional is None else f"{conditional:.2f}",
+                _share(conditional),
+                _share(rates.get("ap50")),
                 str(rates["n"]),
             )
         out.print(table)
         out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def matrix(result: dict) -> Table:

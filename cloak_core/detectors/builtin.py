@@ -12,4 +12,6 @@ CLASS_NAMES = ("person",)
 
 def load_builtin(request: Request) -> DarknetDetector:
     """The embedded detector, frozen."""
-    return read_darknet(CFG, WEIGHTS, request, class_names=CLASS_NAMES)
+    detector = read_darknet(CFG, WEIGHTS, request, class_names=CLASS_NAMES)
+    detector.operating_point, detector.operating_point_assumed = 0.5, False  # it was trained and judged for that
+    return detector

@@ -17,7 +17,11 @@ from cloak_core.files.errors import InputError
 if TYPE_CHECKING:
     from cloak_core.detectors.protocol import Detector
 
-NO_LAYOUT = {"layout": "--layout is for onnx:FILE"}
+NO_LAYOUT = {
+    "layout": "--layout is for onnx:FILE",
+    "pixels": "bgr, range, mean and std are for onnx:FILE",
+    "stretch": "it stretches unless told letterbox; drop stretch",
+}
 
 
 @dataclass(frozen=True, kw_only=True)

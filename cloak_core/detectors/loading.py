@@ -49,6 +49,8 @@ def load_detector(
     chosen = _precision(precision, place)
     detector = FAMILIES[request.family].load(request).to(place)
     detector.precision = chosen
+    if request.confidence is not None:
+        detector.operating_point, detector.operating_point_assumed = request.confidence, False
     return compile_detector(detector) if compiled else detector
 
 

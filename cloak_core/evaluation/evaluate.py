@@ -43,9 +43,10 @@ def evaluate(
 ) -> dict:
     """Attack success as contract C6 puts it, with every control on the same images.
 
-    `training` tells what the colours were trained on (a run's config.json) and fills `unseen`
-    and `white_box` (by detector, whether it was trained against); `out`
-    is a folder that takes the raw scores, pictures and the summary (replacing an earlier evaluation's).
+    `training` tells what the colours were trained on (a run's config.json) and fills `unseen` and `white_box` (by
+    detector, whether it was trained against). `operating_points` are the detectors' own thresholds, by spec; those in
+    `operating_points_assumed` nobody said, they are what the family usually runs at. `out` is a folder that takes the
+    raw scores, pictures and the summary (replacing an earlier evaluation's).
     InputError: a scene of another topology (both hashes), colours for another logo.
     """
     settings = settings or EvaluateSettings()
@@ -61,7 +62,10 @@ def evaluate(
     for spec, detector in detectors.items():
         detector.verify(hashes[spec])
     seen = {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
-    summary = summarize(measurement, settings.threshold, settings.resamples) | {"n": len(stage.trials)} | seen
+    points = {spec: detector.operating_point for spec, detector in detectors.items()}
+    assumed = [spec for spec, detector in detectors.items() if detector.operating_point_assumed]
+    seen |= {"n": len(stage.trials), "operating_points": points, "operating_points_assumed": assumed}
+    summary = summarize(measurement, settings.threshold, settings.resamples, points) | seen
     summary |= _circumstances(stage, hashes, settings, angles)
     if out is not None:
         write_evaluation(out, summary, measurement, stage, detectors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Shaped
@@ -15,14 +16,20 @@ from cloak_core.evaluation.measurement import Measurement
 THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
 
 
-def summarize(measurement: Measurement, threshold: float = THRESHOLD, resamples: int = RESAMPLES) -> dict:
-    """Contract C6's `detectors` and `false_alarms`: rates of every control, by angle and by body, per detector."""
+def summarize(
+    measurement: Measurement,
+    threshold: float = THRESHOLD,
+    resamples: int = RESAMPLES,
+    operating_points: Mapping[str, float] | None = None,
+) -> dict:
+    """Contract C6's `detectors` and `false_alarms`: rates of every control, by angle and by body, per detector.
+
+    operating_points: each detector's own threshold, by spec, for `success_own`; without one it is null.
+    """
     detectors = {}
     for d, spec in enumerate(measurement.specs):
-        rates = {
-            control: rate_record(measurement, d, c, threshold=threshold, resamples=resamples)
-            for c, control in enumerate(measurement.controls)
-        }
+        asked = {"threshold": threshold, "resamples": resamples, "own": (operating_points or {}).get(spec)}
+        rates = {control: rate_record(measurement, d, c, **asked) for c, control in enumerate(measurement.controls)}
         trials = measurement.trials
         groups = {
             "by_angle": {f"{a:g}": trials.angle == a for a in np.unique(trials.angle)},
@@ -31,10 +38,7 @@ def summarize(measurement: Measurement, threshold: float = THRESHOLD, resamples:
         if len(np.unique(trials.distance)) > 1:
             groups["by_distance"] = {f"{x:g}": trials.distance == x for x in np.unique(trials.distance)}
         for name, masks in groups.items():
-            rates[name] = {
-                key: rate_record(measurement, d, 0, mask, threshold=threshold, resamples=resamples)
-                for key, mask in masks.items()
-            }
+            rates[name] = {key: rate_record(measurement, d, 0, mask, **asked) for key, mask in masks.items()}
         rates["by_threshold"] = threshold_curves(measurement, d)
         rates["average_precision"] = {
             control: _finite(average_precision(measurement, d, c)) for c, control in enumerate(measurement.controls)
@@ -52,11 +56,13 @@ def rate_record(
     *,
     threshold: float = THRESHOLD,
     resamples: int = RESAMPLES,
+    own: float | None = None,
 ) -> dict:
     """One S of contract C6, over the images of `mask`.
 
-    `success`: no person box above the threshold anywhere; `success_iou`: none on the body; `conditional`: success where
-    the same image with the body's own clothing is detected, null where none is (`n_conditional` images are).
+    `success`: no person box above the threshold anywhere; `success_own`: none above the detector's own one;
+    `success_iou`: none on the body; `conditional`: success where the same image with the body's own clothing is
+    detected, null where none is (`n_conditional` images are); `ap50`: `average_precision` of these images.
     """
     mask = np.ones(len(measurement.trials), bool) if mask is None else mask
     gone = measurement.score[detector, control] <= threshold
@@ -75,7 +81,18 @@ def rate_record(
         "ci95_conditional": _interval(conditional),
         "n_conditional": conditional.n,
         "mean_score": _finite(float(measurement.score[detector, control][mask].mean()) if mask.any() else math.nan),
-    }
+        "ap50": _finite(average_precision(measurement, detector, control, mask)),
+    } | _own_record(measurement, detector, control, mask, own, resamples)
+
+
+def _own_record(
+    measurement: Measurement, detector: int, control: int, mask: np.ndarray, own: float | None, resamples: int
+) -> dict:
+    """Success at the detector's own threshold, with its interval."""
+    if own is None:
+        return {"success_own": None, "ci95_own": [None, None]}
+    rate = _rate(measurement, measurement.score[detector, control] <= own, mask, resamples)
+    return {"success_own": _finite(rate.value), "ci95_own": _interval(rate)}
 
 
 def threshold_curves(measurement: Measurement, detector: int) -> dict[str, dict[str, float]]:
@@ -87,21 +104,24 @@ def threshold_curves(measurement: Measurement, detector: int) -> dict[str, dict[
     }
 
 
-def average_precision(measurement: Measurement, detector: int, control: int) -> float:
+def average_precision(
+    measurement: Measurement, detector: int, control: int, mask: Bool[np.ndarray, N] | None = None
+) -> float:
     """Area under precision over recall (all points, IoU 0.5): one body per image; boxes elsewhere are false positives.
 
-    Boxes below score 0.05 are not counted; nan without images.
+    Of the images of `mask`, or all. Boxes below score 0.05 are not counted; nan without images.
     """
     boxes = measurement.boxes
-    mine = (boxes.detector == detector) & (boxes.control == control)
+    mask = np.ones(len(measurement.trials), bool) if mask is None else mask
+    mine = (boxes.detector == detector) & (boxes.control == control) & mask[boxes.image]
     order = np.argsort(-boxes.score[mine], kind="stable")
     hit = boxes.hit[mine][order]
-    if not len(measurement.trials):
+    if not mask.any():
         return math.nan
     true = np.cumsum(hit)
     precision = true / np.arange(1, len(hit) + 1)
     envelope = np.maximum.accumulate(precision[::-1])[::-1] if len(hit) else precision
-    return float(envelope[hit].sum() / len(measurement.trials))
+    return float(envelope[hit].sum() / mask.sum())
 
 
 def group_rates(

@@ -108,3 +108,13 @@ def test_the_command_line_says_which_class(spec: str, tmp_path: Path, capfd: pyt
     assert scores[0] != scores[1]
     assert exit_code() == 2
     assert "name one with --person-class" in capfd.readouterr().err
+
+
+def test_operating_points() -> None:
+    builtin = load_detector("builtin")
+    assert builtin.operating_point == 0.5 and not builtin.operating_point_assumed
+    own = load_detector("builtin@conf=0.3")
+    assert own.operating_point == 0.3 and not own.operating_point_assumed
+    for options, words in (("bgr", "bgr, range, mean and std are for onnx:FILE"), ("stretch", "drop stretch")):
+        with pytest.raises(InputError, match=words):
+            load_detector(f"builtin@{options}")

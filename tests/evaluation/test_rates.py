@@ -52,6 +52,18 @@ def test_definitions_of_success() -> None:
     assert record["ci95"][0] < 4 / 6 < record["ci95"][1]
 
 
+def test_success_at_the_detectors_own_threshold_stands_beside() -> None:
+    measurement = hand_made()
+    record = rate_record(measurement, 0, 0, threshold=0.6, own=0.15)
+    assert record["success"] == pytest.approx(4 / 6, abs=1e-6)
+    assert record["success_own"] == pytest.approx(float((measurement.score[0, 0] <= 0.15).mean()), abs=1e-6)
+    assert record["success_own"] < record["success"]
+    assert record["ci95_own"][0] <= record["success_own"] <= record["ci95_own"][1]
+    summary = summarize(measurement, 0.6, resamples=100, operating_points={"one": 0.15})
+    assert summary["detectors"]["one"]["logo"]["success_own"] == record["success_own"]
+    assert summarize(measurement, 0.6, resamples=100)["detectors"]["one"]["logo"]["success_own"] is None
+
+
 def test_summary_has_contract_keys_and_is_json() -> None:
     summary = summarize(hand_made(), 0.6, resamples=100)
     json.dumps(summary, allow_nan=False)
@@ -87,6 +99,7 @@ def test_average_precision_by_hand() -> None:
     measurement = replace(hand_made(), boxes=boxes)
     assert average_precision(measurement, 0, 0) == pytest.approx((1 + 2 / 3) / 6)
     assert average_precision(measurement, 0, 1) == 0.0
+    assert average_precision(measurement, 0, 0, np.arange(6) == 2) == 1.0  # of the one image with a box on its body
 
 
 def test_trials_cover_the_grid_and_deal_backgrounds_evenly() -> None:

@@ -23,6 +23,8 @@ class DarknetDetector(Detector):
     Scores are objectness times the person class's probability, as Darknet thresholds them.
     """
 
+    operating_point = 0.25
+
     def __init__(
         self, network: Network, person: int, name: str, spec: str, letterbox: bool = False, channels_last: bool = True
     ) -> None:

@@ -122,6 +122,7 @@ def _detector(stored: StoredEvaluation, d: int, spec: str, rates: dict, threshol
     return {
         "index": d,
         "spec": spec,
+        "own": summary.get("operating_points", {}).get(spec),
         "name": words.short_name(spec),
         "rows": [(c, rates[c], rates["average_precision"][c]) for c in measurement.controls],
         "false_alarms": summary["false_alarms"][spec],
