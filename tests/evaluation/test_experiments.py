@@ -34,7 +34,7 @@ from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import area_share
 from cloak_core.scene.people.samples import sample_bodies
 
-QUICK = {"distance", "tv", "wide-angle"}
+QUICK = {"tv"}
 """Of the experiments; the others run with the tests that are slow by nature."""
 
 

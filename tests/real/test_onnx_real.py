@@ -15,7 +15,10 @@ pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("name", ["yolov8n", "yolov5n", "ssd_mobilenet_v1", "nanodet_m", "fastestdet"])
+LARGE = [pytest.param(name, marks=pytest.mark.long) for name in ("yolov8n", "nanodet_m")]
+
+
+@pytest.mark.parametrize("name", ["yolov5n", "ssd_mobilenet_v1", "fastestdet", *LARGE])
 def test_a_real_file(shared, name: str) -> None:
     path = shared / "data" / "detectors" / f"{name}.onnx"
     detector = load_detector(f"onnx:{path}@stretch")
