@@ -59,7 +59,7 @@ def make_report(run: Path) -> Path:
 def environment(folder: Path) -> jinja2.Environment:
     """Templates of a folder; everything that is put into them is escaped unless this module made it."""
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
+        loader=jinja2.FileSystemLoader([folder, HERE]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
