@@ -80,11 +80,13 @@ def show_success(result: dict) -> None:
             "95 %",
             f"at its own {own:g}",
             "IoU ≥ 0.5",
-            "of those found clean",
+            "if found clean",
             "AP50",
             "images",
         ):
-            table.add_column(column, justify="left" if not column else "right")
+            table.add_column(
+                column, justify="left" if not column else "right", min_width=9 if column == "95 %" else None
+            )
         for name, rates in measured.items():
             if not isinstance(rates, dict) or "success" not in rates:
                 continue
