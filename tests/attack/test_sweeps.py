@@ -151,7 +151,7 @@ def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, 
     assert "error" in sweep.results()[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_processes_share_the_runs_and_outlive_each_other(tmp_path):
     """One of three is killed; every run is done all the same, and none twice."""
     out = tmp_path / "out"

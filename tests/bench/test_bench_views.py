@@ -7,7 +7,7 @@ from cloak_core.scene.cameras import Camera
 from cloak_core.scene.people.samples import sample_bodies
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_number_of_samples_is_timed() -> None:
     camera = Camera(width=48, height=64)
     result = run_bench_views(sample_bodies(), samples=4, threads=1, repeats=1, camera=camera)

@@ -105,11 +105,10 @@ class Case:
 
 QUICK = {
     "fasterrcnn_mobilenet_v3_large_320_fpn",
-    "maskrcnn_resnet50_fpn",
     "retinanet_resnet50_fpn_v2",
     "ssdlite320_mobilenet_v3_large",
 }
-"""Two-stage, masks, one-stage, SSD; the others are slow by number."""
+"""Two-stage, one-stage, SSD; the others are slow by number."""
 
 
 @pytest.mark.slow

@@ -255,7 +255,7 @@ def test_unknown_experiment(materials: Materials, tmp_path: Path) -> None:
         make_page(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_logos_have_the_paper_s_shares(materials: Materials, tmp_path: Path) -> None:
     logos = paper_logos(materials.bodies, tmp_path)
     share = lambda name: area_share(materials.bodies, logos[name])

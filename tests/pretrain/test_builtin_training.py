@@ -31,7 +31,7 @@ def test_the_network_is_small():
     assert network.heads[0].classes == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
     photos = tmp_path / "photos"
     photos.mkdir()
@@ -48,7 +48,7 @@ def test_a_run_writes_a_pair_that_the_reader_takes(tmp_path):
     assert scores.shape == (1, 192) and torch.isfinite(scores).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_weights(tmp_path):
     for name in ("a", "b"):
         train_builtin(tmp_path / name, steps=2, seed=5, **SMALL)

@@ -186,7 +186,7 @@ def _look(folder: Path, turn: float) -> int:
     return sum(len(view.pixels) for view in views)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_several_processes_share_the_folder_within_its_limit(tmp_path):
     with multiprocessing.get_context("forkserver").Pool(4) as pool:
         counts = pool.starmap(_look, [(tmp_path, 0.0)] * 4)
