@@ -2,18 +2,21 @@
 
 Gradients: "score" is the detector's own probability p, whose gradient through a sigmoid fades as p (1 - p), at both
 ends; a score under the detection threshold still has one. "log" is -log(1 - p), whose gradient with respect to the
-logit is p: full strength where the detector is sure, fading only where the person is already hidden. Where a
-detector's own arithmetic has rounded p to exactly 1, its gradient is 0 and no loss can bring it back.
+logit is p: full strength where the detector is sure, fading only where the person is already hidden. "margin" is the
+same, moved to the point at which the detector is run: full strength down to that score, fading only MARGIN below it.
+Where a detector's own arithmetic has rounded p to exactly 1, its gradient is 0 and no loss can bring it back.
 """
 
 import math
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from cloak_core.attack.settings.loss import Loss, Reduce
+from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
 from cloak_core.files.errors import InputError
@@ -23,26 +26,37 @@ TOP = 10
 """Boxes that reduction "topk" averages."""
 SHARPNESS = 20.0
 """Of the soft maximum: boxes within 1 / SHARPNESS of the best one count."""
+MARGIN = 1.0
+"""Of loss "margin": how far below the operating point, in logits, half the gradient is left."""
+SURE = 1 - 2**-24
+"""The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
 
 
-def disappearance(detections: Detections, kind: Loss = "score", reduce: Reduce = "max") -> Float[Tensor, ""]:
+def disappearance(
+    detections: Detections, kind: Loss = "score", reduce: Reduce = "max", operating_point: float = THRESHOLD
+) -> Float[Tensor, ""]:
     """Batch mean of `evidence`."""
-    return evidence(detections, kind, reduce).mean()
+    return evidence(detections, kind, reduce, operating_point).mean()
 
 
-def evidence(detections: Detections, kind: Loss = "score", reduce: Reduce = "max") -> Float[Tensor, "B"]:
-    """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for "log".
+def evidence(
+    detections: Detections, kind: Loss = "score", reduce: Reduce = "max", operating_point: float = THRESHOLD
+) -> Float[Tensor, "B"]:
+    """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for the others.
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
-    without objectness) or "log"; reduce, over the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0.
+    without objectness), "log" or "margin", which alone asks for the `operating_point`, the score in (0, 1) at which the
+    detector reports a person; reduce, over the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0, but
+    for "margin" the little that a score of 0 does.
     """
     if kind == "objectness":
         best = max_objectness(detections) if reduce == "max" else _reduce(_person_objectness(detections), reduce)
     else:
         best = max_person_score(detections) if reduce == "max" else _reduce(detections.scores, reduce)
     if kind == "log":
-        # 2^-24: the largest float32 below 1, so that a saturated score gives 16.6 and not infinity.
-        best = -torch.log1p(-best.clamp(max=1 - 2**-24))
+        best = -torch.log1p(-best.clamp(max=SURE))
+    if kind == "margin":
+        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + MARGIN)
     return best
 
 
@@ -116,6 +130,11 @@ def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]
         nearest = palette[squares.argmin(dim=1)]
     # The root's gradient is infinite at 0; below a millionth of a colour there is none.
     return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
+
+
+def _logit(p: float) -> float:
+    p = min(max(p, 1 - SURE), SURE)
+    return math.log(p / (1 - p))
 
 
 def _person_objectness(detections: Detections) -> Float[Tensor, "B N"]:

@@ -92,7 +92,7 @@ class Objective:
 
     def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
         settings = self.settings
-        loss = evidence(detections, settings.loss, settings.reduce)
+        loss = evidence(detections, settings.loss, settings.reduce, self.detectors[number].operating_point)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:

@@ -26,7 +26,7 @@ DECISIVE = {
     "settings": (),
     "scene": ("sha256", "identity"),
     "logo": (),
-    "detectors": ("sha256", "precision", "compiled", "source"),
+    "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
     "palette": (),
     "start": (),
@@ -58,7 +58,7 @@ def run_config(
         "settings": settings_record(settings),
         "scene": _scene(bodies),
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
-        "detectors": [{"spec": d.spec, "name": d.name} | detector_record(d) for d in detectors],
+        "detectors": [_detector(detector) for detector in detectors],
         "backgrounds": _backgrounds(backgrounds),
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
         "start": None if start is None else {"sha256": sha256_arrays(start)},
@@ -81,6 +81,12 @@ def _scene(bodies: Bodies) -> dict:
         "pose_sha256": list(bodies.pose_hashes),
         "pose_shapes": [pose_shape(vertices) for vertices in bodies.vertices],
     }
+
+
+def _detector(detector: Detector) -> dict:
+    # Not part of the detector's own record: it is the same network, wherever its scores are cut.
+    named = {"spec": detector.spec, "name": detector.name, "operating_point": detector.operating_point}
+    return named | detector_record(detector)
 
 
 def _backgrounds(backgrounds: Backgrounds) -> dict:

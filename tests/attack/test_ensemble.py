@@ -62,6 +62,16 @@ def test_loss_and_gradient_of_an_ensemble(changes, combine, microbatch):
         torch.testing.assert_close(answer.detections[number].scores, detector(IMAGES).scores)
 
 
+def test_each_detector_has_the_margin_of_its_own_operating_point():
+    detectors = [TinyDetector(seed) for seed in range(2)]
+    for detector, point in zip(detectors, (0.25, 0.65), strict=True):
+        detector.operating_point = point
+    answer = objective(detectors, loss="margin").ask(IMAGES)
+    each = [evidence(d(IMAGES), "margin", operating_point=p) for d, p in zip(detectors, (0.25, 0.65), strict=True)]
+    torch.testing.assert_close(answer.disappearance, torch.stack(each).mean())
+    assert (each[0] > each[1]).sum() + (each[1] > each[0]).sum() == len(IMAGES)
+
+
 @pytest.mark.slow
 def test_microbatches_bound_what_a_detector_is_shown(tmp_path):
     whole, parts = Proposing(), Proposing()

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.attack.losses import disappearance, non_printability, total_variation
+from cloak_core.attack.losses import MARGIN, disappearance, non_printability, total_variation
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
@@ -41,7 +41,7 @@ def test_no_boxes_and_empty_boxes_count_nothing(kind, reduce):
 
 
 @pytest.mark.parametrize("reduce", ["max", "topk", "logsumexp"])
-@pytest.mark.parametrize("kind", ["score", "log"])
+@pytest.mark.parametrize("kind", ["score", "log", "margin"])
 @pytest.mark.parametrize("logit", [-6.0, -1.0, 1.0, 6.0])
 def test_a_score_on_either_side_of_the_threshold_has_a_gradient(kind, reduce, logit):
     logits = torch.full((1, 3), logit, requires_grad=True)
@@ -58,6 +58,31 @@ def test_the_log_form_keeps_its_gradient_where_the_score_saturates():
     assert gradients["score"] < 1e-4
     assert gradients["log"] == pytest.approx(1, abs=0.01)
     assert math.isfinite(disappearance(detections([[1.0]]), "log").item())
+
+
+def slope(kind, score, **more):
+    """Of the loss, with respect to the logit of the only box."""
+    logits = torch.logit(torch.tensor([[score]])).requires_grad_()
+    disappearance(detections(torch.sigmoid(logits)), kind, **more).backward()
+    return logits.grad.item()
+
+
+@pytest.mark.parametrize("point", [0.05, 0.25, 0.6, 0.9])
+def test_the_margin_pulls_down_to_the_operating_point_and_beyond(point):
+    at, below = (slope("margin", p, operating_point=point) for p in (point, point / (1 + point)))
+    assert 0.7 < at < 0.75  # sigmoid(1), whatever the point is
+    assert slope("margin", 0.999, operating_point=point) > 0.95
+    assert 0 < below < at
+    # The score's own slope there is p (1 - p), a quarter at most.
+    assert at > 2 * slope("score", point)
+
+
+def test_the_margin_at_even_odds_less_its_width_is_the_log():
+    point = 1 / (1 + math.exp(-MARGIN))
+    found = detections([[0.3]])
+    assert disappearance(found, "margin", operating_point=point) == pytest.approx(disappearance(found, "log").item())
+    for saturated in (0.0, 1.0):
+        assert math.isfinite(disappearance(detections([[saturated]]), "margin").item())
 
 
 def test_soft_reductions_by_hand():

@@ -17,7 +17,7 @@ from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
-from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
+from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 from tests.detectors.helpers import TINY_CFG, write_tiny
 
 MODULE = """
@@ -61,6 +61,15 @@ def python_detector(folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     (folder / "near.py").write_text("GAIN = 2.0\n")
     monkeypatch.syspath_prepend(folder)
     return f"python:{folder / 'mine.py'}:make"
+
+
+@pytest.mark.slow
+def test_a_detector_cut_at_another_score_is_trained_anew(tmp_path: Path) -> None:
+    detector = TinyDetector()
+    run(tmp_path / "run", detector)
+    detector.operating_point = 0.1
+    with pytest.raises(InputError, match=r"operating_point = 0\.5, not 0\.1"):
+        run(tmp_path / "run", detector)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cloak_core.attack.settings.values import NotNegative, Weights, Within
 from cloak_core.files.errors import InputError
 
-Loss = Literal["score", "objectness", "log"]
+Loss = Literal["score", "objectness", "log", "margin"]
 Reduce = Literal["max", "topk", "logsumexp"]
 
 
@@ -17,8 +17,9 @@ class LossSettings:
     """What training minimises."""
 
     loss: Loss = "score"
-    """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), or the log
-    of the score, -log(1 - score), which keeps its gradient where the score saturates."""
+    """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), the log of
+    the score, -log(1 - score), which keeps its gradient where the score saturates, or the margin above each detector's
+    own operating point, which keeps it down to there."""
     reduce: Reduce = "max"
     """From an image's boxes to one number: the largest, the mean of the ten best (topk), or a soft maximum."""
     rpn_weight: NotNegative = 0.0

@@ -34,14 +34,24 @@ HEADS = {
     "image_inside": "inside",
     "image_bias": "bias",
     "tv_weight": "weight",
+    "success_own": "success at its own",
+    "own_low": "95 % interval at its own",
+    "clothing_own": "own clothing at its own",
+    "grey_own": "grey at its own",
+    "random_own": "random at its own",
+    "false_alarms_own": "false alarms at its own",
+    "ap50": "AP50",
+    "clean_ap50": "clean AP50",
 }
 FORMATS = {
     "mean_score": "{:.3f}",
     "image_rms": "{:.3f}",
     "image_inside": "{:.3f}",
     "image_bias": "{:+.3f}",
-} | dict.fromkeys(("angle", "distance", "tv_weight", "seconds", "cpu_seconds"), "{:g}")
+} | dict.fromkeys(("angle", "distance", "tv_weight", "seconds", "cpu_seconds", "operating_point"), "{:g}")
 """Of numbers that are neither counts nor shares of one."""
+INTERVALS = {"low": "high", "own_low": "own_high"}
+"""Columns that hold the two ends of an interval."""
 SPECS = {"detector", "trained_on", "tested_on"}
 
 
@@ -88,7 +98,7 @@ def figure(path: Path) -> dict:
 
 def table(rows: list[dict]) -> dict:
     """Heads and cells of a table; shares as percent, the two ends of an interval in one column."""
-    keys = [key for key in dict.fromkeys(key for row in rows for key in row) if key != "high"]
+    keys = [key for key in dict.fromkeys(key for row in rows for key in row) if key not in INTERVALS.values()]
     heads = ["95 % interval" if key == "low" else HEADS.get(key, key.replace("_", " ")) for key in keys]
     return {"heads": heads, "rows": [[cell(key, row) for key in keys] for row in rows]}
 
@@ -98,8 +108,8 @@ def cell(key: str, row: dict) -> str:
     value = row.get(key)
     if value is None:
         return "–"
-    if key == "low":
-        return interval([value, row["high"]])
+    if key in INTERVALS:
+        return interval([value, row[INTERVALS[key]]])
     if key in SPECS:
         return short_name(str(value))
     if isinstance(value, (str, bool)):

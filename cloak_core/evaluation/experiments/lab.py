@@ -170,6 +170,7 @@ class Lab:
                 "bodies": bodies_record(bodies)["sha256"],
                 "logo": sha256_arrays(logo.face_ids),
                 "detectors": [self._detector_records[spec] for spec in specs],
+                "operating_points": [self.materials.detectors[spec].operating_point for spec in specs],
                 "backgrounds": backgrounds_record(self.materials.backgrounds),
             }
             | more,

@@ -26,6 +26,7 @@ EXPERIMENTS = (
     "ablation",
     "render-gap",
     "cost",
+    "white-box",
 )
 """In the order in which `all` runs them; each is the module of its name."""
 

@@ -25,12 +25,20 @@ class Repeats:
         first = self.measurements[0]
         self.specs, self.controls, self.trials = first.specs, first.controls, first.trials
 
-    def rate(self, spec: str, control: str = LOGO, *, on_body: bool = False, **where: float | int) -> Rate:
+    def rate(
+        self,
+        spec: str,
+        control: str = LOGO,
+        *,
+        threshold: float = THRESHOLD,
+        on_body: bool = False,
+        **where: float | int,
+    ) -> Rate:
         """Success, over all repetitions, of the images at this angle, distance or pose (columns of the trials)."""
         d, c = self.specs.index(spec), self.controls.index(control)
         # Standard controls look alike whatever was trained: repeating their images tells nothing new.
         told = self.measurements[:1] if control in STANDARD else self.measurements
-        hits = [(m.score_on if on_body else m.score)[d, c] <= THRESHOLD for m in told]
+        hits = [(m.score_on if on_body else m.score)[d, c] <= threshold for m in told]
         return self._pooled(hits, self._where(**where))
 
     def _pooled(self, hits: Sequence[Bool[np.ndarray, N]], where: Bool[np.ndarray, N]) -> Rate:
