@@ -38,6 +38,7 @@ COMMANDS: dict[str, str] = {
     "reproduce": "reproduce:Reproduce",
     "detectors list": "detectors:List",
     "detectors check": "detectors:Check",
+    "detectors verify": "detectors:Verify",
     "detectors train-builtin": "detectors:TrainBuiltin",
     "bench views": "bench:Views",
     "bench accuracy": "bench:Accuracy",
@@ -115,7 +116,7 @@ def run(command: Command) -> int:
         result = command.run()
         with saying():
             command.show(result)
-        return _verdict(result)
+        return _verdict(command, result)
     # Whatever libraries print must not end up inside the JSON.
     with contextlib.redirect_stdout(sys.stderr):
         out.file = sys.stderr
@@ -129,19 +130,20 @@ def run(command: Command) -> int:
             print(json.dumps(result, indent=2, allow_nan=False))
     if stopped:
         raise Stopped(stopped)
-    return _verdict(result)
+    return _verdict(command, result)
 
 
-def _verdict(result: dict) -> int:
-    """1 where a command found a defect in Cloak itself, and says so under "failed".
+def _verdict(command: Command, result: dict) -> int:
+    """1 where a command found that something failed, which is said.
 
     InputError where part of its input was bad, and the rest was done: "refused".
     """
     if result.get("refused"):
         raise InputError(result["refused"])
-    if result.get("failed"):
-        err.print(f"cloak: {result['failed']}", style="red")
-    return int(bool(result.get("failed")))
+    failures = command.failures(result)
+    for words in failures:
+        err.print(f"cloak: {words}", style="red")
+    return int(bool(failures))
 
 
 def find(arguments: list[str]) -> tuple[str, list[str]]:

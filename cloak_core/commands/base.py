@@ -52,6 +52,10 @@ class Command:
         """The options by name, but for --json and these others."""
         return {name: value for name, value in vars(self).items() if name not in ("json", *others)}
 
+    def failures(self, result: dict) -> list[str]:
+        """What turned out wrong, in words; the command then ends with exit code 1."""
+        return [result["failed"]] if result.get("failed") else []
+
     def show(self, result: dict) -> None:
         """Say the result to a person, on standard output."""
 

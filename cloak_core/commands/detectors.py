@@ -69,6 +69,54 @@ class Check(Command):
 
 
 @dataclass(kw_only=True)
+class Verify(Command):
+    """Check that a detector keeps what one promises, yours or one of ours; exit code 1 where a check fails."""
+
+    specs: Positional[tuple[str, ...]]
+    """Detectors, as in cloak train."""
+    images: Path | None = None
+    """Folder of photographs to ask about, beside the renders."""
+    renders: int = 4
+    """Renders of the sample bodies to ask about."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        prepare_process(self.compute)
+        if not self.specs:
+            raise InputError("detectors verify: which detector?")
+        if self.renders < 0 or (self.images is None and not self.renders):
+            raise InputError("--renders: some images are needed")
+        from cloak_core.evaluation.verifying import verify_specs
+
+        load = self.options.load
+        reports = verify_specs(self.specs, lambda spec: load([spec], self.compute.device)[0], self.images, self.renders)
+        return reports[self.specs[0]] if len(reports) == 1 else reports
+
+    def failures(self, result: dict) -> list[str]:
+        failed = [report for report in self.reports(result) if report["failed"]]
+        return [f"{report['spec']}: failed: {', '.join(report['failed'])}" for report in failed]
+
+    def show(self, result: dict) -> None:
+        for report in self.reports(result):
+            show_report(report)
+
+    @staticmethod
+    def reports(result: dict) -> list[dict]:
+        return [result] if "checks" in result else list(result.values())
+
+
+def show_report(report: dict) -> None:
+    """One detector's checks, one a line."""
+    kind = "white box" if report["white_box"] else "black box, evaluation alone"
+    assumed = ", assumed" if report["operating_point_assumed"] else ""
+    out.print(f"{report['spec']}: {report['layout']}, {kind}, reports from {report['operating_point']:g}{assumed}")
+    for name, check in report["checks"].items():
+        verdict = {True: "ok", False: "FAILED", None: "-"}[check["passed"]]
+        out.print(f"  {name:<20} {verdict:<7} {check['words']}")
+
+
+@dataclass(kw_only=True)
 class List(Command):
     """Say which detector families there are, what each needs, and how each was verified."""
 

@@ -41,6 +41,8 @@ class Family:
     verified: str
     refuses: Mapping[str, str] = field(default_factory=lambda: NO_LAYOUT)
     """Fields of `Request` that mean nothing here, and what is said to whoever sets them."""
+    changes_networks: bool = True
+    """What it loads is made faster (batch norm folded, memory laid out anew), and can be loaded without that."""
     trains: bool = True
     evaluates: bool = True
     needs: str | None = None
@@ -100,6 +102,7 @@ FAMILIES = {
         loader="onnx_family.detector:load_onnx",
         parts=(1, 2),
         refuses={},
+        changes_networks=False,
         needs="onnx2torch",
         weights="your file",
         licence="MIT (onnxruntime), Apache-2.0 (onnx, onnx2torch); weights: their authors'",
@@ -114,6 +117,7 @@ FAMILIES = {
             "person_class": "a python module returns the person's scores itself, it has no class to choose "
             "(for one of several detectors write the class into its spec: SPEC@person=CLASS)"
         },
+        changes_networks=False,
         weights="your code",
         licence="yours",
         verified="a real Faster R-CNN brought this way",

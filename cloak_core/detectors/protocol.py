@@ -48,6 +48,8 @@ class Detector(nn.Module):
     precision: Literal["float32", "bfloat16"] = "float32"
     compiled: bool = False
     """Whether it runs through torch.compile."""
+    partial_gradient: str = ""
+    """Why the gradient is not all of its answer's slope, where something is held fixed on purpose; "" where it is."""
     operating_point: float = 0.5
     """The score above which the detector, as people run it, reports a box."""
     operating_point_assumed: bool = True
@@ -84,6 +86,10 @@ class Detector(nn.Module):
         """After use: RuntimeError where it is not bit-identical to what its `state_hash` was `before`."""
         if state_hash(self) != before:
             raise RuntimeError(f"detector {self.spec} changed while it was used")
+
+    def original(self) -> "Detector | None":
+        """The same network in the runtime that its file was made for, to be compared with; None for none."""
+        return None
 
     @property
     def device(self) -> torch.device:

@@ -27,7 +27,7 @@ class PythonDetector(Detector):
     It may return a `Detections` instead, with `proposal_scores` where it has a first stage that can be attacked. Images
     are handed over as they are unless an input size is given, their memory channels last (`channels_last`): the same
     numbers, and convolutions are faster for it. A module that takes views which that layout does not allow gets the
-    usual one.
+    usual one. The module's attributes `differentiable` and `partial_gradient` are taken over, see `Detector`.
     """
 
     def __init__(
@@ -41,6 +41,8 @@ class PythonDetector(Detector):
         file: Path | None = None,
     ) -> None:
         super().__init__(name, spec)
+        self.differentiable = bool(getattr(module, "differentiable", True))
+        self.partial_gradient = str(getattr(module, "partial_gradient", ""))
         self.module, self.input_size, self.letterbox, self.file = module, input_size, letterbox, file
         self._range: Tensor | None = None
         self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)

@@ -7,6 +7,8 @@ from functools import partial
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
@@ -17,9 +19,10 @@ from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.views import ViewBank
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.logos.logo import make_logo
+from cloak_core.scene.people.samples import sample_bodies
 
 SHIFT = (50, 20)
 """The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""
@@ -58,15 +61,39 @@ def check_scene(
         shift=np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1),
         outfit=np.zeros(len(pose), np.int64),
     )
-    # One face stands for the logo, in its own colour: the body as it is.
-    colors, logo, bank = bodies.face_colors[0, :1], make_logo(bodies, [0]), ViewBank(bodies, device=detector.device)
-    stage = Stage(colors, logo, bodies, backgrounds, trials, viewpoint=camera, bank=bank)
+    stage = _clean_stage(bodies, backgrounds, trials, camera, detector.device)
     return {
         "clean_recall": _share(detector, partial(stage.images, control=CLOTHING), len(pose), threshold),
         "false_alarms": _share(detector, stage.bare, len(backgrounds), threshold),
         "n": len(pose),
         "backgrounds": len(backgrounds),
     }
+
+
+def clean_renders(count: int, size: tuple[int, int], seed: int = 0) -> Float[Tensor, "B 3 H W"]:
+    """Renders of the unseen sample bodies in all their outfits, (height, width) `size`, from all around, 1.6 to 4 m
+    away, before procedural scenes."""
+    bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test", size)
+    rng = np.random.default_rng([seed, 0xC1EA])
+    trials = Trials(
+        pose=np.arange(count) % bodies.pose_count,
+        angle=rng.uniform(-180, 180, count).astype(np.float32),
+        distance=rng.uniform(1.6, 4, count).astype(np.float32),
+        background=rng.integers(len(backgrounds), size=count),
+        shift=np.zeros((count, 2), np.int64),
+        outfit=rng.integers(len(bodies.face_colors), size=count),
+    )
+    stage = _clean_stage(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), torch.device("cpu"))
+    parts = [stage.images(range(i, min(i + BATCH, count)), control=CLOTHING).clone() for i in range(0, count, BATCH)]
+    return torch.cat(parts) if parts else torch.zeros(0, 3, *size)
+
+
+def _clean_stage(
+    bodies: Bodies, backgrounds: Backgrounds, trials: Trials, camera: Camera, device: torch.device
+) -> Stage:
+    """One face stands for the logo, in its own colour: bodies as they are."""
+    colors, logo, bank = bodies.face_colors[0, :1], make_logo(bodies, [0]), ViewBank(bodies, device=device)
+    return Stage(colors, logo, bodies, backgrounds, trials, viewpoint=camera, bank=bank)
 
 
 def _share(detector: Detector, images: Callable[[range], torch.Tensor], count: int, threshold: float) -> float:

@@ -44,6 +44,7 @@ class OnnxDetector(Detector):
         self.pixels_assumed = True
         self.differentiable = not isinstance(network, Session)
         self.person = 0
+        self.path = Path(spec)
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         if images.requires_grad and not self.differentiable:
@@ -54,6 +55,18 @@ class OnnxDetector(Detector):
         scores = person if found.objectness is None else person * found.objectness
         likeliest = None if found.objectness is None else person >= found.classes.amax(dim=-1)
         return Detections(placement.restore(found.boxes), scores, found.objectness, likeliest)
+
+    def original(self) -> OnnxDetector | None:
+        """The file in onnxruntime; None for a black box, which is that already."""
+        if not self.differentiable:
+            return None
+        file = read_model(self.path)
+        if file.digest != self.source["file"]:
+            raise InputError(f"{self.path}: changed since it was loaded")
+        session = Session(file.session(torch.get_num_threads()), file)
+        made = OnnxDetector(session, self.decode, self.input_size, self.pixels, self.letterbox, self.spec)
+        made.person, made.path, made.source = self.person, self.path, self.source
+        return made.freeze()
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
         """What the network says of its own input, decoded."""
@@ -106,6 +119,7 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
     detector = OnnxDetector(network, decode, size, request.pixels or layout.pixels, letterbox, request.spec)
     detector.name, detector.pixels_assumed = file.path.stem, request.pixels is None
+    detector.path = file.path
     detector.person = _person(file, _class_count(detector, file, layout_name), request.person)
     detector.operating_point = request.confidence or file.confidence or layout.confidence
     detector.operating_point_assumed = not (request.confidence or file.confidence)

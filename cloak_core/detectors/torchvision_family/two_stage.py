@@ -18,6 +18,8 @@ MIN_SIDE = 1e-2
 class TwoStageDetector(TorchvisionDetector):
     """A torchvision GeneralizedRCNN. Masks and keypoints are not computed."""
 
+    partial_gradient = "the places of proposals are held fixed, as in the model's own training"
+
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         batch, placement = self.prepare(images)
         features = self.model.backbone(batch.tensors)

@@ -1,0 +1,262 @@
+"""What is asked of a detector. Each check answers with one finding; what a detector raises is a finding, too."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.scoring import max_person_score
+from cloak_core.detectors.verification.comparing import Apart, apart
+from cloak_core.detectors.verification.slopes import AGREES, gradient_error, gradient_of
+
+BATCH = 4
+"""Images at a time, where several are asked about at once."""
+ROUNDING = 1e-6
+"""Scores may be beyond [0, 1] by so much."""
+Images = Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"]
+CLEAR = 0.1
+"""Boxes with a higher score must be somewhere in the image."""
+ROUGH = 0.5
+"""A gradient that is further off than `AGREES`, but not so far, may leave a part out on purpose: told, not judged."""
+DESCENTS, STEP = 5, 1 / 255
+"""Sign steps down, and how much each changes a pixel; a quarter after a step that leads up: landscapes are rough."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check found."""
+
+    passed: bool | None
+    """None where it does not apply, or is told without being judged."""
+    words: str
+    """What was seen, or why not."""
+    figures: dict[str, object] = field(default_factory=dict)
+    """For the report, by its keys."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is checked, and on what."""
+
+    detector: Detector
+    images: Images
+    """In [0, 1], or bytes; photographs first; four or more."""
+    original: Detector | None
+    """The same in the runtime it comes from, or as it was trained."""
+    repeats: int = 5
+    """Of measurements of time."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.images.shape[2], self.images.shape[3]
+
+    def batches(self) -> Iterator[Float[Tensor, "b 3 H W"]]:
+        """All images, four at a time; the last batch is filled up with the first images."""
+        whole = torch.cat([self.images, self.images[: -len(self.images) % BATCH]])
+        for batch in whole.split(BATCH):
+            yield (batch if batch.is_floating_point() else batch.float() / 255).to(self.detector.device)
+
+    def scores(self, images: Tensor) -> Tensor:
+        return self.detector(images).scores
+
+
+@torch.no_grad()
+def shapes(subject: Subject) -> Finding:
+    """For one image and for several: boxes [B, N, 4], scores [B, N], float32, the optional parts alike, all finite."""
+    wrong = []
+    for images in (next(subject.batches())[:1], next(subject.batches())):
+        found = subject.detector(images)
+        count, boxes = len(images), found.scores.shape[1:]
+        for name, part in zip(Detections._fields, found, strict=True):
+            if part is None:
+                continue
+            expected = (count, *boxes, 4) if name == "boxes" else (count, *boxes)
+            if tuple(part.shape) != expected:
+                wrong.append(f"{name} {list(part.shape)} for {count} images, not {list(expected)}")
+            elif part.is_floating_point() and not bool(part.isfinite().all()):
+                wrong.append(f"{name} not finite")
+            elif part.dtype not in (torch.float32, torch.bool):
+                wrong.append(f"{name} of type {part.dtype}")
+    return Finding(not wrong, "; ".join(wrong) or f"boxes {list(found.boxes.shape)}, scores {list(found.scores.shape)}")
+
+
+@torch.no_grad()
+def ranges(subject: Subject) -> Finding:
+    """Every probability lies in [0, 1]."""
+    found, said, passed = subject.detector(next(subject.batches())), [], True
+    for name in ("scores", "objectness", "proposal_scores"):
+        values = getattr(found, name)
+        if values is None or not values.numel():
+            continue
+        low, high = float(values.min()), float(values.max())
+        passed &= low >= -ROUNDING and high <= 1 + ROUNDING
+        said.append(f"{name} from {low:.3g} to {high:.3g}")
+    return Finding(passed, ", ".join(said) or "no boxes at all")
+
+
+@torch.no_grad()
+def sane_boxes(subject: Subject) -> Finding:
+    """Boxes that matter have their corners in order and reach into the image."""
+    found, (height, width) = subject.detector(next(subject.batches())), subject.size
+    boxes = found.boxes[found.scores > CLEAR]
+    swapped = int(((boxes[:, 2] < boxes[:, 0]) | (boxes[:, 3] < boxes[:, 1])).sum())
+    inside = (boxes[:, 2] > 0) & (boxes[:, 3] > 0) & (boxes[:, 0] < width) & (boxes[:, 1] < height)
+    outside = int((~inside).sum())
+    words = f"of {len(boxes)} above a score of {CLEAR}: {swapped} with corners swapped, {outside} outside the image"
+    return Finding(not swapped and not outside, words)
+
+
+@torch.no_grad()
+def repeatable(subject: Subject) -> Finding:
+    """Asked twice, it says the same to the last bit."""
+    images = next(subject.batches())
+    first, second = subject.detector(images), subject.detector(images)
+    same = all(a is b is None or torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    return Finding(same, "two calls say the same" if same else "two calls on the same images differ")
+
+
+@torch.no_grad()
+def batch_invariance(subject: Subject) -> Finding:
+    """An image is answered alike alone and among others, wherever it stands among them."""
+    images = next(subject.batches())
+    alone = [subject.detector(image) for image in images.split(1)]
+    worst = Apart(0.0, 0.0)
+    for order in (range(BATCH), range(BATCH - 1, -1, -1)):
+        together = subject.detector(images[list(order)])
+        for place, i in enumerate(order):
+            worst = Apart(*map(max, worst, apart(row(together, place), alone[i], subject.size)))
+    return Finding(worst.same, _distance(worst, "alone and among others"), {"batch_invariant": worst.same})
+
+
+def extremes(subject: Subject) -> Finding:
+    """Black, white and noise: finite answers, and finite gradients."""
+    height, width = subject.size
+    noise = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
+    wrong = []
+    for name, image in {"black": 0 * noise, "white": 0 * noise + 1, "noise": noise}.items():
+        image = image.to(subject.detector.device)
+        with torch.no_grad():
+            found = subject.detector(image)
+        parts = [part for part in found if part is not None and part.is_floating_point()]
+        if not all(bool(part.isfinite().all()) for part in parts):
+            wrong.append(f"{name}: answers are not finite")
+        elif subject.detector.differentiable and not bool(gradient_of(subject.scores, image).isfinite().all()):
+            wrong.append(f"{name}: gradients are not finite")
+    return Finding(not wrong, "; ".join(wrong) or "black, white and noise are answered with numbers")
+
+
+def gradient(subject: Subject) -> Finding:
+    """As steep as a finite difference, roughly so at least; only finite where a detector says that it holds something
+    fixed on purpose."""
+    if not subject.detector.differentiable:
+        return Finding(None, "a black box has none", {"gradient_error": None})
+    error = gradient_error(subject.scores, next(subject.batches())[:1])
+    if error is None:
+        return Finding(False, "no finite gradient but zero", {"gradient_error": None})
+    words, passed = f"the slope along it is {error:.1%} off a finite difference", error <= AGREES
+    why = subject.detector.partial_gradient
+    if not passed and (why or error <= ROUGH):
+        words, passed = f"{words}; {why or 'is something held fixed, as two-stage detectors do?'}", None
+    return Finding(passed, words, {"gradient_error": error})
+
+
+def descent(subject: Subject) -> Finding:
+    """A few small steps against the gradient lower the best person score of every photograph."""
+    detector = subject.detector
+    if not detector.differentiable:
+        return Finding(None, "a black box has no way down")
+    images = next(subject.batches())
+    before = lowest = _forward(detector, images)
+    widths = torch.full_like(lowest, STEP)
+    for _ in range(DESCENTS):
+        tried = (images - widths[:, None, None, None] * _uphill(detector, images).sign()).clamp(0, 1)
+        reached = _forward(detector, tried)
+        better = reached < lowest
+        images = torch.where(better[:, None, None, None], tried, images)
+        lowest, widths = torch.where(better, reached, lowest), torch.where(better, widths, widths / 4)
+    stuck = int((lowest >= before).sum())
+    words = f"best person scores {_listed(before)} fall to {_listed(lowest)} in {DESCENTS} steps of at most 1/255"
+    return Finding(not stuck, f"{words}; {stuck} of {len(images)} do not" if stuck else words)
+
+
+def _uphill(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+    pixels = images.clone().requires_grad_()
+    with torch.enable_grad():
+        best = max_person_score(detector(pixels))
+        (gradient,) = torch.autograd.grad(best.clamp(min=1e-30).log().sum(), pixels)
+    return gradient
+
+
+@torch.no_grad()
+def parity(subject: Subject) -> Finding:
+    """One by one and four at a time it says what its original says of each image."""
+    if subject.original is None:
+        nothing = {"parity_scores": None, "parity_boxes_px": None}
+        return Finding(None, "there is no other runtime to compare it with", nothing)
+    worst = Apart(0.0, 0.0)
+    for images in subject.batches():
+        together = subject.detector(images)
+        for i, image in enumerate(images.split(1)):
+            expected = subject.original(image)
+            for found in (subject.detector(image), row(together, i)):
+                worst = Apart(*map(max, worst, apart(found, expected, subject.size)))
+    words = f"on {len(subject.images)} images, {_distance(worst, 'it and its original')}"
+    return Finding(worst.same, words, {"parity_scores": worst.scores, "parity_boxes_px": worst.boxes_px})
+
+
+def speed(subject: Subject) -> Finding:
+    """Beside the original on the same threads, in turns; told, not judged: machines are busy."""
+    images, ways = next(subject.batches()), {"forward": lambda: _forward(subject.detector, images)}
+    if subject.detector.differentiable:
+        ways["gradient"] = lambda: _uphill(subject.detector, images)
+    if subject.original is not None:
+        ways["original"] = lambda: _forward(subject.original, images)
+    took = _in_turns(ways, subject.repeats)
+    figures = {f"{name}_ms": 1000 * seconds / len(images) for name, seconds in took.items()}
+    figures["forward_ratio"] = took["forward"] / took["original"] if "original" in took else None
+    figures["gradient_ratio"] = took["gradient"] / took["forward"] if "gradient" in took else None
+    words = f"{figures['forward_ms']:.1f} ms an image ({torch.get_num_threads()} threads)"
+    if figures["forward_ratio"]:
+        words += f", {figures['forward_ratio']:.2f} times its original"
+    if figures["gradient_ratio"]:
+        words += f"; with the gradient {figures['gradient_ratio']:.2f} times that"
+    return Finding(None, words, figures)
+
+
+def _in_turns(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median seconds of each; the first turn warms up."""
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(repeats + 1):
+        for name, work in ways.items():
+            start = time.perf_counter()
+            work()
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            if turn:
+                seconds[name].append(time.perf_counter() - start)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+@torch.no_grad()
+def _forward(detector: Detector, images: Tensor) -> Tensor:
+    return max_person_score(detector(images))
+
+
+def row(found: Detections, index: int) -> Detections:
+    """What was said of one of several images."""
+    return Detections(*(None if part is None else part[index : index + 1] for part in found))
+
+
+def _distance(apart: Apart, what: str) -> str:
+    return f"{what} differ by {apart.scores:.1e} in scores and {apart.boxes_px:.1e} px in boxes"
+
+
+def _listed(values: Tensor) -> str:
+    return " ".join(f"{value:.3g}" for value in values.tolist())

@@ -1,0 +1,212 @@
+"""The verification kit: every family passes it, and what is wrong with a wrapper is found and named."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.verification import verify
+from cloak_core.detectors.verification.comparing import apart
+from cloak_core.detectors.verification.kit import CHECKS, original_of
+from tests.detectors.helpers import images, write_tiny
+
+KEYS = {
+    "spec": str,
+    "layout": str,
+    "white_box": bool,
+    "parity_scores": float,
+    "parity_boxes_px": float,
+    "gradient_error": float,
+    "batch_invariant": bool,
+    "forward_ratio": float,
+    "operating_point": float,
+    "person_class": int,
+    "failed": list,
+}
+
+
+class Fake(Detector):
+    """Says how bright each quarter of an image is; `wrong` bends one of its promises."""
+
+    def __init__(self, wrong: str = "") -> None:
+        super().__init__("fake", "fake")
+        self.wrong, self.calls = wrong, 0
+        self.register_buffer("state", torch.zeros(1))
+
+    def detect(self, images: Tensor) -> Detections:
+        count, _, height, width = images.shape
+        scores = nn.functional.adaptive_avg_pool2d(images, 2).mean(1).flatten(1)
+        x, y = torch.meshgrid(torch.arange(2.0) * width / 2, torch.arange(2.0) * height / 2, indexing="xy")
+        corner = torch.stack([x, y], -1).view(1, 4, 2).expand(count, -1, -1)
+        boxes = torch.cat([corner, corner + torch.tensor([width / 2, height / 2])], -1)
+        self.calls += 1
+        return self.bent(images, boxes, scores)
+
+    def bent(self, images: Tensor, boxes: Tensor, scores: Tensor) -> Detections:
+        match self.wrong:
+            case "shapes":
+                scores = scores[:, :3]
+            case "scores in [0, 1]":
+                scores = scores * 3
+            case "boxes":
+                boxes = boxes.flip(-1)
+            case "repeatable":
+                scores = scores + 1e-6 * self.calls
+            case "batch invariance":
+                scores = (scores + scores.flip(0)) / 2
+            case "black, white, noise":
+                scores = scores / (images.amax() > images.amin())
+            case "gradient":
+                scores = scores.detach() + 0 * scores
+            case "state":
+                self.state += 1
+            case "raises":
+                raise KeyError("weights")
+        return Detections(boxes, scores)
+
+
+def test_nothing_is_wrong_with_a_sound_wrapper() -> None:
+    report = verify(Fake())
+    assert report["failed"] == [] and set(report["checks"]) == {*CHECKS, "state"}
+    assert report["parity_scores"] is None and report["forward_ratio"] is None and report["person_class"] is None
+    assert report["gradient_error"] < 0.03 and report["batch_invariant"] is True
+
+
+@pytest.mark.parametrize("wrong", [name for name in CHECKS if name not in ("descent", "parity", "speed")] + ["state"])
+def test_a_broken_promise_is_found(wrong: str) -> None:
+    assert wrong in verify(Fake(wrong), images(4))["failed"]
+
+
+def test_what_a_wrapper_raises_is_said() -> None:
+    report = verify(Fake("raises"), images(4))
+    assert {*CHECKS} <= {*report["failed"], "parity"}
+    assert report["checks"]["shapes"]["words"] == "KeyError: 'weights'" and report["gradient_error"] is None
+
+
+def test_a_gradient_that_leads_nowhere_does_not_descend() -> None:
+    assert {"gradient", "descent"} <= set(verify(Fake("gradient"), images(4))["failed"])
+
+
+def test_another_answer_than_the_originals_is_found() -> None:
+    report = verify(Fake(), images(4), original=Fake("batch invariance"))
+    assert report["failed"] == [] and report["parity_scores"] < 1e-6  # alone it answers alike
+    report = verify(Fake(), images(4), original=Fake("scores in [0, 1]"))
+    assert report["failed"] == ["parity"] and report["parity_scores"] > 0.1 and report["forward_ratio"] > 0
+
+
+def test_rows_in_another_order_are_the_same_answer() -> None:
+    boxes = torch.rand(1, 6, 4, generator=torch.Generator().manual_seed(0)) * 50
+    scores = torch.tensor([[0.9, 0.5, 0.2, 0.0, 0.1, 0.3]])
+    turned = Detections(boxes.flip(1), scores.flip(1))
+    padded = Detections(torch.cat([boxes, 0 * boxes], 1), torch.cat([scores, 0 * scores], 1))
+    for other in (turned, padded):
+        assert apart(Detections(boxes, scores), other, (64, 64)) == (0, 0)
+    moved = boxes.clone()
+    moved[0, 1] += 0.5
+    assert apart(Detections(boxes, scores), Detections(moved.flip(1), scores.flip(1)), (64, 64)).boxes_px == 0.5
+    missing = apart(Detections(boxes, scores), Detections(boxes[:, 1:], scores[:, 1:]), (64, 64))
+    assert not missing.same
+    nothing = Detections(boxes[:, :0], scores[:, :0])
+    assert apart(nothing, nothing, (64, 64)).same and not apart(Detections(boxes, scores), nothing, (64, 64)).same
+
+
+def test_the_originals_of_families(tmp_path: Path) -> None:
+    darknet = load_detector(write_tiny(tmp_path))
+    has_norms = [any("BatchNorm" in type(m).__name__ for m in d.modules()) for d in (original_of(darknet), darknet)]
+    assert has_norms == [True, False]
+    assert original_of(Fake()) is None
+
+
+@pytest.mark.parametrize("family", ["builtin", "darknet"])
+def test_our_own_families(family: str, tmp_path: Path) -> None:
+    spec = "builtin@64" if family == "builtin" else write_tiny(tmp_path)
+    report = verify(load_detector(spec), images(4, 64, 64))
+    assert report["failed"] == [] and report["layout"] == family
+    assert {key: type(report[key]) for key in KEYS} == KEYS
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["ssdlite320_mobilenet_v3_large", pytest.param("fasterrcnn_mobilenet_v3_large_320_fpn", marks=pytest.mark.long)],
+)
+@pytest.mark.slow
+def test_torchvision(name: str, tmp_path: Path) -> None:
+    from tests.detectors.test_torchvision import SIDE, Case
+
+    detector = load_detector(f"torchvision:{name}:{Case(name, tmp_path).path}@{SIDE},person=1")
+    report = verify(detector, images(4))
+    assert report["failed"] == [] and report["parity_scores"] < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["DFine", "Yolos", *[pytest.param(name, marks=pytest.mark.long) for name in ("Detr", "ConditionalDetr")]]
+)
+def test_transformers(name: str, tmp_path: Path) -> None:
+    from tests.detectors.test_transformers import save
+
+    save(name, tmp_path)
+    report = verify(load_detector(f"transformers:{tmp_path}@64x96"), images(4, 64, 96))
+    assert report["failed"] == [] and report["gradient_error"] < 0.1
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "my_detector.py"
+
+
+def test_the_worked_example() -> None:
+    report = verify(load_detector(f"python:{EXAMPLE}:load"), images(4, 90, 120))
+    assert report["failed"] == [] and report["white_box"] and report["layout"] == "python"
+
+
+def test_a_black_box_of_ones_own(tmp_path: Path) -> None:
+    text = EXAMPLE.read_text("utf-8").replace("    # differentiable = False", "    differentiable = False")
+    (tmp_path / "black.py").write_text(text.replace("classes.softmax(-1)", "classes.detach().softmax(-1)"))
+    report = verify(load_detector(f"python:{tmp_path / 'black.py'}:load"), images(4))
+    assert report["failed"] == [] and not report["white_box"] and report["gradient_error"] is None
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    from cloak_core.cli import main
+
+    spec = write_tiny(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["detectors", "verify", spec, "--renders", "2", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert end.value.code == 0 and report["spec"] == spec and {*KEYS} <= set(report)
+    (tmp_path / "bad.py").write_text(
+        "import torch\n\nclass Bad(torch.nn.Module):\n    def forward(self, images):\n"
+        "        return torch.ones(len(images), 1, 4), images.mean((1, 2, 3))[:, None] - 0.5\n\nload = Bad\n"
+    )
+    bad = f"python:{tmp_path / 'bad.py'}:load"
+    with pytest.raises(SystemExit) as end:
+        main(["detectors", "verify", spec, bad, "--renders", "1"])
+    said = capsys.readouterr()
+    assert (
+        end.value.code == 1
+        and "failed: shapes, scores in [0, 1]" in said.err
+        and bad in said.err
+        and spec not in said.err
+    )
+    assert "FAILED" in said.out and "unchanged, bit by bit" in said.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--images", "nowhere"], "nowhere: no such folder"),
+        (["--images", "."], "holds no pictures"),
+        (["--renders", "0"], "some images are needed"),
+    ],
+)
+def test_what_the_command_cannot_use(arguments: list[str], words: str, tmp_path: Path, monkeypatch, capsys) -> None:
+    from cloak_core.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["detectors", "verify", "builtin", *arguments])
+    assert end.value.code == 2 and words in capsys.readouterr().err
