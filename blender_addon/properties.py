@@ -139,6 +139,7 @@ class CloakSettings(bpy.types.PropertyGroup):
         "Preset",
         "Which settings to train with",
         ("best", "Best", "What works best"),
+        ("transfer", "Transfer", "For detectors that training never sees; takes several surrogates"),
         ("paper", "Paper", "The settings of the paper"),
         ("reference", "Reference", "The settings of the paper's published code"),
     )

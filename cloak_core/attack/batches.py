@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from cloak_core.attack.distorting import Distortion, draw_occluders, occluded
+from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window, occluded
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.augmentation import AugmentationSettings
@@ -23,6 +23,10 @@ from cloak_core.render.threads import own_threads_kept, spread, workers
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.geometry import face_centres
+
+_MIX, _CUTOUT, _WINDOW, _TINT = 1, 2, 3, 4
+"""Streams of random numbers of an image, beside those drawn from its bare seed."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,8 @@ class Batch:
     """None there."""
     on_logo: "LogoChange | None"
     distortion: Distortion
+    hidden: Bool[Tensor, "B L"] | None = None
+    """Faces of the logo that are grey in an image; None: none."""
 
     def __len__(self) -> int:
         return self.canvas.shape[0] if self.canvas else 0
@@ -43,7 +49,10 @@ class Batch:
         """The images, in [0, 1], differentiable in the colours. The next call draws into the same memory."""
         if self.canvas is None:
             return self.empty + 0 * colors.sum()
-        return self.distortion(self.canvas.paint(colors if self.on_logo is None else self.on_logo(colors)))
+        shown = colors if self.on_logo is None else self.on_logo(colors)
+        if self.hidden is not None:
+            shown = torch.where(self.hidden[..., None], 0.5, shown)
+        return self.distortion(self.canvas.paint(shown))
 
 
 class Batcher:
@@ -62,6 +71,7 @@ class Batcher:
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
         self._fresh = is_fresh(settings.views)
+        self._centres = face_centres(bank.bodies)[logo_faces] if self.augmentation.cutout else None
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """The images of `step`, or one process's share of them."""
@@ -80,7 +90,9 @@ class Batcher:
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)
-        lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
+        lay_backdrop(
+            rows, [self._backdrop(*one) for one in zip(draws.background.tolist(), draws.seed.tolist(), strict=True)]
+        )
         shifts = torch.from_numpy(draws.shift).to(self.device, non_blocking=True)
         on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
         return Batch(
@@ -88,7 +100,28 @@ class Batcher:
             self._occlude(Canvas.of(views, rows, shifts, on_render), views, draws),
             LogoChange.draw(draws, settings, len(self.logo_faces), self.device) if changes and on_logo else None,
             distortion(draws, settings, self.device),
+            None if self._centres is None else self._cutout(draws),
         )
+
+    def _backdrop(self, index: int, seed: int) -> UInt8[Tensor, "3 H W"]:
+        """A background, with a share of another one in it where the settings say so."""
+        size, most = self.views.size, self.augmentation.background_mix
+        image = self.backgrounds.image(index, (size, size))
+        if not most:
+            return image
+        random = np.random.default_rng([seed, _MIX])
+        other = self.backgrounds.image(int(random.integers(len(self.backgrounds))), (size, size))
+        return torch.lerp(image.float(), other.float(), random.uniform(0, most)).round().to(torch.uint8)
+
+    def _cutout(self, draws: Draws) -> Bool[Tensor, "B L"]:
+        hidden = np.zeros((len(draws), len(self._centres)), bool)
+        for row, seed in zip(hidden, draws.seed, strict=True):
+            random = np.random.default_rng([seed, _CUTOUT])
+            about = self._centres[random.integers(len(row))]
+            count = round(random.uniform(0, self.augmentation.cutout) * len(row))
+            apart = ((self._centres - about) ** 2).sum(1)
+            row[np.argsort(apart, kind="stable")[:count]] = True
+        return torch.from_numpy(hidden).to(self.device)
 
     def _occlude(self, canvas: Canvas, views: list[DressedView], draws: Draws) -> Canvas:
         if not self.augmentation.occluders:
@@ -187,9 +220,21 @@ def distortion(draws: Draws, settings: AugmentationSettings, device: torch.devic
     """What happens to the finished images."""
     return Distortion(
         _on(device, draws.zoom) if settings.zoom != Range(1.0, 1.0) else None,
+        _on(device, _windows(draws, settings)) if settings.crop or settings.pad else None,
+        _on(device, _tints(draws, settings)) if settings.tint else None,
         _on(device, draws.blur) if settings.blur else None,
         _on(device, draws.quality) if settings.jpeg is not None else None,
     )
+
+
+def _windows(draws: Draws, settings: AugmentationSettings) -> Float[np.ndarray, "B 3"]:
+    drawn = [draw_window(np.random.default_rng([seed, _WINDOW]), settings.crop, settings.pad) for seed in draws.seed]
+    return np.array(drawn).reshape(-1, 3)
+
+
+def _tints(draws: Draws, settings: AugmentationSettings) -> Float[np.ndarray, "B 4"]:
+    drawn = [np.random.default_rng([seed, _TINT]).uniform(-settings.tint, settings.tint, 4) for seed in draws.seed]
+    return 1 + np.array(drawn).reshape(-1, 4)
 
 
 def render_change(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Photometric:

@@ -1,4 +1,5 @@
-"""What cameras and files do to images, differentiably: zoom, blur, JPEG's loss; and things that stand in the way."""
+"""What cameras and files do to images, differentiably: zoom, crop, margin, tint, blur, JPEG's loss; and things that
+stand in the way."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -43,6 +44,10 @@ class Distortion:
 
     zoom: Float[Tensor, "B"] | None = None
     """Factors about the centre; what comes in at the edge is mirrored."""
+    window: Float[Tensor, "B 3"] | None = None
+    """Side and centre (x, y) of what is shown, in units in which the image's edges are at -1 and 1."""
+    tint: Float[Tensor, "B 4"] | None = None
+    """Factors of red, green, blue and of the saturation."""
     blur: Float[Tensor, "B"] | None = None
     """Standard deviations of a Gaussian, pixels."""
     quality: Float[Tensor, "B"] | None = None
@@ -51,6 +56,10 @@ class Distortion:
     def __call__(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
         if self.zoom is not None:
             images = zoomed(images, self.zoom)
+        if self.window is not None:
+            images = windowed(images, self.window)
+        if self.tint is not None:
+            images = tinted(images, self.tint)
         if self.blur is not None:
             images = blurred(images, self.blur)
         if self.quality is not None:
@@ -64,6 +73,29 @@ def zoomed(images: Float[Tensor, "B 3 H W"], factor: Float[Tensor, "B"]) -> Floa
     scale[:, 0, 0] = scale[:, 1, 1] = 1 / factor
     grid = F.affine_grid(scale, list(images.shape), align_corners=False)
     return F.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
+
+
+def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3 H W"]:
+    """What each image's window shows of it, bilinearly, at the same size; mid-grey beyond its edges.
+
+    window: side (below 1 a crop, above 1 a margin) and centre (x, y), see `Distortion`.
+    """
+    place = torch.zeros(len(images), 2, 3, dtype=images.dtype, device=images.device)
+    place[:, 0, 0] = place[:, 1, 1] = window[:, 0]
+    place[:, :, 2] = window[:, 1:]
+    grid = F.affine_grid(place, list(images.shape), align_corners=False)
+    return F.grid_sample(images - 0.5, grid, padding_mode="zeros", align_corners=False) + 0.5
+
+
+def tinted(images: Float[Tensor, "B 3 H W"], factors: Float[Tensor, "B 4"]) -> Float[Tensor, "B 3 H W"]:
+    """Channels multiplied by the first three factors, then the distance from each pixel's grey by the last; clamped.
+
+    The gradient passes the clamp within [0, 1].
+    """
+    images = images * factors[:, :3, None, None]
+    luma = torch.tensor(_TO_YCC[0], dtype=images.dtype, device=images.device).view(1, 3, 1, 1)
+    grey = (images * luma).sum(1, keepdim=True)
+    return torch.lerp(grey.expand_as(images), images, factors[:, 3].view(-1, 1, 1, 1)).clamp(0, 1)
 
 
 def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
@@ -142,3 +174,12 @@ def draw_occluders(
     halves = random.uniform(*OCCLUDER_SIDES, (count, 2)) * (high - low) / 2
     corners = np.concatenate([centers - halves, centers + halves], 1).clip(0, size).round().astype(int)
     return [tuple(row) for row in corners.tolist()]
+
+
+def draw_window(random: np.random.Generator, crop: float, pad: float) -> tuple[float, float, float]:
+    """One image's window (see `Distortion`): up to a share `crop` cut away, or up to `pad` of it margin, anywhere."""
+    is_crop = random.random() < 0.5 if crop and pad else bool(crop)
+    share = random.uniform(0, crop if is_crop else pad)
+    side = 1 - share if is_crop else 1 / (1 - share)
+    x, y = random.uniform(-1, 1, 2) * abs(1 - side)
+    return side, x, y

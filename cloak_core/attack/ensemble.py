@@ -10,6 +10,11 @@ from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7
 """Of random numbers, apart from those that draw the images."""
+_MEMORY = 0.9
+"""Weight of what was known of a detector when it is asked again."""
+_SHARPNESS = 5.0
+"""Of an adaptive ensemble: a detector that sees surely weighs e^5 as much as one that sees nothing."""
+_STATE = "ensemble."
 
 
 class Ensemble:
@@ -23,7 +28,40 @@ class Ensemble:
         weights = settings.detector_weights or (1.0,) * count
         if len(weights) != count:
             raise InputError(f"--detector-weights: {len(weights)} weights, but the run has {count} --detector")
-        self.weights = [weight / sum(weights) for weight in weights]
+        self._weights = np.array(weights) / sum(weights)
+        # Nothing known: all see.
+        self._levels = np.ones(count)
+
+    @property
+    def is_adaptive(self) -> bool:
+        return self.settings.ensemble == "adaptive"
+
+    @property
+    def weights(self) -> Float[np.ndarray, " detectors"]:
+        """Each detector's weight now; they sum to 1."""
+        if not self.is_adaptive:
+            return self._weights
+        grown = np.exp(_SHARPNESS * (self._levels - self._levels.max()))
+        return grown / grown.sum()
+
+    def observe(self, levels: dict[int, float]) -> None:
+        """After a step: by the number of the detector, how surely it found a person, from 0 over 0.5 at its own
+        operating point to 1 (`level`). In every process for the whole batch."""
+        for number, level in levels.items():
+            self._levels[number] = _MEMORY * self._levels[number] + (1 - _MEMORY) * level
+
+    def state(self) -> dict[str, Tensor]:
+        """For a checkpoint."""
+        return {_STATE + "levels": torch.from_numpy(self._levels.copy())} if self.is_adaptive else {}
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state()`. KeyError or ValueError where the tensors belong to another run."""
+        if not self.is_adaptive:
+            return
+        levels = tensors[_STATE + "levels"].cpu().numpy()
+        if levels.shape != self._levels.shape:
+            raise ValueError("the ensemble's state is that of other detectors")
+        self._levels = levels.astype(np.float64, copy=True)
 
     def asked(self, step: int | None) -> list[list[int]]:
         """The detectors of a step (None: all), in groups whose losses need each other: alone but for the maximum.
@@ -46,5 +84,14 @@ class Ensemble:
         stacked = torch.stack(list(losses.values()))
         if self.settings.ensemble == "max":
             return stacked.amax(dim=0)
-        weights = [self.weights[number] * self.count / asked for number in losses]
+        weights = [float(self.weights[number]) * self.count / asked for number in losses]
         return (stacked * stacked.new_tensor(weights)[:, None]).sum(dim=0)
+
+
+def level(scores: Float[Tensor, "B"], operating_point: float) -> Float[Tensor, "B"]:
+    """How surely a person is found, beside the detector's own operating point: 0.5 there, in [0, 1].
+
+    The odds of the score over the sum of its odds and those of the operating point.
+    """
+    found = scores * (1 - operating_point)
+    return found / (found + (1 - scores) * operating_point)

@@ -18,6 +18,7 @@ from cloak_core.attack.checkpoints import (
     save_checkpoint,
     send_checkpoint,
 )
+from cloak_core.attack.ensemble import level
 from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
 from cloak_core.attack.held_out import HeldOut
 from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
@@ -195,7 +196,9 @@ class TrainingLoop:
         return step.figures
 
     def _watch(self, step: Step) -> None:
-        """Tell the sampler how surely a person was found in each of the batch's images, every process's."""
+        """Tell the sampler and the ensemble how surely a person was found in the batch's images, every process's."""
+        if self.objective.ensemble.is_adaptive:
+            self._watch_detectors(step)
         if self.sampler.hard_views is None:
             return
         found = torch.zeros(self.sampler.images_of(self.step), dtype=torch.float64, device=self.batcher.device)
@@ -205,6 +208,17 @@ class TrainingLoop:
         draws = self.sampler.draw(self.step)
         found = self.world.sum(found).cpu().numpy()
         self.sampler.hard_views.observe(self.step, draws.pose, draws.sector, found)
+
+    def _watch_detectors(self, step: Step) -> None:
+        ensemble, device = self.objective.ensemble, self.batcher.device
+        asked = [number for group in ensemble.asked(self.step) for number in group]
+        total = torch.zeros(len(asked), dtype=torch.float64, device=device)
+        for place, number in enumerate(asked):
+            if number in step.detections:
+                point = self.objective.detectors[number].operating_point
+                total[place] = level(max_person_score(step.detections[number]).double(), point).sum()
+        mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
+        ensemble.observe(dict(zip(asked, mean, strict=True)))
 
     def _refuse(self, step: Step) -> None:
         names = [
@@ -241,6 +255,7 @@ class TrainingLoop:
             write_colors(self.run.colors, self._final_colors()[0] if final else self._colors_array())
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
             tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
+            tensors |= self.objective.ensemble.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
             self._shown = time.perf_counter()
             self._tell("checkpoint")
@@ -258,6 +273,7 @@ class TrainingLoop:
         if checkpoint is not None:
             try:
                 self.optimizer.load(checkpoint.tensors)
+                self.objective.ensemble.load(checkpoint.tensors)
                 if self.held_out is not None:
                     self.held_out.load(checkpoint.tensors)
                 if self.sampler.hard_views is not None:

@@ -1,7 +1,7 @@
 """What a step minimises, and its gradient."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from cloak_core.attack.batches import Batch
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.losses import evidence, non_printability, proposal_evidence, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
+from cloak_core.attack.self_ensemble import SelfEnsemble
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
 from cloak_core.detectors.protocol import Detections, Detector, join_detections
@@ -47,6 +48,8 @@ class Objective:
     ) -> None:
         self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed)
+        self.surrogates = SelfEnsemble(settings.surrogates, settings.run.seed)
+        self.ascent = settings.optimization.ascent if settings.optimization.sharpness else None
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
         self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
@@ -75,7 +78,7 @@ class Objective:
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             for group in groups:
-                heard = {number: self.detectors[number](part) for number in group}
+                heard = {number: self._heard(number, part, step) for number in group}
                 losses = {number: self._loss(detections, number) for number, detections in heard.items()}
                 loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
                 if part.requires_grad:
@@ -89,6 +92,10 @@ class Objective:
         detections = {number: join_detections(parts) for number, parts in said.items() if parts}
         gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
         return Answer(disappearance, 1 - found, gradient, detections)
+
+    def _heard(self, number: int, images: Float[Tensor, "B 3 H W"], step: int | None) -> Detections:
+        with self.surrogates.shaken(number, step):
+            return self.detectors[number](images)
 
     def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
         settings = self.settings
@@ -137,7 +144,24 @@ def gradient_step(
     share: float = 1.0,
     step: int = 0,
 ) -> Step:
-    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
+    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images.
+
+    With a `sharpness` it is that of colours which are worse; the figures, too, unless both were asked for.
+    """
+    if objective.ascent is None:
+        return _gradient(objective, optimizer, batch, world, share, step)
+    if objective.ascent == "momentum":
+        with optimizer.raised(optimizer.heading):
+            return _gradient(objective, optimizer, batch, world, share, step)
+    here = _gradient(objective, optimizer, batch, world, share, step)
+    with optimizer.raised(optimizer.gradient.clone()):
+        worse = _gradient(objective, optimizer, batch, world, share, step)
+    return replace(worse, figures=here.figures, is_finite=here.is_finite and worse.is_finite)
+
+
+def _gradient(
+    objective: Objective, optimizer: ColorOptimizer, batch: Batch, world: World, share: float, step: int
+) -> Step:
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)

@@ -8,7 +8,9 @@ importing torch takes 1.9 to 4.0 s. To measure it again:
         torch.optim.Adam([p]); print(time.perf_counter() - t)"
 """
 
+import contextlib
 import math
+from collections.abc import Iterator
 from functools import partial
 
 import torch
@@ -16,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.smoothing import Smoothing
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -41,24 +44,52 @@ class ColorOptimizer:
     Its steps are those of torch's SGD and Adam to the bit (on the CPU).
     """
 
-    def __init__(self, settings: OptimizerSettings, initial: Float[Tensor, "L 3"]) -> None:
-        self._sigmoid = settings.gamut == "sigmoid"
+    def __init__(
+        self, settings: OptimizerSettings, initial: Float[Tensor, "L 3"], smoothing: Smoothing | None = None
+    ) -> None:
+        """`smoothing` makes colours of the parameters, which begin as `initial`."""
+        self._sigmoid, self._smoothing, self.settings = settings.gamut == "sigmoid", smoothing, settings
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
         self._parameter = start.requires_grad_()
-        self._move = _adam if settings.optimizer == "adam" else partial(_sgd, momentum=settings.momentum)
+        moves = {"sgd": partial(_sgd, momentum=settings.momentum), "mi": partial(_mi, momentum=settings.momentum)}
+        self._move = moves.get(settings.optimizer, _adam)
         self._names = {"exp_avg", "exp_avg_sq"} if settings.optimizer == "adam" else set()
-        self._names |= {"momentum_buffer"} if settings.momentum else set()
+        self._names |= {"momentum_buffer"} if settings.momentum or settings.optimizer == "mi" else set()
         self._state: dict[str, Tensor] = {}
 
     def colors(self) -> Float[Tensor, "L 3"]:
         """The colours, in [0, 1], as part of the graph."""
-        return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
+        values = torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
+        return values if self._smoothing is None else self._smoothing(values)
 
     @property
     def gradient(self) -> Float[Tensor, "L 3"]:
         """What the last backward pass left, with respect to the free parameters."""
         return self._parameter.grad
+
+    @property
+    def heading(self) -> Float[Tensor, "L 3"] | None:
+        """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
+        return self._state.get("exp_avg", self._state.get("momentum_buffer"))
+
+    @contextlib.contextmanager
+    def raised(self, direction: Float[Tensor, "L 3"] | None) -> Iterator[None]:
+        """For the time of the block, the free parameters moved by `sharpness` (root mean square) along `direction`."""
+        if direction is None or not self.settings.sharpness:
+            yield
+            return
+        kept = self._parameter.detach().clone()
+        with torch.no_grad():
+            size = direction.square().mean().sqrt().clamp_min(torch.finfo(direction.dtype).tiny)
+            self._parameter.addcdiv_(self.settings.sharpness * direction, size)
+            if not self._sigmoid:
+                self._parameter.clamp_(0, 1)
+        try:
+            yield
+        finally:
+            with torch.no_grad():
+                self._parameter.copy_(kept)
 
     def clear(self) -> None:
         self._parameter.grad = None
@@ -101,6 +132,13 @@ def _sgd(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: floa
             state["momentum_buffer"] = gradient.clone()
         gradient = state["momentum_buffer"]
     parameter.add_(gradient, alpha=-lr)
+
+
+def _mi(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float, momentum: float) -> None:
+    gradient = gradient / gradient.abs().mean().clamp_min(torch.finfo(gradient.dtype).tiny)
+    kept = state.setdefault("momentum_buffer", torch.zeros_like(parameter))
+    kept.mul_(momentum).add_(gradient)
+    parameter.add_(kept.sign(), alpha=-lr)
 
 
 def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float) -> None:

@@ -23,6 +23,7 @@ from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.views import ViewSettings
+from cloak_core.attack.smoothing import Smoothing
 from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector
@@ -72,6 +73,8 @@ def train(
     for detector in detectors:
         if not detector.differentiable:
             raise InputError(f"--detector {detector.spec}: gives no gradients, so nothing can be trained against it")
+        if detector.compiled and settings.surrogates.on:
+            raise InputError(f"--detector {detector.spec}: compiled, so --shake and the like do not reach into it")
     Ensemble(settings.objective, len(detectors))  # refuses what does not fit
     if logo.topology != bodies.topology:
         raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
@@ -114,9 +117,10 @@ def _train(
             held_out = HeldOut(settings.run, held_batcher, objective, world)
         clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
         first = initial_colors(settings.optimization, clothing, settings.run.seed)
-        optimizer = ColorOptimizer(
-            settings.optimization, first if start is None else torch.from_numpy(start).to(device)
-        )
+        first = first if start is None else torch.from_numpy(start).to(device)
+        rounds = settings.optimization.smooth
+        smoothing = Smoothing(logo.edges, len(logo), rounds, device) if rounds else None
+        optimizer = ColorOptimizer(settings.optimization, first, smoothing)
         loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):

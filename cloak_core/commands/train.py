@@ -15,6 +15,7 @@ from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
+from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.commands.base import RANK, Command, Stopped, out
 from cloak_core.commands.compute import prepare_process
@@ -52,12 +53,14 @@ class Train(Command):
     tensorboard: bool = False
     """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
     preset: Preset = "best"
-    """What the settings below start from: the paper's text, its reference code, or what was measured to work best."""
+    """What the settings below start from: the paper's text, its reference code, what was measured to work best, or the
+    recipe for detectors that training never saw (several --detector as surrogates)."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]
     objective: Annotated[OmitArgPrefixes[LossSettings], arg(name="loss")]
+    surrogates: Annotated[OmitArgPrefixes[SurrogateSettings], arg(name="surrogates")]
     optimization: Annotated[OmitArgPrefixes[OptimizerSettings], arg(name="optimiser")]
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")]
 

@@ -8,9 +8,10 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.attack.batches import Batcher
-from cloak_core.attack.distorting import blurred, through_jpeg, zoomed
+from cloak_core.attack.distorting import blurred, draw_window, through_jpeg, tinted, windowed, zoomed
 from cloak_core.attack.sampling import Sampler
 from cloak_core.render.views import ViewBank
+from cloak_core.scene.geometry import face_centres
 from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
 
 
@@ -91,3 +92,77 @@ def test_distortions_reach_the_images_and_let_the_gradient_through():
         (images, gradient), (plain, _) = batch_and_plain(**changes)
         assert images.shape == plain.shape and not torch.allclose(images, plain, atol=0.01)
         assert (gradient != 0).any() and torch.isfinite(gradient).all()
+
+
+def test_a_window_crops_or_leaves_a_margin():
+    images = smooth_images(2)
+    crop = torch.tensor([[0.5, 0.5, -0.5]]).expand(2, 3)  # the upper right quarter
+    quarter = torch.nn.functional.interpolate(images[:, :, :24, 24:], size=48, mode="bilinear", align_corners=False)
+    torch.testing.assert_close(windowed(images, crop)[:, :, 3:-3, 3:-3], quarter[:, :, 3:-3, 3:-3], atol=2e-3, rtol=0)
+    margin = windowed(images, torch.tensor([[2.0, -1.0, -1.0]]).expand(2, 3))  # the image in the lower right quarter
+    assert (margin[:, :, :23] == 0.5).all() and (margin[:, :, :, :23] == 0.5).all()
+    small = torch.nn.functional.avg_pool2d(images, 2)
+    torch.testing.assert_close(margin[:, :, 25:, 25:], small[:, :, 1:, 1:], atol=2e-3, rtol=0)
+
+
+@pytest.mark.parametrize(("crop", "pad"), [(0.4, 0.0), (0.0, 0.4), (0.4, 0.4)])
+def test_drawn_windows_stay_within_or_around_the_image(crop: float, pad: float):
+    drawn = [draw_window(np.random.default_rng(seed), crop, pad) for seed in range(60)]
+    for side, x, y in drawn:
+        assert 1 - crop <= side <= 1 / (1 - pad) and max(abs(x), abs(y)) <= abs(1 - side)
+    assert {side < 1 for side, *_ in drawn} == {here for here, share in ((True, crop), (False, pad)) if share}
+
+
+def test_tint_multiplies_channels_and_saturation():
+    images = torch.full((1, 3, 2, 2), 0.5)
+    assert torch.allclose(
+        tinted(images, torch.tensor([[1.2, 1.0, 0.8, 1.0]]))[0, :, 0, 0], torch.tensor([0.6, 0.5, 0.4])
+    )
+    red = torch.tensor([0.8, 0.2, 0.2]).view(1, 3, 1, 1)
+    pale = tinted(red, torch.tensor([[1.0, 1.0, 1.0, 0.0]]))
+    assert torch.allclose(pale, torch.full_like(pale, 0.299 * 0.8 + 0.701 * 0.2))
+
+
+def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
+    """A batch's images of a grey logo, and their gradient's length on each face."""
+    bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
+    logo, backgrounds = front_logo(bodies), noise_backgrounds()
+    batcher = Batcher(
+        settings,
+        Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds)),
+        ViewBank(bodies, samples=4),
+        logo.face_ids,
+        backgrounds,
+        torch.device("cpu"),
+    )
+    colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
+    images = batcher.batch(0).images(colors)
+    images.sum().backward()
+    return images.detach().clone(), colors.grad.abs().sum(1)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"cutout": 0.9}, {"crop": 0.5}, {"pad": 0.5}, {"tint": 0.5}, {"background_mix": 0.9}], ids=str
+)
+def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(changes: dict):
+    plain, own = batch_of()
+    images, gradient = batch_of(**changes)
+    assert not torch.allclose(plain, images)
+    assert torch.equal(batch_of(**changes)[0], images)
+    assert not torch.equal(batch_of(seed=1, **changes)[0], images)
+    assert (gradient.sum() < 0.9 * own.sum()) == ("cutout" in changes or "pad" in changes)
+
+
+def test_cut_out_faces_are_grey_and_stand_together():
+    bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
+    sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, 5)
+    faces = front_logo(bodies).face_ids
+    batcher = Batcher(settings, sampler, ViewBank(bodies, samples=1), faces, noise_backgrounds(), torch.device("cpu"))
+    hidden = batcher.batch(0).hidden.numpy()
+    assert len({row.sum() for row in hidden}) > 3
+    centres = face_centres(bodies)[faces]
+    for row in hidden[hidden.any(1) & ~hidden.all(1)]:
+        apart = np.linalg.norm(centres[row][:, None] - centres[~row][None], axis=2)
+        within = np.linalg.norm(centres[row][:, None] - centres[row][None], axis=2)
+        # A ball about one of its faces.
+        assert (within.max(1) <= np.sort(apart, axis=1)[:, 0] + 1e-9).any()

@@ -1,6 +1,7 @@
-"""Everything that decides how a logo is trained: the settings of each component, and three presets of them all.
+"""Everything that decides how a logo is trained: the settings of each component, and four presets of them all.
 
-`paper` is the paper's text, `reference` its published code, `best` what this project measured to work best.
+`paper` is the paper's text, `reference` its published code, `best` what this project measured to work best against the
+detectors that it trains on, `transfer` its recipe for those that training never saw.
 
 Settings have values (a range, angles, a choice), options and files have text. A preset, a TOML file and flags are
 merged as they come, then checked once, when the `TrainSettings` is made: InputError names the option. To a user the
@@ -21,11 +22,12 @@ from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
+from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.values import Within, Written, from_plain, option
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 
-Preset = Literal["paper", "reference", "best"]
+Preset = Literal["paper", "reference", "best", "transfer"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,7 @@ class TrainSettings:
     views: ViewSettings = field(default_factory=ViewSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     objective: LossSettings = field(default_factory=LossSettings)
+    surrogates: SurrogateSettings = field(default_factory=SurrogateSettings)
     optimization: OptimizerSettings = field(default_factory=OptimizerSettings)
     compute: ComputeSettings = field(default_factory=ComputeSettings)
 
@@ -68,6 +71,7 @@ COMPONENTS: dict[str, type] = {
     "views": ViewSettings,
     "augmentation": AugmentationSettings,
     "objective": LossSettings,
+    "surrogates": SurrogateSettings,
     "optimization": OptimizerSettings,
     "compute": ComputeSettings,
 }
@@ -89,6 +93,26 @@ PRESETS: dict[str, dict[str, object]] = {
         "steps": 600,
         "contrast": "0.8:1.2",
         "brightness": "-0.1:0.1",
+        "optimizer": "adam",
+        "lr": 0.05,
+        "schedule": "cosine",
+    },
+    "transfer": {
+        "steps": 600,
+        "angles": "0..360",
+        "elevation": "0:30",
+        "distance": "1.4:6",
+        "contrast": "0.8:1.2",
+        "brightness": "-0.1:0.1",
+        "cutout": 0.3,
+        "crop": 0.15,
+        "pad": 0.3,
+        "tint": 0.2,
+        "blur": 1.0,
+        "jpeg": "50:95",
+        "ensemble": "adaptive",
+        "shake": 0.3,
+        "activation_noise": 0.1,
         "optimizer": "adam",
         "lr": 0.05,
         "schedule": "cosine",

@@ -32,3 +32,15 @@ class AugmentationSettings:
     """The finished image is blurred by a Gaussian of up to this standard deviation, pixels; 0 switches it off."""
     jpeg: Annotated[Range | None, Within(1, 100)] = None
     """LOW:HIGH of the JPEG quality (1..100) that the finished image goes through; None switches it off."""
+    cutout: Annotated[float, Within(0, 1)] = 0.0
+    """In each image up to this share of the logo's faces, all about one of them, is grey, so that no colour hangs on
+    another one's; 0 switches it off."""
+    crop: Annotated[float, Within(0, 0.9)] = 0.0
+    """Up to this share of the finished image's width and height is cut away, anywhere, and the rest enlarged."""
+    pad: Annotated[float, Within(0, 0.9)] = 0.0
+    """Up to this share of the width and height becomes grey margin, anywhere, around the image made smaller. With
+    --crop, too, each image gets one or the other."""
+    tint: Annotated[float, Within(0, 0.9)] = 0.0
+    """The finished image's red, green, blue and saturation are each multiplied by up to 1 ± this."""
+    background_mix: Annotated[float, Within(0, 1)] = 0.0
+    """Up to this share of another background is mixed into the one behind the body."""

@@ -25,8 +25,9 @@ class LossSettings:
     rpn_weight: NotNegative = 0.0
     """Two-stage detectors: weight of the objectness that their first stage gives the proposals behind person boxes;
     what lowers it kills the proposal itself."""
-    ensemble: Literal["mean", "max", "weighted"] = "mean"
-    """Of several detectors' losses for an image: the mean, the largest (the detector that sees most), or weighted."""
+    ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
+    """Of several detectors' losses for an image: the mean, the largest (the detector that sees most), weighted, or
+    weighted by how surely each still found a person lately, beside its own operating point (adaptive)."""
     detector_weights: Weights | None = None
     """For a weighted ensemble: one weight for each detector, A,B,C; only their ratios count."""
     detectors_per_step: Annotated[int | None, Within(1, 4096)] = None

@@ -1,0 +1,28 @@
+"""Settings of `attack.self_ensemble`: how training sees the detectors that it asks; evaluation never does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from cloak_core.attack.settings.values import Within
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurrogateSettings:
+    """What makes many of each detector, so that colours do not hang on one network's peculiarities.
+
+    Drawn anew for each image from (seed, step); the detector itself stays as it is.
+    """
+
+    shake: Annotated[float, Within(0, 1)] = 0.0
+    """Where a network adds two feature maps, the residual branch (where neither is one: both) is multiplied by up to
+    1 ± this: ShakeDrop as T-SEA has it (CVPR 2023). 0 switches it off."""
+    random_depth: Annotated[float, Within(0, 1, "[)")] = 0.0
+    """Chance that a residual branch is left out of an image's way through the network."""
+    activation_noise: Annotated[float, Within(0, 1, "[)")] = 0.0
+    """Each channel that a convolution gives is multiplied by up to 1 ± this; also for networks without residuals."""
+
+    @property
+    def on(self) -> bool:
+        return bool(self.shake or self.random_depth or self.activation_noise)
