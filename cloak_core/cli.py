@@ -35,6 +35,7 @@ COMMANDS: dict[str, str] = {
     "logo transfer": "logo:Transfer",
     "print": "printing:Print",
     "sweep": "sweep:Sweep",
+    "transfer": "transfer:Transfer",
     "reproduce": "reproduce:Reproduce",
     "detectors list": "detectors:List",
     "detectors check": "detectors:Check",

@@ -17,7 +17,7 @@ from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.views import ViewSettings
-from cloak_core.commands.base import RANK, Command, Stopped, out
+from cloak_core.commands.base import RANK, Command, Stopped, out, warn
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
@@ -102,6 +102,11 @@ class Train(Command):
         # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
         if self.out.exists() and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
+        if self.preset == "transfer" and len(self.detector) < 2 and not RANK:
+            warn(
+                "--preset transfer: reaches other detectors through several surrogates; name more than one --detector, "
+                "or take colours that were trained on several (cloak zoo list)"
+            )
         detectors = self.options.load(self.detector or ("builtin",), settings.compute.device)
         with contextlib.ExitStack() as stack:
             for listener in listeners:

@@ -56,6 +56,7 @@ def check_scene(
     trials = Trials(
         pose=pose,
         angle=angle,
+        elevation=np.full(len(pose), camera.elevation, np.float32),
         distance=np.full(len(pose), camera.distance, np.float32),
         background=rng.integers(len(backgrounds), size=len(pose)),
         shift=np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1),

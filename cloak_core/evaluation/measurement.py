@@ -24,6 +24,8 @@ class Trials:
     pose: Int64[np.ndarray, N]
     angle: Float32[np.ndarray, N]
     """Azimuth, degrees."""
+    elevation: Float32[np.ndarray, N]
+    """Degrees; nan in files of versions that had one for all images and did not say which."""
     distance: Float32[np.ndarray, N]
     """Metres."""
     background: Int64[np.ndarray, N]
@@ -38,19 +40,26 @@ class Trials:
 def draw_trials(
     poses: int, angles: Sequence[float], backgrounds: int, outfits: int, settings: EvaluateSettings
 ) -> Trials:
-    """Every pose at every angle (degrees) and distance, several times; background, shift and outfit drawn by seed.
+    """Every pose at every angle (degrees), elevation and distance, several times (or, of these, `most_images` drawn by
+    seed); background, shift and outfit drawn by seed.
 
     Backgrounds are dealt like cards from a shuffled deck, so all come about equally often.
     """
     rng = np.random.default_rng([settings.seed, 0xE7A1])
-    axes = (np.arange(poses), np.asarray(angles, np.float32), np.asarray(settings.distances, np.float32))
+    places = (angles, settings.elevations or (settings.elevation,), settings.distances)
+    axes = (np.arange(poses), *(np.asarray(values, np.float32) for values in places))
     grid = np.meshgrid(*axes, np.arange(settings.images_per_view), indexing="ij")
-    pose, angle, distance = (axis.ravel() for axis in grid[:3])
+    kept = np.arange(grid[0].size)
+    if settings.most_images is not None:
+        order = np.random.default_rng([settings.seed, 0x3057]).permutation(len(kept))
+        kept = np.sort(order[: settings.most_images])
+    pose, angle, elevation, distance = (axis.ravel()[kept] for axis in grid[:4])
     count = len(pose)
     decks = [rng.permutation(backgrounds) for _ in range(-(-count // backgrounds))]
     return Trials(
         pose=pose.astype(np.int64),
         angle=angle,
+        elevation=elevation,
         distance=distance,
         background=np.concatenate(decks)[:count].astype(np.int64),
         shift=rng.integers(-settings.shift, settings.shift + 1, (count, 2)),
@@ -105,7 +114,8 @@ def read_measurement(path: Path) -> Measurement:
     if str(arrays.get("format")) != FORMAT:
         raise InputError(f"{path}: not a {FORMAT}")
     try:
-        trials = Trials(**{f.name: arrays[f"trials_{f.name}"] for f in fields(Trials)})
+        unsaid = {"trials_elevation": np.full(len(arrays["trials_pose"]), np.nan, np.float32)}
+        trials = Trials(**{f.name: (unsaid | arrays)[f"trials_{f.name}"] for f in fields(Trials)})
         boxes = Boxes(**{f.name: arrays[f"boxes_{f.name}"] for f in fields(Boxes)})
         return Measurement(
             **{k: tuple(map(str, arrays[k])) for k in ("specs", "controls", "body_names", "background_names")},

@@ -35,8 +35,10 @@ def summarize(
             "by_angle": {f"{a:g}": trials.angle == a for a in np.unique(trials.angle)},
             "by_body": {measurement.body_names[p]: trials.pose == p for p in np.unique(trials.pose)},
         }
-        if len(np.unique(trials.distance)) > 1:
-            groups["by_distance"] = {f"{x:g}": trials.distance == x for x in np.unique(trials.distance)}
+        for place in ("distance", "elevation"):
+            values = getattr(trials, place)
+            if len(np.unique(values)) > 1:
+                groups[f"by_{place}"] = {f"{x:g}": values == x for x in np.unique(values)}
         for name, masks in groups.items():
             rates[name] = {key: rate_record(measurement, d, 0, mask, **asked) for key, mask in masks.items()}
         rates["by_threshold"] = threshold_curves(measurement, d)

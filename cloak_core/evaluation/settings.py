@@ -19,11 +19,15 @@ class EvaluateSettings:
     """How to evaluate. The defaults are the paper's camera and threshold."""
 
     images_per_view: Annotated[int, Within(1)] = 4
-    """Images (background, shift, outfit) of every body at every angle and distance."""
+    """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
+    most_images: Annotated[int | None, Within(1)] = None
+    """Where these are more, only so many of them, drawn by the seed."""
     distances: tuple[float, ...] = (2.2,)
     """Camera distances, metres."""
     elevation: Annotated[float, Within(-90, 90)] = 6.0
     """Camera elevation, degrees."""
+    elevations: tuple[float, ...] = ()
+    """Several elevations instead, degrees: every body is seen from each at every angle and distance."""
     field_of_view: Annotated[float, Within(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Within(16, 4096)] = 416
@@ -51,8 +55,10 @@ class EvaluateSettings:
             raise InputError(f"--shift: {self.shift} px would move the body out of {self.size} px images")
         if not self.distances or min(self.distances) <= 0:
             raise InputError(f"--distances: {self.distances} are not in front of the camera")
+        if any(not -90 <= elevation <= 90 for elevation in self.elevations):
+            raise InputError(f"--elevations: {self.elevations} leave [-90, 90] degrees")
 
     @property
     def camera(self) -> Camera:
-        """The camera, but for azimuth and distance."""
+        """The camera, but for azimuth and distance (and the elevation, where there are several)."""
         return Camera(elevation=self.elevation, field_of_view=self.field_of_view, width=self.size, height=self.size)

@@ -38,7 +38,7 @@ class Stage:
     backdrops: Backgrounds
     trials: Trials
     viewpoint: Camera
-    """The camera, but for azimuth and distance."""
+    """The camera, but for azimuth, elevation and distance."""
     bank: ViewBank
     seed: int = 0
 
@@ -101,8 +101,9 @@ class Stage:
 
     def camera(self, index: int) -> Camera:
         """The camera of a trial."""
-        distance, azimuth = float(self.trials.distance[index]), float(self.trials.angle[index])
-        return replace(self.viewpoint, distance=distance, azimuth=azimuth)
+        trials = self.trials
+        distance, azimuth, elevation = (float(x[index]) for x in (trials.distance, trials.angle, trials.elevation))
+        return replace(self.viewpoint, distance=distance, azimuth=azimuth, elevation=elevation)
 
     @property
     def background_names(self) -> tuple[str, ...]:

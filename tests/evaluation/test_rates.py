@@ -19,6 +19,7 @@ def hand_made() -> Measurement:
     trials = Trials(
         pose=np.array([0, 0, 0, 1, 1, 1]),
         angle=np.array([-10, 0, 0, -10, 0, 0], np.float32),
+        elevation=np.full(6, 6.0, np.float32),
         distance=np.full(6, 2.2, np.float32),
         background=np.arange(6),
         shift=np.zeros((6, 2), np.int64),
@@ -115,6 +116,30 @@ def test_trials_cover_the_grid_and_deal_backgrounds_evenly() -> None:
     assert dealt.max() - dealt.min() <= 1
     assert np.abs(trials.shift).max() <= 50 and len(np.unique(trials.outfit)) == 4
     assert np.array_equal(trials.shift, draw(0).shift) and not np.array_equal(trials.shift, draw(1).shift)
+
+
+def test_trials_at_several_elevations_and_only_so_many_of_them() -> None:
+    places = {"distances": (2.2, 4.0), "elevations": (0.0, 15.0, 30.0), "images_per_view": 2}
+    whole = draw_trials(3, (0.0, 10.0), 7, 4, EvaluateSettings(**places))
+    views = np.stack([whole.pose, whole.angle, whole.distance, whole.elevation])
+    assert len(whole) == 72 and np.unique(views, axis=1).shape[1] == 36
+    some = draw_trials(3, (0.0, 10.0), 7, 4, EvaluateSettings(most_images=20, **places))
+    assert len(some) == 20 and len(np.unique(some.elevation)) == 3
+    dealt = np.bincount(some.background, minlength=7)
+    assert dealt.max() - dealt.min() <= 1
+    measured = replace(hand_made(), trials=replace(hand_made().trials, elevation=np.array([0, 0, 9] * 2, np.float32)))
+    by_elevation = summarize(measured)["detectors"]["one"]["by_elevation"]
+    assert {key: rates["n"] for key, rates in by_elevation.items()} == {"0": 4, "9": 2}
+    with pytest.raises(InputError, match="--elevations"):
+        EvaluateSettings(elevations=(0.0, 91.0))
+
+
+def test_a_file_without_elevations_is_read(tmp_path: Path) -> None:
+    make_measurement().save(tmp_path / "new.npz")
+    arrays = {k: v for k, v in np.load(tmp_path / "new.npz").items() if k != "trials_elevation"}
+    np.savez(tmp_path / "old.npz", **arrays)
+    back = read_measurement(tmp_path / "old.npz")
+    assert np.isnan(back.trials.elevation).all() and "by_elevation" not in summarize(back)["detectors"][back.specs[0]]
 
 
 def test_measurement_survives_a_file(tmp_path: Path) -> None:

@@ -110,6 +110,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "tint": 0.2,
         "blur": 1.0,
         "jpeg": "50:95",
+        "loss": "margin",
         "ensemble": "adaptive",
         "shake": 0.3,
         "activation_noise": 0.1,

@@ -70,13 +70,31 @@ def open_materials(
     unseen_backgrounds: str | None = None,
     device: str | torch.device = "cpu",
 ) -> Materials:
-    """Open everything by spec. Without `unseen`, every second body of `scene` is kept from training, and so is every
-    second outfit; likewise for a folder of backgrounds. "sample" and "procedural" have their own unseen parts.
+    """`open_bodies_and_backgrounds` with detectors by their specs."""
+    return open_bodies_and_backgrounds(
+        {spec: load_detector(spec, device=device) for spec in detectors},
+        scene=scene,
+        unseen=unseen,
+        backgrounds=backgrounds,
+        unseen_backgrounds=unseen_backgrounds,
+    )
+
+
+def open_bodies_and_backgrounds(
+    detectors: dict[str, Detector],
+    *,
+    scene: str = "sample",
+    unseen: str | None = None,
+    backgrounds: str = "procedural",
+    unseen_backgrounds: str | None = None,
+) -> Materials:
+    """Open everything else by spec. Without `unseen`, every second body of `scene` is kept from training, and so is
+    every second outfit; likewise for a folder of backgrounds. "sample" and "procedural" have their own unseen parts.
     """
     return Materials(
         *_open_bodies(scene, unseen),
         *_open_backgrounds(backgrounds, unseen_backgrounds),
-        {spec: load_detector(spec, device=device) for spec in detectors},
+        detectors,
     )
 
 

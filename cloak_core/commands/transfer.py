@@ -1,0 +1,188 @@
+"""`cloak transfer`: what cloaks are worth against detectors that training never saw."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, Stopped, err, out
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.evaluation.leave_one_out.matrix import Matrix
+
+
+@dataclass(kw_only=True)
+class Transfer(Command):
+    """Train without each detector in turn and let the one left out judge: the leave-one-out matrix, rung by rung.
+
+    Every training is a run folder under --out and is made once: the same command goes on where it stopped, also after
+    --budget-minutes (exit code 3), and several calls with one --out fill one matrix.
+    """
+
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Surrogates, as in cloak train; each judged detector's are all of these but itself."""
+    judge: UseAppendAction[tuple[str, ...]] = ()
+    """Judged detectors (default: every --detector); one that is no --detector is never trained on."""
+    scene: str = "sample"
+    """Bodies: scene folder, .npz, or sample."""
+    unseen: str | None = None
+    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
+    back)."""
+    backgrounds: str = "procedural"
+    """Folder of images, or procedural."""
+    unseen_backgrounds: str | None = None
+    """Backgrounds to judge on (default: every second one of --backgrounds)."""
+    logo: str = "shirt_trousers"
+    """A face list (.npy), shirt_trousers, chest_thighs, or regions of the scene (chest+thighs)."""
+    out: Path
+    """Folder for runs, evaluations, cells and the table; what is there already is not done again."""
+    rungs: tuple[str, ...] = ("recipe",)
+    """What to train: best, recipe (preset transfer), a technique alone upon best (margin, adaptive, shake, depth,
+    noise, cutout, window, quality, colour, background, sharpness, mi, smooth, views), +NAME for all up to it, or
+    ladder."""
+    strangers_only: bool = False
+    """Leave a judged detector's siblings out of its surrogates, too."""
+    kin: UseAppendAction[tuple[str, ...]] = ()
+    """PART_OF_A_SPEC=FAMILY where names do not tell who is a sibling (all YOLOs are, and all R-CNNs)."""
+    circle: bool = False
+    """Train and judge all around: 36 azimuths, elevations 0 to 30, 1.4 to 6 m (default: azimuths -10..10, 6 degrees,
+    2.2 m)."""
+    steps: int | None = None
+    """Updates of a training (default: what the rung's preset says)."""
+    seeds: int = 1
+    """Repetitions of every training, each with another seed."""
+    seed: int = 0
+    """Every random draw derives from it; repetitions count on from it."""
+    batch: int | None = None
+    """Images per update (default: what the preset says)."""
+    size: int = 416
+    """Width and height of the images, pixels."""
+    images_per_view: int = 4
+    """Test images per body and place of the camera."""
+    most_images: int | None = None
+    """At most so many test images (default: 240 with --circle, else all)."""
+    budget_minutes: float | None = None
+    """Stop in order after so long, all in all; the same command goes on."""
+    publish: Path | None = None
+    """Folder that takes the table and the heat map as NAME.md and NAME.png, NAME that of --out."""
+    redraw: bool = False
+    """Train and judge nothing: draw and write again from the cells in --out."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.evaluation.experiments.lab import Interrupted
+        from cloak_core.evaluation.leave_one_out import rungs
+        from cloak_core.evaluation.leave_one_out.matrix import gather
+
+        asked, stopped = rungs.names(self.rungs), ""
+        if not self.redraw:
+            prepare_process(self.compute)
+            try:
+                self._matrix().fill(asked)
+            except Interrupted as stop:
+                stopped = str(stop)
+                if not (self.out / "cells").exists():
+                    raise Stopped(stopped) from None
+        result = self._shown(gather(self.out), asked)
+        return result | ({"stopped": stopped} if stopped else {})
+
+    def _matrix(self) -> Matrix:
+        from cloak_core.evaluation.experiments.materials import open_bodies_and_backgrounds
+        from cloak_core.evaluation.experiments.options import Options
+        from cloak_core.evaluation.leave_one_out.kin import families
+        from cloak_core.evaluation.leave_one_out.matrix import CIRCLE, FRONT, LastingLab, Matrix
+
+        started = time.monotonic()
+        if not self.detector:
+            raise InputError("--detector: none given; name several, for each is judged on the training without it")
+        specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
+        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
+        materials = open_bodies_and_backgrounds(
+            detectors,
+            scene=self.scene,
+            unseen=self.unseen,
+            backgrounds=self.backgrounds,
+            unseen_backgrounds=self.unseen_backgrounds,
+        )
+        amount = Options(
+            out=self.out,
+            steps=() if self.steps is None else (self.steps,),
+            seeds=self.seeds,
+            seed=self.seed,
+            batch=self.batch,
+            size=self.size,
+            images_per_view=self.images_per_view,
+            device=self.compute.device,
+        )
+        most = self.most_images or (240 if self.circle else None)
+        places = CIRCLE if self.circle else FRONT
+        return Matrix(
+            lab=LastingLab(materials, amount, lambda message: err.print(message)),
+            faces=self._faces(materials.bodies),
+            logo=Path(self.logo).stem,
+            surrogates=tuple(dict.fromkeys(self.detector)),
+            judges=tuple(dict.fromkeys(self.judge or self.detector)),
+            family=families(specs, self.kin),
+            places=places if most is None else places.with_test(most_images=most),
+            strangers_only=self.strangers_only,
+            deadline=None if self.budget_minutes is None else started + 60 * self.budget_minutes,
+        )
+
+    def _faces(self, bodies: object) -> object:
+        from cloak_core.evaluation.experiments.logos import chest_thighs, shirt_trousers
+        from cloak_core.scene.logos.logo import load_logo
+
+        known = {"shirt_trousers": shirt_trousers, "chest_thighs": chest_thighs}
+        if self.logo in known:
+            return known[self.logo](bodies)
+        if self.logo.endswith(".npy"):
+            return load_logo(bodies, self.logo).face_ids
+        return load_logo(bodies, region=self.logo).face_ids
+
+    def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
+        from cloak_core.evaluation.leave_one_out.matrix import summary
+        from cloak_core.evaluation.leave_one_out.showing import by_rung, show
+
+        command = shlex.join(["cloak", *sys.argv[1:]])
+        files = show(cells, self.out, self.out.name, command)
+        if self.publish is not None:
+            files = show(cells, self.publish, self.out.name, command)
+        ladder = {rung: summary(own) for rung, own in by_rung(cells).items()}
+        last = next((ladder[rung] for rung in reversed(asked) if rung in ladder), ladder[next(reversed(ladder))])
+        return last | {"rungs": ladder, "files": [str(path) for path in files]}
+
+    def show(self, result: dict) -> None:
+        for rung, told in result["rungs"].items():
+            out.print(_table(rung, told))
+            out.print(f"mean {told['mean']:.2f}, worst {told['worst']:.2f}; at 0.25 mean {told['mean_025']:.2f}")
+        for path in result["files"]:
+            out.print(f"wrote {path}")
+        if result.get("stopped"):
+            raise Stopped(result["stopped"])
+
+
+def _table(rung: str, told: dict) -> Table:
+    from cloak_core.evaluation.report.words import short_name
+
+    table = Table(title=f"{rung}: success, judged by a detector that training left out")
+    for column in ("judged by", "kin", "at 0.6", "95 %", "at its own", "at 0.25", "random", "clothing", "images"):
+        wide = 9 if column in ("kin", "95 %") else None
+        table.add_column(column, justify="left" if column in ("judged by", "kin") else "right", min_width=wide)
+    for spec, cell in told["matrix"].items():
+        low, high = cell["ci95"]
+        shares = (f"{cell[key]:.2f}" for key in ("success_own", "success_025", "random", "clothing"))
+        name = short_name(spec)
+        table.add_row(name, cell["kin"], f"{cell['success']:.2f}", f"{low:.2f}–{high:.2f}", *shares, str(cell["n"]))
+    return table
