@@ -106,16 +106,16 @@ def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
 def test_help_has_headings_and_choices(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     shown = help_of("train", capsys)
-    parts = ["the run", "views", "augmentation", "loss", "optimiser", "computing"]
+    parts = ["the run", "views", "augmentation", "loss", "surrogates", "optimiser", "computing"]
     assert list(shown) == ["options", "detectors", *parts]
-    assert "--preset {paper,reference,best}" in shown["options"]
+    assert "--preset {paper,reference,best,transfer}" in shown["options"]
     assert {"--outfits {random,first}", "--samples {None,1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["views"])
-    assert {"--loss {score,objectness,log}", "--ensemble {mean,max,weighted}"} <= set(shown["loss"])
-    assert {"--optimizer {sgd,adam}", "--schedule {constant,step,cosine}"} <= set(shown["optimiser"])
+    assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["loss"])
+    assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["optimiser"])
     assert {"--translation-per {image,batch}", "--jpeg {None}|LOW:HIGH"} <= set(shown["augmentation"])
     shown = help_of("evaluate", capsys)
     assert list(shown) == ["positional arguments", "options", "detectors", "evaluation", "computing"]
-    assert "--preset {paper,reference,best}" in help_of("reproduce", capsys)["experiments"]
+    assert "--preset {paper,reference,best,transfer}" in help_of("reproduce", capsys)["experiments"]
 
 
 @pytest.mark.parametrize(
