@@ -12,11 +12,12 @@ from torch import Tensor, nn
 
 from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.extras import require
+from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
 from cloak_core.detectors.onnx_family.guessing import guess_layout
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
 from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
-from cloak_core.detectors.onnx_family.networks import Converted, Session
+from cloak_core.detectors.onnx_family.networks import Converted, Session, as_input
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector
@@ -98,29 +99,33 @@ def load_onnx(request: Request) -> OnnxDetector:
 
 
 def _converted(file: ModelFile, size: tuple[int, int]) -> Converted:
-    """The file as a torch module that runs."""
+    """The file as a torch module."""
     if file.quantised:
         raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
     graph = to_torch(file.model).to(memory_format=torch.channels_last)
-    network = Converted(graph, file, one_by_one=file.batch is not None)
     try:
-        with torch.no_grad():
-            network(sample_images(size)[:1])
+        order_channels(graph, as_input(sample_images(size)[:1], file))
     except Exception as error:  # onnx2torch's modules fail in their own ways
-        raise NotConvertible(f"it fails in torch ({type(error).__name__}: {first_line(error)[:120]})") from None
-    return network
+        raise _fails(error) from None
+    return Converted(graph, file, one_by_one=file.batch is not None)
+
+
+def _fails(error: Exception) -> NotConvertible:
+    return NotConvertible(f"it fails in torch ({type(error).__name__}: {first_line(error)[:120]})")
 
 
 def _assemble(request: Request, named: str, file: ModelFile, network: Converted | Session) -> OnnxDetector:
     """A detector around a network: its layout, its person, its operating point."""
     size = file.input_size(request.input_size)
-    layout_name, decode = _layout(request, named, file, network, size)
+    outputs = _first_outputs(file, network, size)
+    layout_name, decode = _layout(request, named, file, outputs, size)
     layout = LAYOUTS[layout_name]
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
     detector = OnnxDetector(network, decode, size, request.pixels or layout.pixels, letterbox, request.spec)
     detector.name, detector.pixels_assumed = file.path.stem, request.pixels is None
     detector.path = file.path
-    detector.person = _person(file, _class_count(detector, file, layout_name), request.person)
+    count = len(file.names) if layout_name == "end2end" and file.names else decode(outputs, size).classes.shape[-1]
+    detector.person = _person(file, count, request.person)
     detector.operating_point = request.confidence or file.confidence or layout.confidence
     detector.operating_point_assumed = not (request.confidence or file.confidence)
     options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
@@ -130,14 +135,20 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
 
 
 @torch.no_grad()
+def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[int, int]) -> list[Tensor]:
+    """What it says of one sample image."""
+    try:
+        return network(sample_images(size)[:1])
+    except Exception as error:  # of onnx2torch's modules, or onnxruntime's own
+        if isinstance(network, Converted):
+            raise _fails(error) from None
+        raise InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})") from None
+
+
 def _layout(
-    request: Request, named: str, file: ModelFile, network: nn.Module, size: tuple[int, int]
+    request: Request, named: str, file: ModelFile, outputs: list[Tensor], size: tuple[int, int]
 ) -> tuple[str, Decode]:
     """The layout's name, and what decodes such outputs."""
-    try:
-        outputs = network(sample_images(size)[:1])
-    except Exception as error:  # onnxruntime's own
-        raise InputError(f"{file.path}: does not run at {size[0]}x{size[1]} ({first_line(error)[:160]})") from None
     labelled = dict(zip(file.output_names, outputs, strict=True))
     name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
@@ -152,13 +163,6 @@ def _layout(
     except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
         raise InputError(f"{file.path}: its outputs {shapes} are not laid out as {name}") from error
     return name, decode
-
-
-@torch.no_grad()
-def _class_count(detector: OnnxDetector, file: ModelFile, layout: str) -> int:
-    if layout == "end2end" and file.names:
-        return len(file.names)
-    return detector.answer(sample_images(detector.input_size)[:1]).classes.shape[-1]
 
 
 def _compare(detector: OnnxDetector, file: ModelFile) -> None:

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, fx
 
 from cloak_core.detectors.folding import fold_batch_norm
-from cloak_core.detectors.onnx_family.simplify import simplify
+from cloak_core.detectors.onnx_family.simplify import activate_in_place, simplify
 from cloak_core.files.errors import first_line
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
     graph.eval().requires_grad_(False)
     simplify(graph)
     fold_batch_norm(graph)
+    activate_in_place(graph)
     return graph
 
 

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     import onnxruntime
 
 
+def as_input(images: Float[Tensor, "B 3 H W"], network: ModelFile | nn.Module) -> Tensor:
+    """Its axes as the network has them: exports of TensorFlow want channels last."""
+    return images.permute(0, 2, 3, 1) if network.channels_last else images
+
+
 class Session(nn.Module):
     """An onnxruntime session as a module, on the CPU, without gradients; image by image where the batch is fixed."""
 
@@ -27,7 +32,7 @@ class Session(nn.Module):
 
     @torch.no_grad()
     def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
-        array = inputs.permute(0, 2, 3, 1) if self.channels_last else inputs
+        array = as_input(inputs, self)
         array = np.ascontiguousarray(array.cpu().numpy())
         chunks = np.split(array, len(array)) if self.one_by_one else [array]
         runs = [self.session.run(None, {self.input_name: chunk}) for chunk in chunks]
@@ -43,7 +48,7 @@ class Converted(nn.Module):
         self.graph, self.channels_last, self.one_by_one = graph, file.channels_last, one_by_one
 
     def forward(self, inputs: Float[Tensor, "B 3 H W"]) -> list[Tensor]:
-        array = inputs.permute(0, 2, 3, 1) if self.channels_last else inputs
+        array = as_input(inputs, self)
         if not self.one_by_one:
             return self._listed(self.graph(array))
         runs = [self._listed(self.graph(image)) for image in array.split(1)]

@@ -16,17 +16,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.onnx_family.layouts import Decoded
+from cloak_core.detectors.verification.comparing import BOXES_PX, SCORES
+from cloak_core.detectors.verification.slopes import AGREES, gradient_error
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import code_hash, sha256_arrays
 from cloak_core.files.reading import parse_json
 from cloak_core.scene.backdrops.procedural import draw_scene
 
-SCORES, BOXES_PX, GRADIENT = 1e-4, 0.05, 0.1
-"""The largest differences that count as equal; the gradient's is relative to a finite difference."""
 IMAGES = 4
-SURE = 20
-"""The gradient is judged on the sum of so many of the best scores' logarithms."""
 LIMIT_BYTES = 1 << 20
 Answer = Callable[[Float[Tensor, "B 3 H W"]], Decoded]
 
@@ -50,7 +48,7 @@ class Parity:
     def agrees(self) -> bool:
         """One image is answered alike, and its gradient is right: the network can be trained against."""
         near = self.scores is not None and self.scores <= SCORES and self.boxes_px <= BOXES_PX
-        return near and self.gradient is not None and self.gradient <= GRADIENT
+        return near and self.gradient is not None and self.gradient <= AGREES
 
     @property
     def takes_batches(self) -> bool:
@@ -79,13 +77,15 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
             batch = max(_apart([_row(together, i)], [expected[i]])[0] for i in range(len(images)))
         except Exception:  # a graph of a fixed batch fails in many ways
             batch = None
-    gradient = _gradient_error(converted, images[:1])
+    gradient = gradient_error(lambda pixels: _scores(converted(pixels)), images[:1])
     return Parity(scores, boxes, batch, gradient)
 
 
 def remembered(key: str, find: Callable[[], Parity]) -> Parity:
-    """What was found for this content before, by this version of the packages; else found now, and remembered."""
+    """What was found for this content before, by these versions of the packages and of this room; else found now, and
+    remembered."""
     versions = [f"{name} {version(name)}" for name in ("torch", "onnx", "onnx2torch", "onnxruntime")]
+    versions.append(code_hash("detectors/onnx_family"))
     name = sha256_arrays(np.frombuffer("\n".join([key, *versions]).encode(), np.uint8))
     files = DiskCache(cache_folder("onnx"), ".parity", LIMIT_BYTES, "checks of converted networks")
     known = files.get(name)
@@ -119,27 +119,3 @@ def _scores(decoded: Decoded) -> Tensor:
 def _largest(difference: Tensor) -> float:
     worst = float(difference.abs().max()) if difference.numel() else 0.0
     return worst if np.isfinite(worst) else float("inf")
-
-
-def _gradient_error(answer: Answer, image: Float[Tensor, "1 3 H W"]) -> float | None:
-    """How far the slope along the gradient is from a finite difference, relative; the best of several step widths,
-    because networks are rough and float32 is coarse. None where there is no finite gradient."""
-
-    def sureness(pixels: Tensor) -> Tensor:
-        return _scores(answer(pixels)).flatten().clamp(min=1e-30).log().topk(SURE).values.sum()
-
-    pixels = image.clone().requires_grad_()
-    try:
-        (gradient,) = torch.autograd.grad(sureness(pixels), pixels)
-    except RuntimeError:  # nothing leads from the scores to the pixels
-        return None
-    length = float(gradient.norm())
-    if not np.isfinite(length) or length == 0:
-        return None
-    errors = []
-    with torch.no_grad():
-        for step in (0.3, 0.1, 0.03, 0.01):
-            way = step * gradient / length
-            slope = float(sureness(image + way) - sureness(image - way)) / (2 * step)
-            errors.append(abs(slope - length) / length)
-    return min(errors)

@@ -35,6 +35,19 @@ def simplify(graph: fx.GraphModule) -> None:
     graph.recompile()
 
 
+def activate_in_place(graph: fx.GraphModule) -> None:
+    """Let activations that follow a convolution overwrite what nobody else reads: new memory costs more than the
+    work. Only those whose slope can be told from their answer."""
+    modules = dict(graph.named_modules())
+    for node in graph.graph.nodes:
+        if node.op != "call_module" or type(modules[node.target]) not in (nn.ReLU, nn.ReLU6, nn.LeakyReLU):
+            continue
+        (source,) = node.args
+        ours = source.op == "call_module" and type(modules[source.target]) is nn.Conv2d
+        if ours and len(source.users) == 1:
+            modules[node.target].inplace = True
+
+
 Plainer = tuple[Callable, tuple] | None
 
 

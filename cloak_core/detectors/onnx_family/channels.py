@@ -1,0 +1,140 @@
+"""Channels that are only put into another order, done in one step and without leaving the channels-last layout.
+
+Exporters write a shuffle as reshape, transpose, reshape and split; each of them is a copy in torch, and what follows
+is laid out anew. Here the order is found by sending the channels' numbers through such nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, fx, nn
+
+from cloak_core.detectors.onnx_family.simplify import cut
+
+REARRANGING = {"reshape", "cut", "getitem", "OnnxTranspose", "OnnxGather", "OnnxSplit", "OnnxSplit13"}
+"""Names of functions and modules that move values without changing them."""
+IMAGES = 3
+"""Of the trial with numbers: an order that mixes images is none of channels."""
+
+
+class ShapeRecorder(fx.Interpreter):
+    """Runs a graph and notes in every node's `meta["shape"]` what it answers."""
+
+    def run_node(self, n: fx.Node) -> object:
+        answer = super().run_node(n)
+        n.meta["shape"] = tuple(answer.shape) if isinstance(answer, Tensor) else None
+        return answer
+
+
+@torch.no_grad()
+def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
+    """Replace, in place, chains of nodes that only put channels into another order; `image` is one to run it on."""
+    modules = dict(graph.named_modules())
+    nodes = [node for node in graph.graph.nodes if _rearranges(node, modules)]
+    if not any(_name(node, modules).startswith("Onnx") for node in nodes):
+        return
+    ShapeRecorder(graph).run(image)
+    for node in nodes:
+        if all(_rearranges(user, modules) for user in node.users):
+            continue  # not the end of its chain
+        chain = _chain(node, modules)
+        order = _order(chain, modules, graph)
+        if order is not None:
+            _replace(chain, order, modules, graph)
+    graph.graph.eliminate_dead_code()
+    graph.delete_all_unused_submodules()
+    graph.recompile()
+
+
+def interleave(x: Tensor, starts: Sequence[int], count: int) -> Tensor:
+    """Channels `start`, `start + 1`, ... of several starts, `count` of each, by turns."""
+    last = x.permute(0, 2, 3, 1)
+    parts = torch.stack([last[..., start : start + count] for start in starts], dim=-1)
+    return parts.flatten(-2).permute(0, 3, 1, 2)
+
+
+def _name(node: fx.Node, modules: dict[str, nn.Module]) -> str:
+    return type(modules[node.target]).__name__ if node.op == "call_module" else getattr(node.target, "__name__", "")
+
+
+def _rearranges(node: fx.Node, modules: dict[str, nn.Module]) -> bool:
+    return node.op in ("call_module", "call_function") and _name(node, modules) in REARRANGING
+
+
+def _chain(end: fx.Node, modules: dict[str, nn.Module]) -> list[fx.Node]:
+    """From what is not rearranged any more to the end."""
+    chain = [end]
+    while _rearranges(chain[0], modules):
+        chain.insert(0, chain[0].args[0])
+    return chain
+
+
+def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphModule) -> Tensor | None:
+    """Numbers of the channels that come out, in order; None where something else than channels is moved."""
+    source, end = chain[0].meta["shape"], chain[-1].meta["shape"]
+    if source is None or end is None or len(source) != 4 or len(end) != 4 or source[2:] != end[2:]:
+        return None
+    pixels = source[2] * source[3]
+    numbers = torch.arange(IMAGES * source[1] * pixels).view(IMAGES, *source[1:])
+    values: object = numbers
+    try:
+        for node in chain[1:]:
+            others = [_constant(argument, graph) for argument in node.args[1:]]
+            run = modules[node.target] if node.op == "call_module" else node.target
+            values = run(values, *others)
+    except (RuntimeError, IndexError, ValueError, AttributeError):  # numbers of several images do not fit through
+        return None
+    if not isinstance(values, Tensor) or values.dim() != 4 or values.shape[0] != IMAGES:
+        return None
+    order = values[0, :, 0, 0] // pixels
+    return order if torch.equal(numbers[:, order], values) else None
+
+
+def _constant(argument: object, graph: fx.GraphModule) -> object:
+    """A tensor of the graph's own, or what is no node at all."""
+    if not isinstance(argument, fx.Node):
+        return argument
+    owner, _, name = argument.target.rpartition(".")
+    return getattr(graph.get_submodule(owner), name)
+
+
+def _replace(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module], graph: fx.GraphModule) -> None:
+    source, end = chain[0], chain[-1]
+    if _into_convolution(end, order, source.meta["shape"][1], modules):
+        end.replace_all_uses_with(source)
+        return
+    plainer = _plainer(order)
+    if plainer is None:
+        return
+    function, arguments = plainer
+    with graph.graph.inserting_before(end):
+        rewritten = graph.graph.call_function(function, (source, *arguments))
+    rewritten.meta = dict(end.meta)
+    end.replace_all_uses_with(rewritten)
+
+
+def _into_convolution(end: fx.Node, order: Tensor, channels: int, modules: dict[str, nn.Module]) -> bool:
+    """Whether all channels in another order go into one convolution alone, whose weights then take that order."""
+    if len(end.users) != 1 or len(order) != channels or len(order.unique()) != channels:
+        return False
+    (user,) = end.users
+    conv = modules.get(user.target) if user.op == "call_module" else None
+    if type(conv) is not nn.Conv2d or conv.groups != 1:
+        return False
+    conv.weight.copy_(conv.weight[:, order.argsort()])
+    return True
+
+
+def _plainer(order: Tensor) -> tuple | None:
+    """A view where the channels' numbers have equal distances, runs by turns where they take turns."""
+    if len(order) < 2:
+        return None
+    steps = order.diff()
+    if bool((steps == steps[0]).all()) and steps[0] > 0:
+        return cut, (((1, int(order[0]), int(order[-1]) + 1, int(steps[0])),),)
+    for turns in range(2, 5):
+        if len(order) % turns == 0 and bool((order.view(-1, turns).diff(dim=0) == 1).all()):
+            return interleave, (tuple(order[:turns].tolist()), len(order) // turns)
+    return None
