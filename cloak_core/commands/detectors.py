@@ -58,14 +58,24 @@ class Check(Command):
         )
 
     def show(self, result: dict) -> None:
+        point = operating_point(result)
         if "max_person" in result:
-            out.print(f"best person score {result['max_person']:.3f}")
+            out.print(
+                f"best person score {result['max_person']:.3f}; the detector reports {result['reported']}, {point}"
+            )
             for x1, y1, x2, y2, score in result["boxes"]:
                 out.print(f"  {score:.3f}  at {x1:.0f},{y1:.0f} to {x2:.0f},{y2:.0f}")
             for options, score in result.get("pixels", {}).items():
                 out.print(f"  {score:.3f}  with pixels as @{options}")
         else:
-            out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f}")
+            out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f} at 0.6")
+            own = f"clean recall {result['clean_recall_own']:.3f}, false alarms {result['false_alarms_own']:.3f}"
+            out.print(f"{own} {point}")
+
+
+def operating_point(report: dict) -> str:
+    """From which score a detector reports, in words."""
+    return f"from {report['operating_point']:g} up{' (assumed)' if report['operating_point_assumed'] else ''}"
 
 
 @dataclass(kw_only=True)
@@ -109,8 +119,7 @@ class Verify(Command):
 def show_report(report: dict) -> None:
     """One detector's checks, one a line."""
     kind = "white box" if report["white_box"] else "black box, evaluation alone"
-    assumed = ", assumed" if report["operating_point_assumed"] else ""
-    out.print(f"{report['spec']}: {report['layout']}, {kind}, reports from {report['operating_point']:g}{assumed}")
+    out.print(f"{report['spec']}: {report['layout']}, {kind}, reports {operating_point(report)}")
     for name, check in report["checks"].items():
         verdict = {True: "ok", False: "FAILED", None: "-"}[check["passed"]]
         out.print(f"  {name:<20} {verdict:<7} {check['words']}")

@@ -23,8 +23,10 @@ def check_image(
 ) -> dict[str, object]:
     """Run a detector on one image file (any size and mode; EXIF orientation applied).
 
-    Returns {"max_person": best person score, thresholded or not, "boxes": [[x1, y1, x2, y2, score], ...]}: the boxes
-    above `threshold` after non-maximum suppression, in the file's pixels, best first. Where nobody said how the network
+    Returns {"max_person": best person score, thresholded or not, "boxes": [[x1, y1, x2, y2, score], ...]: the boxes
+    above `threshold` after non-maximum suppression, in the file's pixels, best first, "operating_point": the score from
+    which the detector itself reports, "operating_point_assumed": whether nobody said so, "reported": how many boxes
+    stand above that, likewise}. Where nobody said how the network
     wants its pixels, "pixels" has the best person score for each usual way, best first, by the options of a spec. With
     `out`, also writes the picture with those boxes drawn. InputError names a file that cannot be read or written.
     """
@@ -36,7 +38,13 @@ def check_image(
     boxes = person_boxes(detections, threshold)[0]
     if out is not None:
         save_picture(out, draw_boxes(pixels, boxes))
-    found: dict[str, object] = {"max_person": max_person_score(detections).item(), "boxes": boxes.tolist()}
+    found: dict[str, object] = {
+        "max_person": max_person_score(detections).item(),
+        "boxes": boxes.tolist(),
+        "operating_point": detector.operating_point,
+        "operating_point_assumed": detector.operating_point_assumed,
+        "reported": len(person_boxes(detections, detector.operating_point)[0]),
+    }
     if getattr(detector, "pixels_assumed", False):
         found["pixels"] = try_pixels(detector, pixels)
     return found

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import is_detected
+from cloak_core.detectors.scoring import max_person_score
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measurement import Trials
 from cloak_core.evaluation.stage import Stage
@@ -45,7 +45,8 @@ def check_scene(
 
     Every body in its first outfit, at every angle (azimuths, degrees; distance 2.2, elevation 6), before
     `images_per_view` backgrounds drawn at random, moved by up to `SHIFT` pixels. Returns {"clean_recall",
-    "false_alarms", "n": renders, "backgrounds": bare backgrounds}.
+    "false_alarms": at `threshold`, "clean_recall_own", "false_alarms_own": at the detector's "operating_point",
+    "operating_point_assumed": nobody said which that is, "n": renders, "backgrounds": bare backgrounds}.
     """
     if not len(angles):
         raise InputError("--angles: none given")
@@ -63,9 +64,16 @@ def check_scene(
         outfit=np.zeros(len(pose), np.int64),
     )
     stage = _clean_stage(bodies, backgrounds, trials, camera, detector.device)
+    thresholds = (threshold, detector.operating_point)
+    recall, recall_own = _shares(detector, partial(stage.images, control=CLOTHING), len(pose), thresholds)
+    alarms, alarms_own = _shares(detector, stage.bare, len(backgrounds), thresholds)
     return {
-        "clean_recall": _share(detector, partial(stage.images, control=CLOTHING), len(pose), threshold),
-        "false_alarms": _share(detector, stage.bare, len(backgrounds), threshold),
+        "clean_recall": recall,
+        "false_alarms": alarms,
+        "operating_point": detector.operating_point,
+        "operating_point_assumed": detector.operating_point_assumed,
+        "clean_recall_own": recall_own,
+        "false_alarms_own": alarms_own,
         "n": len(pose),
         "backgrounds": len(backgrounds),
     }
@@ -97,8 +105,10 @@ def _clean_stage(
     return Stage(colors, logo, bodies, backgrounds, trials, viewpoint=camera, bank=bank)
 
 
-def _share(detector: Detector, images: Callable[[range], torch.Tensor], count: int, threshold: float) -> float:
-    found = 0
-    for first in range(0, count, BATCH):
-        found += int(is_detected(detector(images(range(first, min(first + BATCH, count)))), threshold).sum())
-    return found / count
+def _shares(
+    detector: Detector, images: Callable[[range], torch.Tensor], count: int, thresholds: Sequence[float]
+) -> list[float]:
+    """Of `count` images, in how many a person is found at each threshold."""
+    batches = [range(first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
+    best = torch.cat([max_person_score(detector(images(batch))) for batch in batches])
+    return [int((best > threshold).sum()) / count for threshold in thresholds]

@@ -21,12 +21,20 @@ def test_check_gives_score_boxes_and_picture(tmp_path: Path) -> None:
     detector = load_detector(write_tiny(tmp_path))
     file = save(images(1, 48, 80)[0], tmp_path / "in.png")
     result = check_image(detector, file, threshold=0.1, out=tmp_path / "out.png")
-    assert set(result) == {"max_person", "boxes"}
+    assert set(result) == {"max_person", "boxes", "operating_point", "operating_point_assumed", "reported"}
     assert result["boxes"] and result["boxes"][0][4] == pytest.approx(result["max_person"])
     picture = Image.open(tmp_path / "out.png")
     assert picture.size == (80, 48) and picture.tobytes() != Image.open(file).tobytes()
     high = check_image(detector, file, threshold=0.9999)
-    assert high == {"max_person": result["max_person"], "boxes": []}
+    assert high == result | {"boxes": []}
+
+
+def test_what_the_detector_itself_reports(tmp_path: Path) -> None:
+    spec, file = write_tiny(tmp_path), save(images(1, 48, 80)[0], tmp_path / "in.png")
+    usual = check_image(load_detector(spec), file)
+    assert usual["operating_point_assumed"] and usual["operating_point"] == 0.25
+    low, high = (check_image(load_detector(f"{spec}@conf={point}"), file) for point in (0.01, 0.99))
+    assert low["reported"] > high["reported"] == 0 and not low["operating_point_assumed"]
 
 
 def test_reading_follows_orientation_and_mode(tmp_path: Path) -> None:

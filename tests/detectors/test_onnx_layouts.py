@@ -77,6 +77,28 @@ def test_boxes_and_probabilities(name: str) -> None:
     assert score == pytest.approx(0.72, abs=1e-4)
 
 
+@pytest.mark.parametrize("five", [False, True])
+@pytest.mark.parametrize(
+    ("name", "centre", "extent"),
+    [
+        ("yolov5-raw", (2 * 0.6 - 0.5 + 4, 2 * 0.5 - 0.5 + 1), (62 * 1.2**2, 45 * 1.0)),
+        ("yolov7-raw", (2 * 0.6 - 0.5 + 4, 2 * 0.5 - 0.5 + 1), (76 * 1.2**2, 55 * 1.0)),
+        ("yolov3-raw", (0.6 + 4, 0.5 + 1), (62 * 1.5, 45 * 1.0)),  # exp(logit(0.6)) is 0.6 / 0.4
+    ],
+)
+def test_raw_yolo_heads(name: str, centre: tuple, extent: tuple, five: bool) -> None:
+    """The second anchor of column 4, row 1 of stride 16, heads coarsest first."""
+    heads = [torch.full((1, 3, 64 // s, 96 // s, 7), -20.0) for s in (32, 16, 8)]
+    heads[1][0, 1, 1, 4] = torch.tensor([logit(0.6), 0.0, logit(0.6), 0.0, logit(0.9), -20.0, logit(0.8)])
+    if not five:
+        heads = [head.permute(0, 1, 4, 2, 3).flatten(1, 2) for head in heads]
+    box, score = best(name, heads)
+    x, y = (16 * value for value in centre)
+    w, h = (value / 2 for value in extent)
+    assert box == pytest.approx([x - w, y - h, x + w, y + h], abs=1e-3)
+    assert score == pytest.approx(0.72, abs=1e-4)
+
+
 def test_yolox_counts_in_cells() -> None:
     """Column 3, row 4 of stride 8, four cells wide."""
     box, score = best("yolox", OUTPUTS["yolox"])

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.clean import check_scene
+from cloak_core.evaluation.clean import check_scene, clean_renders
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
@@ -40,7 +40,22 @@ def places(red: int, count: int) -> Backgrounds:
 
 def test_every_body_at_every_angle_counts_once_per_image():
     result = check_scene(RedDetector(), body(), places(0, 5), (0.0, 10.0), images_per_view=3)
-    assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5}
+    own = {"operating_point": 0.5, "operating_point_assumed": True, "clean_recall_own": 2 / 3, "false_alarms_own": 0.0}
+    assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5} | own
+
+
+def test_the_detectors_own_point_counts_beside():
+    detector = RedDetector()
+    detector.operating_point = 1.0  # it never says more
+    result = check_scene(detector, body(), places(2, 8), (0.0,), images_per_view=1)
+    assert result["clean_recall_own"] == result["false_alarms_own"] == 0 < result["clean_recall"]
+
+
+def test_renders_to_check_detectors_on():
+    images = clean_renders(3, (40, 64))
+    assert images.shape == (3, 3, 40, 64) and 0 <= float(images.min()) < float(images.max()) <= 1
+    assert torch.equal(images, clean_renders(3, (40, 64))) and not torch.equal(images[0], images[1])
+    assert clean_renders(0, (40, 64)).shape == (0, 3, 40, 64)
 
 
 def test_false_alarms_are_counted_on_bare_backgrounds():

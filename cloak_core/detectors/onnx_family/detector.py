@@ -14,11 +14,11 @@ from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
-from cloak_core.detectors.onnx_family.guessing import guess_layout
+from cloak_core.detectors.onnx_family.guessing import guess_layout, what_it_may_be
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
 from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
 from cloak_core.detectors.onnx_family.networks import Converted, Session, as_input
-from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images
+from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images, takes_batches
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
@@ -94,6 +94,7 @@ def load_onnx(request: Request) -> OnnxDetector:
     except NotConvertible as error:
         session = Session(file.session(torch.get_num_threads()), file)
         detector = _assemble(request, named, file, session)
+        session.one_by_one |= not takes_batches(session, detector.pixels.apply(sample_images(size)))
         _log.warning("%s: a black box, good for evaluation alone: %s", file.path, error)
     return detector.freeze()
 
@@ -102,6 +103,8 @@ def _converted(file: ModelFile, size: tuple[int, int]) -> Converted:
     """The file as a torch module."""
     if file.quantised:
         raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
+    if file.suppresses:
+        raise NotConvertible(f"it suppresses boxes itself (node {file.suppresses}), and what it cuts has no gradient")
     graph = to_torch(file.model).to(memory_format=torch.channels_last)
     try:
         order_channels(graph, as_input(sample_images(size)[:1], file))
@@ -153,8 +156,9 @@ def _layout(
     name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
     if not name:
-        known = ", ".join(LAYOUTS)
-        raise InputError(f"{file.path}: outputs {shapes} are of no known layout; say onnx:FILE:LAYOUT ({known})")
+        known, guess = ", ".join(LAYOUTS), what_it_may_be(labelled, file.suppresses)
+        words = f"{file.path}: outputs {shapes} are of no known layout{guess and f'; {guess}'}"
+        raise InputError(f"{words}; say onnx:FILE:LAYOUT ({known})")
     if name not in LAYOUTS:
         raise InputError(f"detector {request.spec!r}: unknown layout {name!r}; known are {', '.join(LAYOUTS)}")
     try:

@@ -26,6 +26,20 @@ def guess_layout(outputs: Mapping[str, Tensor], size: Size, class_count: int | N
     return _of_one(next(iter(outputs.values())), size, class_count) if len(shapes[0]) == 3 else None
 
 
+def what_it_may_be(outputs: Mapping[str, Tensor], suppresses: str) -> str:
+    """A clause on outputs whose layout cannot be told; `suppresses` names a node that suppresses boxes, "" for none."""
+    shapes = [tuple(output.shape) for output in outputs.values()]
+    if suppresses or any(len(shape) < 3 for shape in shapes):
+        node = f" (node {suppresses})" if suppresses else ""
+        return f"boxes are suppressed in it{node}, which leaves nothing to train against: export it without"
+    if len(shapes) == 3 and all(len(shape) == 5 or shape[1] % 3 == 0 for shape in shapes):
+        return (
+            "they look like a YOLO's raw heads, whose anchors the file does not say: yolov5-raw, yolov7-raw and "
+            "yolov3-raw take the usual ones"
+        )
+    return ""
+
+
 def _of_one(output: Tensor, size: Size, class_count: int | None) -> str | None:
     shape = tuple(output.shape)
     if len(shape) == 4 and shape[2] * 16 == size[0] and shape[3] * 16 == size[1]:

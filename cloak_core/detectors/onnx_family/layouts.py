@@ -170,6 +170,56 @@ class BoxesScores:
         return boxes.reshape(len(boxes), -1, 4), scores
 
 
+@dataclass(frozen=True)
+class RawYolo:
+    """One output for each stride, [B, A (5 + K), h, w] or [B, A, h, w, 5 + K], as anchor-based YOLOs have them before
+    anything is decoded: offsets, sizes, objectness and classes, all as logits."""
+
+    anchors: tuple[tuple[tuple[int, int], ...], ...]
+    """For each stride, the finest first: widths and heights, pixels of the input."""
+    exponential: bool = False
+    """Sizes are anchor * exp(t) (YOLOv3, arXiv:1804.02767, section 2.1), not anchor * (2 sigmoid(t))^2, and offsets
+    sigmoid(t), not 2 sigmoid(t) - 0.5 (YOLOv5's and YOLOv7's own documentation)."""
+
+    def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
+        heads = sorted(map(self._split, outputs), key=lambda head: -head.shape[2])
+        if len(heads) != len(self.anchors):
+            raise ValueError(f"{len(heads)} heads")
+        found = torch.cat([self._decode(*head, size) for head in zip(heads, self.anchors, strict=True)], dim=1)
+        return Decoded(corners(found[..., :4]), found[..., 5:], found[..., 4])
+
+    def _split(self, head: Tensor) -> Float[Tensor, "B A h w C"]:
+        if head.dim() == 4:
+            head = head.unflatten(1, (len(self.anchors[0]), -1)).permute(0, 1, 3, 4, 2)
+        if head.dim() != 5 or head.shape[1] != len(self.anchors[0]):
+            raise ValueError(f"a head {list(head.shape)}")
+        return head
+
+    def _decode(self, head: Tensor, anchors: tuple, size: Size) -> Float[Tensor, "B N C"]:
+        height, width = head.shape[2:4]
+        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+        cell = torch.stack([x, y], dim=-1).to(head)
+        stride = torch.tensor([size[1] / width, size[0] / height]).to(head)
+        anchor = torch.tensor(anchors).to(head).view(1, -1, 1, 1, 2)
+        place, rest = head[..., :2].sigmoid(), head[..., 4:].sigmoid()
+        if self.exponential:
+            centre, extent = place + cell, anchor * head[..., 2:4].exp()
+        else:
+            centre, extent = 2 * place - 0.5 + cell, anchor * (2 * head[..., 2:4].sigmoid()) ** 2
+        return torch.cat([centre * stride, extent, rest], dim=-1).flatten(1, 3)
+
+
+COCO_ANCHORS = (
+    ((10, 13), (16, 30), (33, 23)),
+    ((30, 61), (62, 45), (59, 119)),
+    ((116, 90), (156, 198), (373, 326)),
+)
+"""Of YOLOv3 (its paper, section 2.3) and, by default, YOLOv5; at 416 and 640 pixels."""
+YOLOV7_ANCHORS = (
+    ((12, 16), (19, 36), (40, 28)),
+    ((36, 75), (76, 55), (72, 146)),
+    ((142, 110), (192, 243), (459, 401)),
+)
 LAYOUTS: dict[str, Layout] = {
     "yolov5": Layout(yolov5, 0.25, letterbox=True),
     "yolov8": Layout(yolov8, 0.25, letterbox=True),
@@ -179,6 +229,9 @@ LAYOUTS: dict[str, Layout] = {
     "rtdetr": Layout(rtdetr, 0.5),
     "nanodet": Layout(None, 0.4, pixels=NANODET, told_from=NanoDet.told_from),
     "fastestdet": Layout(fastestdet, 0.65, pixels=PixelFormat(bgr=True)),
+    "yolov3-raw": Layout(RawYolo(COCO_ANCHORS, exponential=True), 0.25, letterbox=True),
+    "yolov5-raw": Layout(RawYolo(COCO_ANCHORS), 0.25, letterbox=True),
+    "yolov7-raw": Layout(RawYolo(YOLOV7_ANCHORS), 0.25, letterbox=True),
     "boxes-scores": Layout(None, 0.5, told_from=BoxesScores.told_from),
 }
 

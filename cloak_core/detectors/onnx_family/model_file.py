@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,6 +53,8 @@ class ModelFile:
     """Its usual confidence threshold, where its exporter wrote it."""
     quantised: tuple[str, ...]
     """Names of its first nodes that compute in integers."""
+    suppresses: str
+    """Name of a node that suppresses boxes; "" for none."""
 
     def input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
         """The size to run it at. InputError: it is fixed to another."""
@@ -99,6 +102,8 @@ def read_model(path: Path) -> ModelFile:
     sides = shape[1:3] if channels_last else shape[2:4]
     if len(shape) != 4 or shape[3 if channels_last else 1] not in (3, None):
         raise InputError(f"{path}: its input {[d or 'any' for d in shape]} is not a batch of RGB images")
+    if shape[0] not in (1, None):
+        raise InputError(f"{path}: its batch is fixed to {shape[0]} images; export it for one, or for any number")
     said = {entry.key: entry.value for entry in model.metadata_props}
     return ModelFile(
         path=path,
@@ -112,8 +117,13 @@ def read_model(path: Path) -> ModelFile:
         fixed_size=all(sides),
         names=_said_names(said),
         confidence=_said_confidence(said),
-        quantised=tuple(node.name or node.op_type for node in model.graph.node if node.op_type in QUANTISED)[:3],
+        quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
+        suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
     )
+
+
+def _named(model: onnx.ModelProto, wanted: Callable[[str], bool]) -> Iterator[str]:
+    return (node.name or node.op_type for node in model.graph.node if wanted(node.op_type))
 
 
 def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:

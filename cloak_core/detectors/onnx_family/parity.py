@@ -81,6 +81,19 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
     return Parity(scores, boxes, batch, gradient)
 
 
+def takes_batches(network: Callable[[Tensor], list[Tensor]], images: Float[Tensor, "B 3 H W"]) -> bool:
+    """Whether a black box answers two images at once as it does one by one."""
+    try:
+        together = network(images[:2])
+    except Exception:  # onnxruntime's own
+        return False
+    alone = [torch.cat(parts) for parts in zip(*(network(image) for image in images[:2].split(1)), strict=True)]
+    same = (
+        a.shape == b.shape and torch.allclose(a, b, atol=1e-3, rtol=1e-3) for a, b in zip(together, alone, strict=True)
+    )
+    return all(same)
+
+
 def remembered(key: str, find: Callable[[], Parity]) -> Parity:
     """What was found for this content before, by these versions of the packages and of this room; else found now, and
     remembered."""

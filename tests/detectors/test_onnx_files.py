@@ -1,0 +1,153 @@
+"""ONNX files as exporters and accidents leave them: what is read, what is said of the rest."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.verification import verify
+from cloak_core.files.errors import InputError
+from tests.detectors.helpers import images
+
+pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
+onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
+from tests.detectors.test_onnx import FLOAT, SIDE, Made, close, detector_session  # noqa: E402
+
+INT = onnx.TensorProto.INT64
+
+
+def finished(made: Made) -> Made:
+    made.body()
+    made.head()
+    return made
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a TorchScript archive", b"\x80\x02}q\x00.", b"{}"])
+def test_other_files(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "m.onnx").write_bytes(content)
+    with pytest.raises(InputError, match=r"m\.onnx: not an ONNX file"):
+        load_detector(f"onnx:{tmp_path / 'm.onnx'}")
+
+
+def test_an_operator_that_nobody_knows_is_named(tmp_path: Path) -> None:
+    made = finished(Made())
+    made.nodes[1].op_type = "Frobnicate"
+    with pytest.raises(InputError, match=r"m\.onnx: not an ONNX model that onnxruntime can run .*Frobnicate"):
+        load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
+
+
+def test_nobody_among_its_classes(tmp_path: Path) -> None:
+    path = finished(Made()).save(tmp_path / "m.onnx", names="{0: 'cat', 1: 'dog'}")
+    with pytest.raises(InputError, match=r"no class 'person' among its 2 \(cat, dog\); name one with --person-class"):
+        load_detector(f"onnx:{path}")
+    assert load_detector(f"onnx:{path}@person=dog").person == 1
+
+
+def test_sides_that_may_be_any(tmp_path: Path) -> None:
+    path = finished(Made()).save(tmp_path / "any.onnx", sides=("height", "width"))
+    for size, cells in (((64, 64), 64), ((96, 160), 240)):
+        detector = load_detector(f"onnx:{path}@{size[0]}x{size[1]}")
+        assert detector.differentiable and detector.input_size == size
+        assert detector(images(2, 50, 70)).scores.shape == (2, cells)
+
+
+def test_resize_to_sizes(tmp_path: Path) -> None:
+    """By `sizes` it holds the batch that it was exported with."""
+    made = Made()
+    made.weight("sizes", np.array([1, 8, 16, 16]), INT)
+    made.body()
+    made.nodes[2].output[0] = made.nodes[2].name = "small"
+    grid = made.nodes.pop()
+    made.node("Resize", "small none none sizes", "active", mode="nearest", coordinate_transformation_mode="asymmetric")
+    made.nodes[-1].input[1:3] = ["", ""]
+    made.nodes.append(grid)
+    made.head()
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'resize.onnx')}")
+    assert detector.differentiable and detector(images(3, SIDE, SIDE)).scores.shape == (3, 256)
+    close(detector, detector_session(tmp_path / "resize.onnx"))
+
+
+def test_a_batch_fixed_to_several(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"two.onnx: its batch is fixed to 2 images; export it for one"):
+        load_detector(f"onnx:{finished(Made()).save(tmp_path / 'two.onnx', batch=2)}")
+
+
+def test_a_black_box_of_a_fixed_batch_is_asked_image_by_image(tmp_path: Path, caplog) -> None:
+    made = Made()
+    made.weight("fixed", np.array([1, 6, -1]), INT)
+    made.body()
+    made.nodes[-1].output[0] = made.nodes[-1].name = "rough"
+    made.node("Shrink", "rough", "grid", lambd=0.0)
+    made.head("fixed")
+    path = made.save(tmp_path / "m.onnx")
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{path}")
+    assert not detector.differentiable and detector.network.one_by_one
+    batch = images(3, SIDE, SIDE)
+    together = detector(batch).scores
+    torch.testing.assert_close(together, torch.cat([detector(image).scores for image in batch.split(1)]))
+    report = verify(detector, images(4, SIDE, SIDE))
+    assert report["failed"] == [] and report["white_box"] is False
+    assert report["gradient_error"] is None and report["parity_scores"] is None
+
+
+def suppressing() -> Made:
+    """A finished network, and NonMaxSuppression on what it finds, whose indices are `chosen`."""
+    made = finished(Made())
+    made.node("Transpose", "boxes", "corners", perm=[0, 2, 1])
+    for name, value in (("one", 1), ("two", 2), ("most", 20)):
+        made.weight(name, np.array([value]), INT)
+    made.weight("iou", np.array([0.5]))
+    made.node("Slice", "scores one two axis", "people")
+    made.node("NonMaxSuppression", "corners people most iou", "chosen")
+    return made
+
+
+def test_what_is_left_after_suppression_is_said(tmp_path: Path) -> None:
+    made = suppressing()
+    next(node for node in made.nodes if node.name == "output").output[0] = "unused"
+    made.node("Cast", "chosen", "output", to=FLOAT)
+    made.nodes[-1].name = "cast"
+    with pytest.raises(InputError, match=r"of no known layout; boxes are suppressed in it \(node chosen\).* export it"):
+        load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
+
+
+def test_what_suppresses_boxes_itself_is_a_black_box(tmp_path: Path, caplog) -> None:
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{suppressing().save(tmp_path / 'm.onnx')}")
+    assert "a black box" in caplog.text and "it suppresses boxes itself (node chosen)" in caplog.text
+    assert not detector.differentiable
+
+
+def heads(folder: Path, shape: list[int]) -> Path:
+    """A network whose three outputs are a YOLO's raw heads for 2 classes, of strides 8, 16 and 32."""
+    made, outputs = Made(), []
+    for stride in (8, 16, 32):
+        made.weight(f"w{stride}", np.random.default_rng(stride).normal(0, 0.1, (21, 3, stride, stride)))
+        made.node("Conv", f"images w{stride}", f"grid{stride}", strides=[stride, stride])
+        last = f"grid{stride}"
+        if len(shape) == 5:
+            made.weight(f"to{stride}", np.array([0, 3, 7, SIDE // stride, SIDE // stride]), INT)
+            made.node("Reshape", f"{last} to{stride}", f"parts{stride}")
+            made.node("Transpose", f"parts{stride}", f"head{stride}", perm=[0, 1, 3, 4, 2])
+            last = f"head{stride}"
+        outputs.append(last)
+    path = made.save(folder / f"raw{len(shape)}.onnx")
+    model = onnx.load(str(path))
+    model.graph.output.pop()
+    model.graph.output.extend(onnx.helper.make_tensor_value_info(name, FLOAT, None) for name in outputs)
+    onnx.save(model, str(path))
+    return path
+
+
+@pytest.mark.parametrize("dimensions", [4, 5])
+def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
+    path = heads(tmp_path, [0] * dimensions)
+    with pytest.raises(InputError, match=r"a YOLO's raw heads, whose anchors the file does not say: yolov5-raw"):
+        load_detector(f"onnx:{path}")
+    detector = load_detector(f"onnx:{path}:yolov5-raw")
+    assert detector(images(2, SIDE, SIDE)).scores.shape == (2, 3 * (64 + 16 + 4))
+    assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
