@@ -4,8 +4,16 @@ import importlib.util
 
 from cloak_core.files.errors import InputError
 
-EXTRAS = {"transformers": "transformers", "onnxruntime": "onnx", "onnx": "onnx", "onnx2torch": "onnx"}
+EXTRAS = {
+    "transformers": "transformers",
+    "onnxruntime": "onnx",
+    "onnx": "onnx",
+    "onnx2torch": "onnx",
+    "ultralytics": "ultralytics",
+}
 """Package -> the extra of this project that installs it."""
+COPYLEFT = {"ultralytics": "AGPL-3.0"}
+"""Package -> its licence, where that asks something of those who use it."""
 
 
 def installed(package: str) -> bool:
@@ -21,4 +29,5 @@ def install_command(package: str) -> str:
 def require(package: str, spec: str) -> None:
     """InputError with the pip command when a package that `spec` needs is missing."""
     if not installed(package):
-        raise InputError(f"detector {spec!r} needs the package {package}: {install_command(package)}")
+        licence = f" ({COPYLEFT[package]})" if package in COPYLEFT else ""
+        raise InputError(f"detector {spec!r} needs the package {package}{licence}: {install_command(package)}")

@@ -108,6 +108,16 @@ FAMILIES = {
         licence="MIT (onnxruntime), Apache-2.0 (onnx, onnx2torch); weights: their authors'",
         verified="against onnxruntime at every file's first loading; hand-made models of each output layout",
     ),
+    "ultralytics": Family(
+        spec="ultralytics:FILE",
+        loader="ultralytics_family.detector:load_ultralytics",
+        parts=(1, 1),
+        refuses={name: why for name, why in NO_LAYOUT.items() if name != "stretch"},
+        needs="ultralytics",
+        weights="your .pt (ultralytics' or an original YOLOv5's), or a .yaml with random ones",
+        licence="AGPL-3.0 (the package and its official weights; files made from such a model keep that licence)",
+        verified="ultralytics' own decoded output, every family; an original YOLOv5 against its ONNX twin",
+    ),
     "python": Family(
         spec="python:FILE.py:FUNCTION",
         loader="python_module:load_python",

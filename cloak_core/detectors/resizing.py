@@ -8,6 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 LETTERBOX_GREY = 0.5
+YOLO_GREY = 114 / 255
+"""What YOLOv5 and later were trained to see around letterboxed pictures."""
 
 
 @dataclass(frozen=True)

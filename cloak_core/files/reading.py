@@ -148,7 +148,7 @@ def read_npz(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
-    _check_directory(file)
+    check_directory(file)
     with zipfile.ZipFile(file) as archive:
         members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
         if sum(m.file_size for m in members) > MAX_ARRAY_BYTES:
@@ -160,14 +160,17 @@ def _read_archive(file: BinaryIO) -> dict[str, np.ndarray]:
         return arrays
 
 
-def _check_directory(file: BinaryIO) -> None:
+def check_directory(file: BinaryIO) -> None:
     """ValueError: a zip archive whose list of members zipfile would need too much memory for."""
     size = file.seek(0, io.SEEK_END)
-    file.seek(max(0, size - (1 << 16) - 64))
+    file.seek(max(0, size - (1 << 16) - 128))
     tail = file.read()
     for found in re.finditer(b"PK\5\6", tail):
         length = int.from_bytes(tail[found.start() + 12 : found.start() + 16], "little")
-        if length > MAX_DIRECTORY_BYTES or tail[max(0, found.start() - 20) :].startswith(b"PK\6\7"):
+        more = tail[max(0, found.start() - 76) : found.start()]  # where zip64 says it once more, and counts
+        if more.startswith(b"PK\6\6") and more[56:].startswith(b"PK\6\7"):
+            length = int.from_bytes(more[40:48], "little")
+        if length > MAX_DIRECTORY_BYTES:
             raise ValueError("too many members, or too large")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -74,15 +75,18 @@ RECORDED = re.compile(r"(scipy\.sparse(\.[a-z_]+)? [a-z]{3}_(matrix|array)|chump
 class ArrayUnpickler(pickle.Unpickler):
     """Admits arrays and records; raises `InputError` with the name of anything else."""
 
+    admitted: Mapping[tuple[str, str], object] = ADMITTED
+    recorded = RECORDED
+
     def __init__(self, file: object, path: Path) -> None:
         super().__init__(file, encoding="latin1")
         self.path = path
 
     def find_class(self, module: str, name: str) -> object:
-        if (module, name) in ADMITTED:
-            return ADMITTED[module, name]
-        if RECORDED.match(f"{module} {name}"):
-            return type(name, (Record,), {})
+        if (module, name) in self.admitted:
+            return self.admitted[module, name]
+        if self.recorded.match(f"{module} {name}"):
+            return type(name, (Record,), {"__module__": module})
         raise InputError(f"{self.path}: the pickle holds {module}.{name}, which is never loaded")
 
     def persistent_load(self, pid: object) -> object:

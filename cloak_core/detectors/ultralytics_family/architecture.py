@@ -1,0 +1,151 @@
+"""Descriptions of networks, as ultralytics writes them in YAML: finding, checking and building them.
+
+A description may come with a file from anywhere, and what the package does with one could run code or fetch weights.
+So it is looked through first: layers that the package itself defines, plain numbers, nothing that loads anything.
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import re
+from pathlib import Path
+from types import ModuleType
+
+import torch
+import yaml
+from torch import nn
+
+from cloak_core.detectors.ultralytics_family.library import library
+from cloak_core.detectors.ultralytics_family.random_weights import SEED
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.reading import read_text
+
+DENSE = ("Detect", "v10Detect", "Segment", "Segment26", "Pose", "Pose26")
+"""Heads that give a box at every cell; what segmentation and pose say beyond that is not asked."""
+QUERIES = "RTDETRDecoder"
+FETCHING = ("TorchVision",)
+"""Layers that load weights of their own."""
+MAX_YAML_BYTES = 1 << 20
+MAX_NUMBER, MAX_REPEATS, MAX_LAYERS = 1 << 14, 256, 1024
+"""Of what layers are given; of the same layer in a row; of all."""
+MAX_PARAMETERS = 1 << 29
+"""2 GiB of float32."""
+_ACTIVATION = re.compile(r"(?:torch\.)?nn\.[A-Za-z0-9]+\((?:[a-z_]+=)?(?:[0-9.e-]+|True|False)?\)\Z")
+_SCALED = re.compile(r"(?P<family>.*\d)(?P<scale>[nsmlx])(?P<rest>-[a-z0-9-]+)?\Z")
+
+
+def read_architecture(where: str) -> dict:
+    """A user's .yaml, or one that the package has, by its name: yolov8n.yaml, yolo26s.yaml, rtdetr-l.yaml.
+
+    InputError: no such file or name, not YAML.
+    """
+    path = Path(where).expanduser()
+    if not path.is_file():
+        path = _shipped(where)
+    try:
+        found = yaml.safe_load(read_text(path, MAX_YAML_BYTES))
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{where}: not YAML ({first_line(error)[:160]})") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{where}: describes no network (backbone, head, nc)")
+    match = _SCALED.match(Path(where).stem)
+    if "scales" in found and match and "scale" not in found:
+        found["scale"] = match["scale"]
+    return found
+
+
+def _shipped(where: str) -> Path:
+    import importlib.util
+
+    (folder,) = importlib.util.find_spec("ultralytics").submodule_search_locations
+    known = {path.name: path for path in sorted((Path(folder) / "cfg" / "models").rglob("*.yaml"))}
+    match = _SCALED.match(Path(where).stem)
+    unscaled = f"{match['family']}{match['rest'] or ''}.yaml" if match else ""
+    if Path(where).name == where and (where in known or unscaled in known):
+        return known.get(where) or known[unscaled]
+    near = difflib.get_close_matches(Path(where).name, known, 3, 0.5) or ["yolov8.yaml"]
+    raise InputError(f"{where}: no such file, and ultralytics has none of that name (near: {', '.join(near)})")
+
+
+def build(architecture: dict, where: str) -> nn.Module:
+    """The network of a description, its weights random but always the same, in eval mode.
+
+    InputError: a description that is none, asks for what is refused, or cannot be built.
+    """
+    with library() as tasks:
+        head = check(architecture, tasks, where)
+        kind = tasks.RTDETRDetectionModel if head == QUERIES else tasks.DetectionModel
+        try:
+            with torch.device("meta"):
+                layers, _ = tasks.parse_model(copy.deepcopy(architecture), ch=3, verbose=False)
+            if sum(weights.numel() for weights in layers.parameters()) > MAX_PARAMETERS:
+                raise ValueError("more parameters than any model taken here")
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(SEED)
+                model = kind(copy.deepcopy(architecture), verbose=False)
+        except Exception as error:  # layers fail in their own ways when they do not fit one another
+            reason = f"{type(error).__name__}: {first_line(error)[:120]}"
+            raise InputError(f"{where}: its network cannot be built ({reason})") from None
+    return model.eval()
+
+
+def fuse(model: nn.Module) -> None:
+    """Batch norm into convolutions, and branches that run side by side into one, in place, as the package does it."""
+    with library():
+        model.fuse(verbose=False)
+
+
+def check(architecture: dict, tasks: ModuleType, where: str) -> str:
+    """The name of a description's head, looked through as the module says; InputError where something is refused."""
+    layers = _layers(architecture, where)
+    for _, repeats, name, arguments in layers:
+        if not _is_layer(name, tasks):
+            raise InputError(f"{where}: a layer {str(name)[:60]!r}, which is none of ultralytics' or torch's")
+        if name in FETCHING:
+            raise InputError(f"{where}: a layer {name}, which fetches weights of its own")
+        if not _plain(arguments) or not 1 <= repeats <= MAX_REPEATS:
+            raise InputError(f"{where}: a layer {name} with {str(arguments)[:60]}, more than is taken here")
+    activation = architecture.get("activation")
+    if activation is not None and not (isinstance(activation, str) and _ACTIVATION.match(activation)):
+        raise InputError(f"{where}: an activation {str(activation)[:60]!r}, which is not one of torch.nn's")
+    others = [value for key, value in architecture.items() if key not in ("backbone", "head")]
+    if not _plain(others) or not isinstance(architecture.get("nc"), int):
+        raise InputError(f"{where}: no number of classes (nc), or numbers larger than any taken here")
+    channels = architecture.get("channels", architecture.get("ch", 3))
+    if channels != 3:
+        raise InputError(f"{where}: its network takes {channels} channels, not the three of an RGB image")
+    head = layers[-1][2]
+    if head not in (*DENSE, QUERIES):
+        raise InputError(f"{where}: its head is {head}; detection is needed ({', '.join(DENSE)} or {QUERIES})")
+    return head
+
+
+def _layers(architecture: dict, where: str) -> list[tuple]:
+    parts = [architecture.get(part) for part in ("backbone", "head")]
+    layers = [layer for part in parts if isinstance(part, list) for layer in part]
+    whole = all(isinstance(layer, list | tuple) and len(layer) == 4 for layer in layers)
+    if not layers or not whole or len(layers) > MAX_LAYERS or not all(isinstance(layer[1], int) for layer in layers):
+        raise InputError(f"{where}: describes no network (backbone and head: lists of [from, number, module, args])")
+    return [tuple(layer) for layer in layers]
+
+
+def _is_layer(name: object, tasks: ModuleType) -> bool:
+    if not isinstance(name, str):
+        return False
+    found = getattr(nn, name[3:], None) if name.startswith("nn.") else getattr(tasks, name, None)
+    own = ("torch.nn.", "ultralytics.nn.modules.")
+    return isinstance(found, type) and issubclass(found, nn.Module) and found.__module__.startswith(own)
+
+
+def _plain(value: object, depth: int = 0) -> bool:
+    """Numbers, words, and lists and dictionaries of these, none of them large."""
+    if isinstance(value, dict):
+        value = [*value.values(), *map(str, value)]
+    if isinstance(value, list | tuple):
+        return depth < 8 and len(value) <= MAX_NUMBER and all(_plain(part, depth + 1) for part in value)
+    if isinstance(value, int | float):
+        return abs(value) <= MAX_NUMBER
+    return value is None or (isinstance(value, str) and len(value) <= 256)

@@ -1,0 +1,164 @@
+"""What a .pt file of ultralytics or of the original YOLOv5 says: the network's description, its weights, its classes.
+
+Nothing of it is run and no class that it names is imported: see `files.torch_pickles`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.reading import MAX_BYTES, open_regular
+from cloak_core.files.torch_pickles import read_torch_pickle
+from cloak_core.files.unpickling import Record
+
+MAX_DEPTH, MAX_MODULES = 64, 1 << 16
+"""Of modules inside modules, and of all together."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A model as a file has it."""
+
+    path: Path
+    digest: str
+    """SHA-256 (hex) of the file."""
+    original: bool
+    """Of the original YOLOv5, whose boxes grow from anchors."""
+    architecture: dict
+    """The description of its network that the model carries."""
+    state: dict[str, Tensor]
+    """Names and tensors, float32 where they are no counts."""
+    modules: dict[str, Record]
+    """All modules by their names."""
+    names: tuple[str, ...] | None
+    """Of its classes; None where it only numbers them."""
+    image_size: tuple[int, int] | None
+    """(height, width) that it was trained at, where that is said."""
+
+    anchors: Float[Tensor, "levels A 2"] | None = None
+    """Of the original YOLOv5: widths and heights in pixels."""
+    strides: tuple[float, ...] = ()
+    """Of the feature maps that these stand on."""
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """InputError: what `read_torch_pickle` refuses, a file without a model of the two kinds, numbers not finite."""
+    content = read_torch_pickle(path)
+    with open_regular(path, MAX_BYTES) as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    try:
+        return _understood(content, path, digest)
+    except InputError:
+        raise
+    except (KeyError, IndexError, AttributeError, TypeError, ValueError, OverflowError) as error:
+        # Records hold whatever the file says.
+        raise InputError(f"{path}: its model is damaged ({type(error).__name__}: {first_line(error)[:80]})") from None
+
+
+def _understood(content: object, path: Path, digest: str) -> Checkpoint:
+    model = _model(content, path)
+    architecture = model.state.get("yaml")
+    if not isinstance(architecture, dict):
+        raise InputError(f"{path}: its model carries no description of its network (yaml)")
+    original = _original(model, architecture, path)
+    modules: dict[str, Record] = {}
+    _collect(model, "", modules, path)
+    state = _state(modules, path)
+    said = content.get("train_args") if isinstance(content, dict) else None
+    size = _image_size(said.get("imgsz") if isinstance(said, dict) else None)
+    anchors, strides = _anchors(modules, state) if original else (None, ())
+    names = _names(model.state.get("names"))
+    return Checkpoint(path, digest, original, architecture, state, modules, names, size, anchors, strides)
+
+
+def _model(content: object, path: Path) -> Record:
+    """The model in a checkpoint: its averaged one where it has one, as those who run it take it."""
+    found = content
+    if isinstance(content, dict):
+        found = content.get("ema") or content.get("model")
+    if isinstance(found, Record) and isinstance(found.state.get("_modules"), dict):
+        return found
+    arrays = isinstance(content, dict) and any(isinstance(value, np.ndarray) for value in content.values())
+    if arrays or isinstance(found, dict):
+        raise InputError(
+            f"{path}: a state dict alone, which does not say what network it is for; "
+            "give the checkpoint that ultralytics or YOLOv5 wrote (its 'model' is a whole model)"
+        )
+    raise InputError(f"{path}: no checkpoint of ultralytics or YOLOv5 (its 'model' is no model)")
+
+
+def _original(model: Record, architecture: dict, path: Path) -> bool:
+    """Whether it is of the original YOLOv5. InputError: of neither kind, or nothing that detects."""
+    module, name = type(model).__module__, type(model).__name__
+    if module.startswith("ultralytics."):
+        return False
+    head = architecture["head"][-1][2]
+    if module == "models.yolo" and name in ("Model", "DetectionModel") and head == "Detect":
+        return True
+    raise InputError(
+        f"{path}: its model is {module}.{name} with the head {head}; "
+        "of such pickles only original YOLOv5 detection models are read: export it to ONNX and use onnx:FILE"
+    )
+
+
+def _collect(record: Record, name: str, modules: dict[str, Record], path: Path) -> None:
+    """All modules below one, by their names."""
+    modules[name] = record
+    if name.count(".") > MAX_DEPTH or len(modules) > MAX_MODULES:
+        raise InputError(f"{path}: modules inside modules without end")
+    for child, inner in record.state.get("_modules", {}).items():
+        if isinstance(inner, Record):
+            _collect(inner, f"{name}.{child}" if name else str(child), modules, path)
+
+
+def _anchors(modules: dict[str, Record], state: dict[str, Tensor]) -> tuple[Tensor, tuple[float, ...]]:
+    name = f"model.{len(modules['model'].state['_modules']) - 1}"
+    strides = tuple(float(stride) for stride in modules[name].state["stride"])
+    return state[f"{name}.anchors"] * torch.tensor(strides)[:, None, None], strides
+
+
+def _state(modules: dict[str, Record], path: Path) -> dict[str, Tensor]:
+    state, left = {}, MAX_BYTES
+    for prefix, record in modules.items():
+        apart = record.state.get("_non_persistent_buffers_set", ())
+        for kind in ("_parameters", "_buffers"):
+            for name, value in record.state.get(kind, {}).items():
+                if not isinstance(value, np.ndarray) or name in apart:
+                    continue
+                left -= value.nbytes
+                if left < 0:
+                    raise InputError(f"{path}: its tensors take more memory than any model taken here")
+                key = f"{prefix}.{name}" if prefix else str(name)
+                state[key] = _tensor(value, key, path)
+    return state
+
+
+def _tensor(value: np.ndarray, key: str, path: Path) -> Tensor:
+    tensor = torch.from_numpy(value.astype(np.float32) if value.dtype.kind == "f" else value.copy())
+    if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+        raise InputError(f"{path}: {key} holds numbers that are not finite")
+    return tensor
+
+
+def _names(names: object) -> tuple[str, ...] | None:
+    """Class names in order, from a list or a dictionary; None where each is but its number."""
+    if isinstance(names, dict):
+        names = [names.get(index) for index in range(len(names))]
+    if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
+        return None
+    return None if all(name == str(index) for index, name in enumerate(names)) else tuple(names)
+
+
+def _image_size(said: object) -> tuple[int, int] | None:
+    sides = said if isinstance(said, list | tuple) else [said]
+    if not 1 <= len(sides) <= 2 or not all(isinstance(side, int) and side > 0 for side in sides):
+        return None
+    return sides[0], sides[-1]

@@ -1,0 +1,112 @@
+"""From a network's feature maps to boxes and probabilities, all of them, before any choice of the best.
+
+Written from the published descriptions: the anchor-free head of YOLOv8 and later (task-aligned, Generalized Focal
+Loss, arXiv:2006.04388; both assignments of YOLOv10, arXiv:2405.14458) and the anchors of YOLOv5
+(https://docs.ultralytics.com/yolov5/tutorials/architecture_description, "Eliminate Grid Sensitivity").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors.onnx_family.layouts import Decoded, corners
+from cloak_core.detectors.protocol import at_least_float32
+
+BRANCHES = (("cv2", "cv3"), ("one2one_cv2", "one2one_cv3"))
+"""Of ultralytics' heads: the convolutions for boxes and for classes, one-to-many and one-to-one."""
+
+
+class DenseHead(nn.Module):
+    """The detecting part of an ultralytics head: a box at every cell of every feature map, for each of its branches.
+
+    Where a network has both, the boxes of the one-to-many branch (which people use with suppression) come first, then
+    those of the one-to-one branch (which needs none): a cloak has to hide from both.
+    """
+
+    def __init__(self, head: nn.Module) -> None:
+        super().__init__()
+        self.f, self.i, self.type = head.f, head.i, "DenseHead"
+        there = [[getattr(head, name, None) for name in names] for names in BRANCHES]
+        self.branches = nn.ModuleList(nn.ModuleList(pair) for pair in there if None not in pair)
+        self.strides = [float(stride) for stride in head.stride]
+
+    def forward(self, features: list[Tensor]) -> Decoded:
+        """Feature maps [B, C, h, w], one a stride -> boxes in pixels of the network's input, classes [B, N, K]."""
+        found = [self._branch(features, boxes, classes) for boxes, classes in self.branches]
+        return Decoded(*(torch.cat(parts, dim=1) for parts in zip(*found, strict=True)))
+
+    def _branch(
+        self, features: list[Tensor], boxes: nn.ModuleList, classes: nn.ModuleList
+    ) -> tuple[Float[Tensor, "B N 4"], Float[Tensor, "B N K"]]:
+        corner, probability = [], []
+        for x, stride, box, kind in zip(features, self.strides, boxes, classes, strict=True):
+            sides = _expectation(_rows(box(x)).unflatten(-1, (4, -1)))
+            middle = _cells(x).flatten(0, 1) + 0.5
+            corner.append(torch.cat([middle - sides[..., :2], middle + sides[..., 2:]], dim=-1) * stride)
+            probability.append(_rows(kind(x)).sigmoid())
+        return torch.cat(corner, dim=1), torch.cat(probability, dim=1)
+
+
+class AnchorHead(nn.Module):
+    """YOLOv5's own head: at every cell a box for each anchor, with objectness.
+
+    centre = (2 sigmoid(t) - 0.5 + cell) * stride, size = (2 sigmoid(t))^2 * anchor.
+    """
+
+    def __init__(
+        self,
+        anchors: Float[Tensor, "levels A 2"],
+        strides: Sequence[float],
+        channels: Sequence[int],
+        classes: int,
+        place: tuple[list[int], int],
+    ) -> None:
+        """anchors: width and height in pixels. channels: of each feature map. place: which layers feed it, and which
+        it is."""
+        super().__init__()
+        (self.f, self.i), self.type = place, "AnchorHead"
+        self.strides = [float(stride) for stride in strides]
+        self.m = nn.ModuleList(nn.Conv2d(c, anchors.shape[1] * (5 + classes), 1) for c in channels)
+        self.register_buffer("anchors", anchors)
+
+    def forward(self, features: list[Tensor]) -> Decoded:
+        """Feature maps [B, C, h, w], one a stride -> boxes in pixels of the network's input, classes, objectness."""
+        found = []
+        for x, conv, stride, anchors in zip(features, self.m, self.strides, self.anchors, strict=True):
+            raw = at_least_float32(conv(x)).unflatten(1, (len(anchors), -1)).permute(0, 1, 3, 4, 2).sigmoid()
+            centre = (raw[..., :2] * 2 - 0.5 + _cells(x)) * stride
+            size = (raw[..., 2:4] * 2) ** 2 * anchors[:, None, None]
+            found.append(torch.cat([centre, size, raw[..., 4:]], dim=-1).flatten(1, 3))
+        rows = torch.cat(found, dim=1)
+        return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
+
+
+def queries(raw: Sequence[Tensor], inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
+    """What RT-DETR's decoder says before its best are chosen: boxes [1, B, Q, 4] (centre and size as fractions of the
+    input), logits [1, B, Q, K] and more."""
+    boxes, logits = (at_least_float32(part[-1]) for part in raw[:2])
+    pixels = torch.tensor([inputs.shape[3], inputs.shape[2]] * 2, dtype=boxes.dtype, device=boxes.device)
+    return Decoded(corners(boxes) * pixels, logits.sigmoid())
+
+
+def _rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
+    return at_least_float32(x).flatten(2).transpose(1, 2)
+
+
+def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
+    """Column and row of every cell of a feature map."""
+    at_least = torch.promote_types(x.dtype, torch.float32)
+    down, across = (torch.arange(n, device=x.device, dtype=at_least) for n in x.shape[-2:])
+    rows, columns = torch.meshgrid(down, across, indexing="ij")
+    return torch.stack([columns, rows], dim=-1)
+
+
+def _expectation(sides: Float[Tensor, "B n 4 bins"]) -> Float[Tensor, "B n 4"]:
+    """Distances to the four sides, in cells: the mean of a distribution over 0, 1, 2 ..., or the one number given."""
+    if sides.shape[-1] == 1:
+        return sides.squeeze(-1)
+    return sides.softmax(dim=-1) @ torch.arange(sides.shape[-1], device=sides.device, dtype=sides.dtype)
