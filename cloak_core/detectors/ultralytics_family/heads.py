@@ -85,7 +85,7 @@ class AnchorHead(nn.Module):
         return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
 
 
-def queries(raw: Sequence[Tensor], inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
+def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
     """What RT-DETR's decoder says before its best are chosen: boxes [1, B, Q, 4] (centre and size as fractions of the
     input), logits [1, B, Q, K] and more."""
     boxes, logits = (at_least_float32(part[-1]) for part in raw[:2])
