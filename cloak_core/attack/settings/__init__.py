@@ -93,6 +93,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "steps": 600,
         "contrast": "0.8:1.2",
         "brightness": "-0.1:0.1",
+        "loss": "margin",
         "optimizer": "adam",
         "lr": 0.05,
         "schedule": "cosine",
