@@ -17,6 +17,7 @@ CHANGES: dict[str, dict[str, object]] = {
     "learning rate 0.02 instead of 0.05": {"lr": 0.02},
     "learning rate 0.1 instead of 0.05": {"lr": 0.1},
     "constant learning rate": {"schedule": "constant"},
+    "loss: score": {"loss": "score"},
     "loss: objectness": {"loss": "objectness"},
     "loss: log": {"loss": "log"},
     "ten best boxes": {"reduce": "topk"},
