@@ -88,6 +88,7 @@ def clean_renders(count: int, size: tuple[int, int], seed: int = 0) -> Float[Ten
         pose=np.arange(count) % bodies.pose_count,
         angle=rng.uniform(-180, 180, count).astype(np.float32),
         distance=rng.uniform(1.6, 4, count).astype(np.float32),
+        elevation=np.full(count, 6, np.float32),
         background=rng.integers(len(backgrounds), size=count),
         shift=np.zeros((count, 2), np.int64),
         outfit=rng.integers(len(bodies.face_colors), size=count),
