@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from torch import Tensor
 
 from cloak_core.detectors.check import read_image
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.verification.kit import framed, natural_size, verify
-from cloak_core.evaluation.clean import clean_renders
+from cloak_core.evaluation.clean import as_bytes, clean_renders
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import SUFFIXES
 
@@ -30,7 +30,7 @@ def verify_specs(
 
 def material(size: tuple[int, int], folder: Path | None, renders: int) -> UInt8[Tensor, "B 3 H W"]:
     """Photographs, letterboxed, then renders. InputError: no pictures in the folder."""
-    rendered = as_bytes(clean_renders(renders, size))
+    rendered = clean_renders(renders, size)
     if folder is None:
         return rendered
     if not folder.is_dir():
@@ -41,8 +41,3 @@ def material(size: tuple[int, int], folder: Path | None, renders: int) -> UInt8[
     if not files:
         raise InputError(f"{folder}: holds no pictures ({', '.join(SUFFIXES)})")
     return torch.cat([torch.stack([as_bytes(framed(read_image(path), size)) for path in files]), rendered])
-
-
-def as_bytes(images: Float[Tensor, "*B 3 H W"]) -> UInt8[Tensor, "*B 3 H W"]:
-    """From [0, 1]: a quarter of the memory."""
-    return (images * 255).round().to(torch.uint8)

@@ -151,3 +151,16 @@ def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
     detector = load_detector(f"onnx:{path}:yolov5-raw")
     assert detector(images(2, SIDE, SIDE)).scores.shape == (2, 3 * (64 + 16 + 4))
     assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
+
+
+def test_the_kit_asks_onnxruntime(tmp_path: Path) -> None:
+    path = finished(Made()).save(tmp_path / "m.onnx")
+    detector = load_detector(f"onnx:{path}@conf=0.3")
+    report = verify(detector, images(5, SIDE, SIDE))
+    assert report["failed"] == [] and report["layout"] == "yolov8" and report["operating_point"] == 0.3
+    assert 0 < report["forward_ratio"] and report["parity_scores"] <= 1e-4 and report["parity_boxes_px"] <= 0.05
+    next(m for m in detector.modules() if isinstance(m, torch.nn.Conv2d)).weight.mul_(1.1)
+    assert verify(detector, images(4, SIDE, SIDE))["failed"] == ["parity"]
+    finished(Made()).save(path, names="{0: 'dog', 1: 'person'}")
+    with pytest.raises(InputError, match=r"m\.onnx: changed since it was loaded"):
+        detector.original()

@@ -53,7 +53,7 @@ def test_the_detectors_own_point_counts_beside():
 
 def test_renders_to_check_detectors_on():
     images = clean_renders(3, (40, 64))
-    assert images.shape == (3, 3, 40, 64) and 0 <= float(images.min()) < float(images.max()) <= 1
+    assert images.shape == (3, 3, 40, 64) and images.dtype == torch.uint8 and len(images.unique()) > 50
     assert torch.equal(images, clean_renders(3, (40, 64))) and not torch.equal(images[0], images[1])
     assert clean_renders(0, (40, 64)).shape == (0, 3, 40, 64)
 
