@@ -18,7 +18,7 @@ from tests.detectors.test_gradients import lowers_score
 
 pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
 
-from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture
+from cloak_core.detectors.ultralytics_family.architecture import build, fuse, read_architecture
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
 from cloak_core.detectors.ultralytics_family.random_weights import settle_batch_norm
 
@@ -208,6 +208,34 @@ def test_the_averaged_model_counts(small: Path, tmp_path: Path) -> None:
     detector = load_detector(f"ultralytics:{path}@96,person=1")
     expected = load_detector(f"ultralytics:{small}")
     torch.testing.assert_close(detector(images(1)).scores, expected(images(1)).scores)
+
+
+@pytest.mark.slow
+def test_a_file_whose_batch_norm_was_folded_already(small: Path, tmp_path: Path) -> None:
+    model = lively("yolov8n", 3).half().float()
+    fuse(model)
+    torch.save({"model": model}, tmp_path / "fused.pt")
+    batch, expected = images(2, 96, 96), load_detector(f"ultralytics:{small}")
+    found = load_detector(f"ultralytics:{tmp_path / 'fused.pt'}@96,person=1")(batch)
+    torch.testing.assert_close(found.scores, expected(batch).scores, atol=1e-6, rtol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["yolov8n-rtdetr", *long("yolov9t", "yolov10n", "yolo26n", "yolo26n-pose")])
+def test_a_file_of_any_family(name: str, tmp_path: Path) -> None:
+    torch.save({"model": lively(name, 1 if "pose" in name else 80)}, tmp_path / "a.pt")
+    detector = load_detector(f"ultralytics:{tmp_path / 'a.pt'}@{SIDE}")
+    boxes, scores = said(lively(name, 1 if "pose" in name else 80), batch := images(2, SIDE, SIDE), 0)
+    found = detector(batch)  # classes that are but numbers: 80 are COCO's, one of a pose network a person
+    torch.testing.assert_close(found.scores[:, : scores.shape[1]], scores, atol=1e-5, rtol=2e-3)
+    torch.testing.assert_close(found.boxes[:, : scores.shape[1]], boxes, atol=2e-3, rtol=1e-3)
+
+
+def test_the_first_layer_of_early_yolov9_files() -> None:
+    architecture = read_architecture("yolov9t.yaml")
+    layers = [[-1, 1, "Silence", []], [-1, 1, "Conv", [8, 3, 2]]]
+    own = architecture | {"backbone": layers, "head": [[[1], 1, "Detect", ["nc"]]]}
+    assert type(build(own, "a.yaml").model[0]) is nn.Identity and layers[0][2] == "Silence"
 
 
 BAD = {

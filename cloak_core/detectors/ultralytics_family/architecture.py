@@ -76,11 +76,12 @@ def build(architecture: dict, where: str) -> nn.Module:
     InputError: a description that is none, asks for what is refused, or cannot be built.
     """
     with library() as tasks:
+        architecture = _renamed(architecture)
         head = check(architecture, tasks, where)
         kind = tasks.RTDETRDetectionModel if head == QUERIES else tasks.DetectionModel
         try:
             with torch.device("meta"):
-                layers, _ = tasks.parse_model(copy.deepcopy(architecture), ch=3, verbose=False)
+                layers, _ = tasks.parse_model(copy.deepcopy(architecture), ch=3, verbose=False)  # takes no memory
             if sum(weights.numel() for weights in layers.parameters()) > MAX_PARAMETERS:
                 raise ValueError("more parameters than any model taken here")
             with torch.random.fork_rng(devices=[]):
@@ -121,6 +122,15 @@ def check(architecture: dict, tasks: ModuleType, where: str) -> str:
     if head not in (*DENSE, QUERIES):
         raise InputError(f"{where}: its head is {head}; detection is needed ({', '.join(DENSE)} or {QUERIES})")
     return head
+
+
+def _renamed(architecture: dict) -> dict:
+    """The description with the one layer renamed that early YOLOv9 files call otherwise."""
+    backbone = architecture.get("backbone")
+    if not isinstance(backbone, list) or not backbone or "Silence" not in backbone[0]:
+        return architecture
+    first = ["nn.Identity" if part == "Silence" else part for part in backbone[0]]
+    return architecture | {"backbone": [first, *backbone[1:]]}
 
 
 def _layers(architecture: dict, where: str) -> list[tuple]:

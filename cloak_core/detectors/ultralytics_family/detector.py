@@ -91,6 +91,8 @@ def _network(architecture: dict, checkpoint: Checkpoint | None, where: str) -> n
     if checkpoint is None:
         settle_batch_norm(network)
     else:
+        if not any(".bn." in key for key in checkpoint.state):  # saved after its batch norm was folded
+            fuse(network)
         load_state(network, checkpoint.state, checkpoint.path)
         _as_in_the_file(network, checkpoint)
     if architecture["head"][-1][2] != QUERIES:
