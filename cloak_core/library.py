@@ -25,6 +25,7 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
 from cloak_core.scene.opening import load_scene
+from cloak_core.zoo.shelf import run_path
 
 if TYPE_CHECKING:
     from cloak_core.evaluation.inference import OnProgress
@@ -81,14 +82,18 @@ def evaluate(
     backgrounds: Backgrounds | Named | None = None,
     detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
     *,
+    colors: Named | None = None,
+    out: Named | None = None,
     angles: Sequence[float] | str = "-10:10:1",
     settings: EvaluateSettings | None = None,
     device: str = "cpu",
     on_progress: OnProgress | None = None,
     **changes: object,
 ) -> dict:
-    """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation.
+    """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
+    run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
+    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME.
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
     loaded on `device`; None takes those that the run was trained against. angles: azimuths in degrees. How to evaluate:
@@ -101,22 +106,28 @@ def evaluate(
     """
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluation_folder import FOLDER
+    from cloak_core.evaluation.foreign import colors_of
 
     settings = _either(settings, changes, EvaluateSettings)
-    folder = Path(run.out if isinstance(run, RunResult) else run)
+    folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
     bodies, backgrounds = _unseen(scene, backgrounds, config)
-    logo = load_logo(bodies, folder / "logo.npy")
+    logo, place = load_logo(bodies, folder / "logo.npy"), FOLDER
+    if colors is None:
+        worn, trained = read_colors(folder / "colors.npy", len(logo)), config
+    else:
+        worn, trained, name = colors_of(colors, logo, bodies)
+        place = f"{FOLDER}-{name}"
     return evaluate_logo(
-        read_colors(folder / "colors.npy", len(logo)),
+        worn,
         logo,
         bodies,
         backgrounds,
         _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device),
         from_plain("angles", angles, Angles) if isinstance(angles, str) else angles,
         settings,
-        training=config,
-        out=folder / FOLDER,
+        training=trained,
+        out=folder / place if out is None else Path(out),
         on_progress=on_progress,
     )
 

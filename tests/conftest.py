@@ -16,7 +16,19 @@ from tests import reliability_record
 os.environ["CLOAK_CACHE"] = "off"
 
 # Not the commands: tyro fills required options with a marker before the user's words replace it.
-ROOMS = ("attack", "bench", "detectors", "evaluation", "exchange", "files", "output", "pretrain", "render", "scene")
+ROOMS = (
+    "attack",
+    "bench",
+    "detectors",
+    "evaluation",
+    "exchange",
+    "files",
+    "output",
+    "pretrain",
+    "render",
+    "scene",
+    "zoo",
+)
 install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")
 
 

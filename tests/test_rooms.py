@@ -10,12 +10,13 @@ CORE = Path(__file__).parents[1] / "cloak_core"
 MAY_IMPORT = {
     "files": set(),
     "exchange": {"files"},
+    "zoo": {"files", "exchange"},
     "scene": {"files", "exchange"},
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},
-    "attack": {"files", "exchange", "scene", "render", "detectors"},
+    "attack": {"files", "exchange", "zoo", "scene", "render", "detectors"},
     "output": {"files", "exchange", "scene", "render", "detectors"},
-    "evaluation": {"files", "exchange", "scene", "render", "detectors", "attack"},
+    "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
 }
 """Nobody imports `bench` and `pretrain` but the commands; `commands` are imported by the command line alone."""
 TOP = {"commands", "cli", "library", "bench", "pretrain", "__main__", "__init__"}

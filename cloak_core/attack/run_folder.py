@@ -20,6 +20,7 @@ from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.logo import Logo
+from cloak_core.zoo.shelf import run_path
 
 _log = logging.getLogger("cloak")
 
@@ -41,7 +42,8 @@ class RunFolder:
 
 
 def read_start(path: Path, logo: Logo) -> Float32[np.ndarray, "L 3"]:
-    """Colours [L, 3] to begin with: a file of them, or a run folder of the same logo. Raises `InputError`."""
+    """Colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. Raises `InputError`."""
+    path = run_path(path)
     if not path.is_dir():
         return read_colors(path, len(logo.face_ids))
     run = RunFolder(path)

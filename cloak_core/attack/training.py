@@ -12,6 +12,7 @@ from pathlib import Path
 import torch
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
+from cloak_core.attack.black_box import Search, search_settings
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
@@ -32,6 +33,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.render.view_files import view_files
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.geometry import face_centres
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 
@@ -71,8 +73,11 @@ def train(
     if not detectors:
         raise InputError("--detector: none given")
     for detector in detectors:
-        if not detector.differentiable:
-            raise InputError(f"--detector {detector.spec}: gives no gradients, so nothing can be trained against it")
+        if not detector.differentiable and settings.queries.black_box_queries is None:
+            hint = "ask for its answers alone with --black-box-queries"
+            raise InputError(
+                f"--detector {detector.spec}: gives no gradients, so nothing can be trained by them; {hint}"
+            )
         if detector.compiled and settings.surrogates.on:
             raise InputError(f"--detector {detector.spec}: compiled, so --shake and the like do not reach into it")
     Ensemble(settings.objective, len(detectors))  # refuses what does not fit
@@ -103,29 +108,39 @@ def _train(
     palette_file, init = settings.objective.palette, settings.optimization.init
     palette = None if palette_file is None else read_palette(palette_file)
     trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
-    batcher = make_batcher(settings, trained, logo, device)
+    is_search = settings.queries.black_box_queries is not None
+    if is_search and (held is not None or world.size > 1):
+        raise InputError("--black-box-queries: searches in one process, without --held-out")
+    drawn = search_settings(settings, len(detectors)) if is_search else settings
+    batcher = make_batcher(drawn, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
     start = None if init is None else read_start(Path(init), logo)
     config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start)
+    clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
+    first = initial_colors(settings.optimization, clothing, settings.run.seed)
+    first = first if start is None else torch.from_numpy(start).to(device)
     with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
-        objective = Objective(settings, logo, detectors, device, palette)
-        held_out = None
-        if held is not None:
-            held_batcher = make_batcher(held_out_settings(settings), held, logo, device)
-            held_out = HeldOut(settings.run, held_batcher, objective, world)
-        clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
-        first = initial_colors(settings.optimization, clothing, settings.run.seed)
-        first = first if start is None else torch.from_numpy(start).to(device)
-        rounds = settings.optimization.smooth
-        smoothing = Smoothing(logo.edges, len(logo), rounds, device) if rounds else None
-        optimizer = ColorOptimizer(settings.optimization, first, smoothing)
-        loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
+        objective = Objective(drawn, logo, detectors, device, palette)
+        if is_search:
+            centres = face_centres(bodies)[logo.face_ids]
+            loop = Search(settings, run, batcher, objective, first, centres, on_event)
+        else:
+            held_out = None if held is None else _held_out(settings, held, logo, objective, world)
+            rounds = settings.optimization.smooth
+            smoothing = Smoothing(logo.edges, len(logo), rounds, device) if rounds else None
+            optimizer = ColorOptimizer(settings.optimization, first, smoothing)
+            loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
+
+
+def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective: Objective, world: World) -> HeldOut:
+    batcher = make_batcher(held_out_settings(settings), held, logo, local_device(settings.compute.device))
+    return HeldOut(settings.run, batcher, objective, world)
 
 
 def make_bank(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewBank:

@@ -23,7 +23,12 @@ class Evaluate(Command):
     """Measure a trained cloak on unseen bodies, backgrounds and angles, beside controls on the same images."""
 
     run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote."""
+    """Run folder that `cloak train` wrote, or zoo:NAME."""
+    colors: str | None = None
+    """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map, another run,
+    or zoo:NAME; written to RUN/evaluation-NAME."""
+    out: Path | None = None
+    """Folder for the evaluation (default: RUN/evaluation)."""
     scene: str | None = None
     """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
     backgrounds: str | None = None
@@ -41,9 +46,10 @@ class Evaluate(Command):
     def run(self) -> dict:
         from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import evaluate
+        from cloak_core.zoo.shelf import run_path
 
         prepare_process(self.compute)
-        config = read_run(self.run_folder)
+        config = read_run(run_path(self.run_folder))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("evaluating", total=None)
@@ -52,6 +58,8 @@ class Evaluate(Command):
                 self.scene,
                 self.backgrounds,
                 dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
+                colors=self.colors,
+                out=self.out,
                 angles=self.angles,
                 settings=self.settings,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),

@@ -168,19 +168,20 @@ class Transfer(Command):
     out: Path
     """Face list to write; trained colours go beside it, as NAME-colors.npy."""
     colors: Path | None = None
-    """Run folder whose colours come along."""
+    """Run folder (or zoo:NAME) whose colours come along."""
 
     def run(self) -> dict:
         from cloak_core.exchange.colors import read_colors, write_colors
         from cloak_core.output.transfer import transfer_logo
         from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.zoo.shelf import run_path
 
         painted = self.out.with_name(self.out.stem + "-colors.npy")
         for path in [self.out] + [painted] * (self.colors is not None):
             require_new(path)
         source, target = load_scene(self.source), load_scene(self.target)
         ids = load_logo(source, self.logo).face_ids
-        colors = None if self.colors is None else read_colors(self.colors / "colors.npy", len(ids))
+        colors = None if self.colors is None else read_colors(run_path(self.colors) / "colors.npy", len(ids))
         moved = transfer_logo(source, ids, target, colors)
         result = write_logo(self.out, target, moved.face_ids)
         if moved.colors is not None:

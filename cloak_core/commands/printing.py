@@ -18,7 +18,7 @@ class Print(Command):
     """Lay a run's logo out flat at true size: texture, textured body (GLB, OBJ) and sheets to print and cut (PDF)."""
 
     run_folder: Positional[Path]
-    """Run folder that `cloak train` wrote."""
+    """Run folder that `cloak train` wrote, or zoo:NAME."""
     out: Path
     """New folder to write."""
     scene: str | None = None
@@ -37,16 +37,18 @@ class Print(Command):
         from cloak_core.output.printing import print_logo
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.logos.palette import read_palette
+        from cloak_core.zoo.shelf import run_path
 
         palette = None if self.palette is None else read_palette(self.palette)
-        config = read_run(self.run_folder)
+        folder = run_path(self.run_folder)
+        config = read_run(folder)
         scene = self.scene or config.get("inputs", {}).get("scene")
         if not scene:
             raise InputError("--scene: say which body (the run does not record it)")
         bodies = load_scene(scene)
-        ids = load_logo(bodies, self.run_folder / "logo.npy").face_ids
-        colors = read_colors(self.run_folder / "colors.npy", len(ids))
-        how = {"title": self.run_folder.resolve().name, "palette": palette, "project": self.project}
+        ids = load_logo(bodies, folder / "logo.npy").face_ids
+        colors = read_colors(folder / "colors.npy", len(ids))
+        how = {"title": folder.resolve().name, "palette": palette, "project": self.project}
         report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 

@@ -14,6 +14,7 @@ from cloak_core.attack.settings import COMPONENTS, PRESETS, Preset, TrainSetting
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.views import ViewSettings
@@ -62,6 +63,7 @@ class Train(Command):
     objective: Annotated[OmitArgPrefixes[LossSettings], arg(name="loss")]
     surrogates: Annotated[OmitArgPrefixes[SurrogateSettings], arg(name="surrogates")]
     optimization: Annotated[OmitArgPrefixes[OptimizerSettings], arg(name="optimiser")]
+    queries: Annotated[OmitArgPrefixes[QuerySettings], arg(name="black box")]
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")]
 
     @classmethod
@@ -131,6 +133,9 @@ class Train(Command):
             words += f"; the colours are those of step {result['colors_step']}"
         if not RANK:
             out.print(f"wrote {result['out']}: step {result['step']}{words}")
+        if "queries" in result and not RANK:
+            shares = ", ".join(f"{success:.2f} at {queries}" for queries, success in result["curve"])
+            out.print(f"{result['queries']} images asked; success on each round's new images: {shares}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
 

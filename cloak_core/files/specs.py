@@ -14,3 +14,11 @@ def split_spec(spec: str) -> list[str]:
     everywhere. So a file whose name is one letter, before a path from the root, is written `./a:/b`.
     """
     return _PART.findall(spec)
+
+
+def without_folders(text: str) -> str:
+    """Commands and specs with the names of files alone: where they lie is nobody's business.
+
+    onnx:/a/b/c.onnx@320 -> onnx:c.onnx@320
+    """
+    return re.sub(r"/?([^\s/:=@,]+/)+", "", text)

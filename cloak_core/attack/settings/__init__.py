@@ -21,6 +21,7 @@ from typing import Literal
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.values import Within, Written, from_plain, option
@@ -42,6 +43,7 @@ class TrainSettings:
     objective: LossSettings = field(default_factory=LossSettings)
     surrogates: SurrogateSettings = field(default_factory=SurrogateSettings)
     optimization: OptimizerSettings = field(default_factory=OptimizerSettings)
+    queries: QuerySettings = field(default_factory=QuerySettings)
     compute: ComputeSettings = field(default_factory=ComputeSettings)
 
     def __post_init__(self) -> None:
@@ -73,6 +75,7 @@ COMPONENTS: dict[str, type] = {
     "objective": LossSettings,
     "surrogates": SurrogateSettings,
     "optimization": OptimizerSettings,
+    "queries": QuerySettings,
     "compute": ComputeSettings,
 }
 """Of `TrainSettings`, by the name of the field."""

@@ -38,7 +38,8 @@ class OptimizerSettings:
     initial: Literal["grey", "random", "clothing"] = "grey"
     """First colours: grey, random (uniform per face and channel), or those of the first outfit."""
     init: str | None = None
-    """Go on from these colours instead: a run folder of the same logo, or colours [L, 3] (`cloak logo transfer`)."""
+    """Go on from these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
+    transfer`)."""
 
     def check(self) -> None:
         """InputError: values that do not go together."""

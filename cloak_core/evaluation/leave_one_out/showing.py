@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.figures import SERIES, new_figure, save_figure, style
 from cloak_core.evaluation.leave_one_out.matrix import summary
 from cloak_core.evaluation.report.words import interval, percent, short_name
+from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_text
 
 MARKS = {"sibling": "", "stranger": " *"}
@@ -110,8 +110,6 @@ def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> l
     with style():
         files = save_figure(heat_map(cells), folder / name)
     text = [f"# Transfer: {name}", "", caption(cells), "", f"![Heat map]({name}.png)", "", *tables(cells)]
-    # Names alone: where files lie is nobody's business.
-    named = re.sub(r"/?([^\s/:=@]+/)+", "", command)
-    text += [f"`{named}`", ""] if named else []
+    text += [f"`{without_folders(command)}`", ""] if command else []
     write_text(folder / f"{name}.md", "\n".join(text))
     return [*files, folder / f"{name}.md"]

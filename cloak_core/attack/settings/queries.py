@@ -1,0 +1,21 @@
+"""Settings of `attack.black_box`: colours from a detector's answers alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from cloak_core.attack.settings.values import Within
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuerySettings:
+    """How a detector is asked that gives no gradient."""
+
+    black_box_queries: Annotated[int | None, Within(1, 10_000_000)] = None
+    """Search with the detectors' answers alone, showing them so many images in all; best from transferred colours
+    (--init). Steps, optimiser and loss then mean nothing; None trains by gradients."""
+    query_block: Annotated[float, Within(0, 1, "(]")] = 0.3
+    """Share of the logo's faces that the first tries change at once; the last ones change a sixteenth of it."""
+    query_change: Annotated[float, Within(0, 1, "(]")] = 0.3
+    """How far a try moves colours, in units of colour."""

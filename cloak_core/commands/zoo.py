@@ -1,0 +1,116 @@
+"""`cloak zoo`: trained colours that ship with the project."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.table import Table
+from tyro.conf import Positional
+
+from cloak_core.commands.base import Command, out
+
+
+@dataclass(kw_only=True)
+class List(Command):
+    """List the zoo: zoo:NAME stands for a run folder wherever one is taken (evaluate, print, --init, --colors)."""
+
+    def run(self) -> dict:
+        from cloak_core.zoo.entry import success
+        from cloak_core.zoo.shelf import entry, shelved
+
+        records = [entry(name).record for name in shelved()]
+        kept = ("name", "detectors", "logo", "about", "licence", "faces")
+        return {"zoo": [{key: record[key] for key in kept} | {"success": success(record)} for record in records]}
+
+    def show(self, result: dict) -> None:
+        from cloak_core.evaluation.report.words import percent, short_name
+
+        table = Table(title="zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)")
+        for column in ("name", "logo", "trained on", "success", "licence"):
+            table.add_column(column, justify="right" if column == "success" else "left")
+        for record in result["zoo"]:
+            trained = ", ".join(short_name(spec) for spec in record["detectors"])
+            table.add_row(record["name"], record["logo"], trained, percent(record["success"]), record["licence"])
+        out.print(table)
+
+
+@dataclass(kw_only=True)
+class Show(Command):
+    """Show an entry's record: where its colours come from, and what they are worth."""
+
+    name: Positional[str]
+    """Name of the entry."""
+
+    def run(self) -> dict:
+        from cloak_core.zoo.shelf import entry
+
+        return entry(self.name).record
+
+    def show(self, result: dict) -> None:
+        from cloak_core.evaluation.report.words import interval, percent, short_name
+
+        out.print(f"{result['name']}: {result['about']}")
+        out.print(f"{result['logo']}, {result['faces']} faces; {result['licence']}; seed {result['seed']}")
+        out.print(f"trained on {', '.join(short_name(spec) for spec in result['detectors'])}: {result['command']}")
+        table = Table(title="success on bodies, backgrounds and angles that training never saw")
+        for column in ("judged by", "box", "at 0.6", "95 %", "at its own", "random", "images"):
+            table.add_column(column, justify="left" if column in ("judged by", "box") else "right")
+        told = result["evaluation"]
+        boxes = {True: "white", False: "black"}
+        for spec, rates in told["detectors"].items():
+            logo, random = rates["logo"], rates.get("random", {})
+            shares = percent(logo["success"]), interval(logo["ci95"]), percent(logo["success_own"])
+            box = boxes.get(told["white_box"].get(spec), "?")
+            table.add_row(short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"]))
+        out.print(table)
+
+
+@dataclass(kw_only=True)
+class Export(Command):
+    """Write an entry as a run folder: colors.npy, logo.npy, config.json."""
+
+    name: Positional[str]
+    """Name of the entry."""
+    out: Path
+    """New folder to write."""
+
+    def run(self) -> dict:
+        from cloak_core.zoo.shelf import entry
+
+        found = entry(self.name)
+        return {"out": str(found.write_run(self.out)), "faces": len(found.ids), "name": found.record["name"]}
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['out']}: {result['faces']} faces of zoo:{result['name']}")
+
+
+@dataclass(kw_only=True)
+class Add(Command):
+    """Make an entry of a finished run and its evaluation (for those who ship Cloak)."""
+
+    run_folder: Positional[Path]
+    """Run folder with its evaluation."""
+    name: str
+    """Of the entry: small letters, digits, dots and dashes."""
+    about: str
+    """One line for people."""
+    command: str = ""
+    """The command that trained it, for the record; folders are left out."""
+    licence: str = "CC0-1.0"
+    """Of the colours."""
+    folder: Path | None = None
+    """Folder of entries (default: the one that ships)."""
+
+    def run(self) -> dict:
+        from cloak_core.zoo.entry import write_entry
+        from cloak_core.zoo.shelf import SHELF
+
+        folder = self.folder or SHELF
+        words = {"about": self.about, "licence": self.licence, "command": self.command}
+        write_entry(folder, self.name, self.run_folder, **words)
+        files = [folder / f"{self.name}.{end}" for end in ("npz", "json")]
+        return {"files": [str(path) for path in files], "bytes": sum(path.stat().st_size for path in files)}
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {' and '.join(result['files'])}, {result['bytes']:,} bytes")

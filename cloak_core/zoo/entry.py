@@ -1,0 +1,148 @@
+"""One entry of the zoo: two small files, NAME.npz (colours, faces, the run's configuration) and NAME.json for people.
+
+Colours are rounded to 1/255, as in any texture; faces are a bit each. Read back, an entry is a run folder like any
+other, without what only resuming needs.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_face_list, write_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import parse_json, read_json, read_npz
+from cloak_core.files.specs import without_folders
+from cloak_core.files.writing import new_folder, write_json, write_npz
+
+FORMAT = "cloak zoo 1"
+_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+_SHOWN = ("success", "success_own", "ci95", "ci95_own", "ap50", "n")
+"""Of an evaluation's rates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """Colours [L, 3] float32 of the faces `ids` [L] int64, and their record."""
+
+    record: dict
+    config: dict
+    """The run's config.json, as far as an evaluation asks for it."""
+    colors: np.ndarray
+    ids: np.ndarray
+
+    def write_run(self, folder: Path) -> Path:
+        """Make a run folder of it. InputError: it exists and holds something."""
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: exists already")
+        with new_folder(folder) as temporary:
+            write_json(temporary / "config.json", self.config)
+            write_json(temporary / "zoo.json", self.record)
+            write_face_list(temporary / "logo.npy", self.ids, self.config["topology"])
+            write_colors(temporary / "colors.npy", self.colors)
+        return folder
+
+
+def read_entry(folder: Path, name: str) -> Entry:
+    """Entry NAME of a folder of them. InputError: there is none, or its files are damaged or of another version."""
+    if not _NAME.fullmatch(name) or not (folder / f"{name}.json").exists():
+        raise InputError(f"zoo:{name}: no such entry (known: {', '.join(names(folder)) or 'none'}; cloak zoo list)")
+    path = folder / f"{name}.npz"
+    record, arrays = read_json(folder / f"{name}.json"), read_npz(path)
+    if record.get("format") != FORMAT:
+        raise InputError(f"{folder / name}.json: format {record.get('format')!r}, this version reads {FORMAT!r}")
+    try:
+        count, colors = int(record["face_count"]), arrays["colors"]
+        config = parse_json(arrays["config"].tobytes(), str(path))
+        ids = np.flatnonzero(np.unpackbits(arrays["faces"], count=count)).astype(np.int64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: not a zoo entry ({error})") from None
+    if colors.dtype != np.uint8 or colors.shape != (len(ids), 3) or sha256_arrays(colors) != record.get("colors"):
+        raise InputError(f"{path}: damaged: its colours are not those of its record")
+    return Entry(record, config, colors.astype(np.float32) / 255, ids)
+
+
+def names(folder: Path) -> list[str]:
+    """Of the entries in a folder, sorted."""
+    return sorted(path.stem for path in folder.glob("*.json") if path.with_suffix(".npz").exists())
+
+
+def write_entry(folder: Path, name: str, run: Path, *, about: str, licence: str, command: str = "") -> dict:
+    """Make an entry of a finished and evaluated run; returns its record.
+
+    InputError: a bad name, an unfinished run, or one without an evaluation (`cloak evaluate RUN` leaves it there).
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"--name {name}: small letters, digits, dots and dashes")
+    config, faces = read_json(run / "config.json"), read_face_list(run / "logo.npy")
+    colors = np.round(255 * read_colors(run / "colors.npy", len(faces.ids))).astype(np.uint8)
+    if not (run / "evaluation" / "summary.json").exists():
+        raise InputError(f"{run}: has no evaluation yet (cloak evaluate {run})")
+    mask = np.zeros(config["scene"]["faces"], bool)
+    mask[faces.ids] = True
+    config = _kept(config)
+    record = {
+        "format": FORMAT,
+        "name": name,
+        "about": about,
+        "licence": licence,
+        "command": without_folders(command),
+        "seed": config["settings"]["seed"],
+        "detectors": [detector["spec"] for detector in config["detectors"]],
+        "logo": Path(config["inputs"].get("logo", "logo")).stem,
+        "faces": len(faces.ids),
+        "face_count": len(mask),
+        "colors": sha256_arrays(colors),
+        "topology": config["topology"],
+        "cloak": config["cloak"],
+        "evaluation": _evaluation(read_json(run / "evaluation" / "summary.json")),
+    }
+    told = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
+    write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told)
+    write_json(folder / f"{name}.json", record)
+    return record
+
+
+def _kept(config: dict) -> dict:
+    """A run's configuration without folders, nor what only resuming asks for."""
+    kept = {key: value for key, value in config.items() if key not in ("environment", "held_out")}
+    kept["inputs"] = {key: without_folders(value) for key, value in config["inputs"].items()}
+    kept["detectors"] = [_unplaced(detector) for detector in config["detectors"]]
+    pictures = config["backgrounds"]
+    kept["backgrounds"] = {key: pictures[key] for key in ("count", "identities", "looks") if key in pictures}
+    return kept
+
+
+def _unplaced(detector: dict) -> dict:
+    found = detector | {"spec": without_folders(detector["spec"])}
+    source = detector.get("source")
+    if isinstance(source, dict) and isinstance(source.get("spec"), str):
+        found["source"] = source | {"spec": without_folders(source["spec"])}
+    return found
+
+
+def _evaluation(summary: dict) -> dict:
+    """Of the run's colours before they were rounded to 1/255: what the record keeps of it."""
+    controls = ("logo", *summary["settings"]["controls"])
+    rates = {
+        without_folders(spec): {name: {key: told[name].get(key) for key in _SHOWN} for name in controls if name in told}
+        for spec, told in summary["detectors"].items()
+    }
+    white = {without_folders(spec): box for spec, box in summary.get("white_box", {}).items()}
+    points = {without_folders(spec): at for spec, at in summary.get("operating_points", {}).items()}
+    kept = {key: summary[key] for key in ("unseen", "settings", "false_alarms") if key in summary}
+    kept["false_alarms"] = {without_folders(spec): x for spec, x in kept.get("false_alarms", {}).items()}
+    inputs = {key: summary["inputs"][key] for key in ("bodies", "scene", "backgrounds")}
+    return kept | {"detectors": rates, "white_box": white, "operating_points": points, "inputs": inputs}
+
+
+def success(record: dict) -> float | None:
+    """Mean success of an entry over the detectors that its evaluation asked."""
+    rates = [told["logo"]["success"] for told in record["evaluation"]["detectors"].values()]
+    return round(float(np.mean(rates)), 4) if rates else None

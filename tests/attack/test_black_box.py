@@ -1,0 +1,76 @@
+"""The search with answers alone: bounded, better than where it began, resumable to the same colours."""
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.attack.black_box import TRIES, asks
+from cloak_core.attack.events import read_events
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.files.errors import InputError
+from tests.attack.fakes import TinyDetector, tiny_settings
+from tests.attack.test_training import run
+
+
+class Asked(Detector):
+    """Gives no gradient, counts the images it is shown, and finds a person in what is redder than blue."""
+
+    differentiable = False
+
+    def __init__(self) -> None:
+        super().__init__("asked", "asked")
+        self.images = 0
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        assert not images.requires_grad
+        self.images += len(images)
+        scores = torch.sigmoid(40 * (images[:, :1] - images[:, 2:]).mean((2, 3)))
+        return Detections(scores.new_zeros(*scores.shape, 4), scores)
+
+
+HOW = {"batch": 4, "steps": None, "epochs": 1, "noise": 0.0, "preview_every": 0, "checkpoint_every": 0}
+
+
+@pytest.mark.slow
+def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path):
+    detector = Asked()
+    result = run(tmp_path / "run", [detector], black_box_queries=203, angles="0", translation=0, **HOW)
+    assert detector.images == result.queries == 200 and result.step == result.steps == 50
+    rounds = [event for event in read_events(tmp_path / "run" / "events.jsonl") if event["type"] == "round"]
+    assert len(rounds) == len(result.curve) == -(-50 // (TRIES + 1))
+    assert rounds[-1]["disappearance"] < rounds[0]["disappearance"] - 0.1
+    kept = [event["kept"] for event in read_events(tmp_path / "run" / "events.jsonl") if event["type"] == "step"]
+    assert any(kept) and not all(kept)
+    red, blue = result.colors[:, 0].mean(), result.colors[:, 2].mean()
+    assert blue > red and result.colors.min() >= 0 and result.colors.max() <= 1
+    assert result.record()["queries"] == 200 and len(result.record()["curve"]) == len(rounds)
+
+
+@pytest.mark.slow
+def test_a_stopped_search_goes_on_to_the_same_colours(tmp_path):
+    whole = run(tmp_path / "whole", [Asked()], black_box_queries=60, **HOW)
+    stop = lambda event: (tmp_path / "part" / "cancel").touch() if event["step"] == 13 else None
+    part = run(tmp_path / "part", [Asked()], on_event=stop, black_box_queries=60, **HOW)
+    assert part.stopped == "cancel file" and part.step < part.steps
+    rest = run(tmp_path / "part", [Asked()], resume=True, black_box_queries=60, **HOW)
+    assert np.array_equal(whole.colors, rest.colors) and whole.curve == rest.curve
+    with pytest.raises(InputError, match="black_box_queries"):
+        run(tmp_path / "part", [Asked()], resume=True, black_box_queries=160, **HOW)
+
+
+@pytest.mark.slow
+def test_every_detectors_images_count_and_a_start_is_taken(tmp_path):
+    first = run(tmp_path / "first", [TinyDetector()], steps=1, preview_every=0)
+    result = run(tmp_path / "run", [Asked(), TinyDetector()], black_box_queries=16, init=str(tmp_path / "first"), **HOW)
+    assert result.queries == 16 and result.steps == 2
+    changed = (result.colors != first.colors).any(1).mean()
+    assert changed <= 0.5  # a single patch at most
+    with pytest.raises(InputError, match="fewer than the 16"):
+        asks(tiny_settings(black_box_queries=15, batch=4), 2)
+
+
+def test_without_gradients_training_points_to_the_search(tmp_path):
+    with pytest.raises(InputError, match="--black-box-queries"):
+        run(tmp_path / "run", [Asked()])
+    with pytest.raises(InputError, match="without --held-out"):
+        run(tmp_path / "run", [Asked()], black_box_queries=100, held_out=0.2, **HOW)

@@ -1,0 +1,159 @@
+"""Entries of the zoo: made of a run, read back as a run, refused where damaged; and colours made elsewhere."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core import library
+from cloak_core.attack.run_folder import read_start
+from cloak_core.cli import main
+from cloak_core.evaluation.foreign import colors_of
+from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.specs import without_folders
+from cloak_core.render.texture import look_up
+from cloak_core.scene.logos.logo import load_logo, make_logo
+from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.zoo.entry import Entry, names, read_entry, write_entry
+from cloak_core.zoo.shelf import SHELF, entry, run_path, shelved
+
+
+def test_folders_are_left_out_of_commands_and_specs():
+    assert without_folders("darknet:/a/b/c.cfg:d/e.weights@320") == "darknet:c.cfg:e.weights@320"
+    assert (
+        without_folders("cloak train --out /x/y/run --scene=../b.npz[0:4]")
+        == "cloak train --out run --scene=b.npz[0:4]"
+    )
+    assert without_folders("sample:train") == "sample:train"
+
+
+@pytest.fixture
+def a_run(tmp_path):
+    """A finished run's folder with an evaluation's summary, as far as an entry needs it."""
+    shipped = entry(shelved()[0])
+    run = shipped.write_run(tmp_path / "run")
+    config = read_json(run / "config.json")
+    config["inputs"] = {"scene": "/home/someone/bodies.npz[0:4]", "logo": "/home/someone/shirt.npy"}
+    config["detectors"][0]["spec"] = "onnx:/home/someone/a.onnx@320"
+    (run / "config.json").write_text(json.dumps(config))
+    told = {"success": 0.5, "ci95": [0.4, 0.6], "success_own": 0.25, "n": 8, "mean_score": 0.1}
+    summary = {
+        "detectors": {"onnx:/home/someone/a.onnx@320": {"logo": told, "random": told, "by_angle": {}}},
+        "settings": {"controls": ["random"]},
+        "white_box": {"onnx:/home/someone/a.onnx@320": True},
+        "false_alarms": {"onnx:/home/someone/a.onnx@320": 0.0},
+        "unseen": {"bodies": True, "backgrounds": True},
+        "inputs": {"bodies": ["x"], "scene": "s", "backgrounds": 3},
+    }
+    (run / "evaluation").mkdir()
+    (run / "evaluation" / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+def test_a_run_becomes_an_entry_and_a_run_again(a_run, tmp_path):
+    record = write_entry(tmp_path, "mine-1", a_run, about="a test", licence="CC0-1.0", command="cloak train --out /a/b")
+    assert (record["detectors"], record["logo"], record["command"]) == (
+        ["onnx:a.onnx@320"],
+        "shirt",
+        "cloak train --out b",
+    )
+    assert record["evaluation"]["detectors"]["onnx:a.onnx@320"]["logo"]["success_own"] == 0.25
+    assert "someone" not in (tmp_path / "mine-1.json").read_text()
+    assert names(tmp_path) == ["mine-1"]
+    found = read_entry(tmp_path, "mine-1")
+    back = found.write_run(tmp_path / "back")
+    assert np.abs(read_colors(back / "colors.npy") - read_colors(a_run / "colors.npy")).max() <= 0.5 / 255 + 1e-7
+    ours, theirs = read_face_list(back / "logo.npy"), read_face_list(a_run / "logo.npy")
+    assert np.array_equal(ours.ids, theirs.ids) and ours.topology == theirs.topology
+    with pytest.raises(InputError, match="exists already"):
+        found.write_run(tmp_path / "back")
+
+
+def test_what_is_no_entry_is_refused(a_run, tmp_path):
+    write_entry(tmp_path, "mine", a_run, about="", licence="")
+    for bad in ("../mine", "Mine", "absent"):
+        with pytest.raises(InputError, match="no such entry"):
+            read_entry(tmp_path, bad)
+    with pytest.raises(InputError, match="--name"):
+        write_entry(tmp_path, "a/b", a_run, about="", licence="")
+    arrays = dict(np.load(tmp_path / "mine.npz"))
+    arrays["colors"][0, 0] ^= 1
+    np.savez(tmp_path / "mine.npz", **arrays)
+    with pytest.raises(InputError, match="damaged"):
+        read_entry(tmp_path, "mine")
+    (a_run / "evaluation" / "summary.json").unlink()
+    with pytest.raises(InputError, match="no evaluation yet"):
+        write_entry(tmp_path, "mine", a_run, about="", licence="")
+
+
+@pytest.mark.parametrize("name", shelved())
+def test_every_shipped_entry_is_sound_small_and_names_no_folder(name):
+    found = entry(name)
+    assert isinstance(found, Entry) and found.colors.min() >= 0 and found.colors.max() <= 1
+    assert found.record["faces"] == len(found.ids) and found.record["command"] and found.record["licence"]
+    assert (SHELF / f"{name}.npz").stat().st_size < 64_000
+    text = (SHELF / f"{name}.json").read_text()
+    assert "/" not in json.dumps(found.record["detectors"]) and "/work" not in text and "/home" not in text
+
+
+def test_the_zoo_ships_with_the_built_in_detectors_cloak(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["zoo", "list", "--json"])
+    assert not end.value.code
+    listed = {record["name"]: record for record in json.loads(capsys.readouterr().out)["zoo"]}
+    assert listed["builtin-sample"]["detectors"] == ["builtin"] and listed["builtin-sample"]["success"] > 0.9
+
+
+def test_zoo_names_stand_for_run_folders(tmp_path):
+    folder = run_path("zoo:builtin-sample")
+    assert run_path("zoo:builtin-sample") == folder and (folder / "config.json").exists()
+    assert run_path(tmp_path) == tmp_path
+    bodies = sample_bodies("unseen")
+    logo = load_logo(bodies, folder / "logo.npy")
+    colors = read_start(folder, logo)
+    from_spec, config, name = colors_of("zoo:builtin-sample", logo, bodies)
+    assert np.array_equal(from_spec, colors) and config["detectors"] and name.startswith("builtin-sample")
+    with pytest.raises(InputError, match="zoo:nothing: no such entry"):
+        run_path("zoo:nothing")
+
+
+def test_colours_of_a_file_and_of_a_picture_on_the_uv_map(tmp_path):
+    bodies = sample_bodies("unseen")
+    logo = make_logo(bodies, np.arange(100, 140))
+    colors = np.random.default_rng(0).random((40, 3)).astype(np.float32)
+    write_colors(tmp_path / "c.npy", colors)
+    read, config, name = colors_of(tmp_path / "c.npy", logo, bodies)
+    assert np.array_equal(read, colors) and config is None and name == "c"
+    picture = np.random.default_rng(1).integers(0, 255, (64, 96, 3), dtype=np.uint8)
+    Image.fromarray(picture).save(tmp_path / "t.png")
+    if bodies.uv is None:
+        with pytest.raises(InputError, match="no UV map"):
+            colors_of(tmp_path / "t.png", logo, bodies)
+        return
+    seen = colors_of(tmp_path / "t.png", logo, bodies)[0]
+    face = logo.face_ids[7]
+    corners = bodies.uv[bodies.triangle_uv[bodies.triangle_face == face]].mean((0, 1))
+    expected = look_up(torch.from_numpy(picture), torch.from_numpy(corners.astype(np.float32))[:, None])
+    assert np.abs(seen[7] - expected.numpy()[0]).max() < 0.1
+
+
+@pytest.mark.slow
+def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
+    folder = entry("builtin-sample").write_run(tmp_path / "run")
+    bodies = sample_bodies("unseen").select_poses([0])
+    grey = np.full((len(read_colors(folder / "colors.npy")), 3), 0.5, np.float32)
+    write_colors(tmp_path / "plain.npy", grey)
+    how = {"angles": "0", "images_per_view": 1, "bare": 1, "backgrounds": "procedural:test:2"}
+    how |= {"size": 96, "shift": 5, "samples": 1, "controls": ("grey",), "resamples": 100}
+    own = library.evaluate(folder, bodies, **how)
+    other = library.evaluate(folder, bodies, colors=tmp_path / "plain.npy", **how)
+    assert own["white_box"] == {"builtin": True} and other["white_box"] == {"builtin": None}
+    rates = other["detectors"]["builtin"]
+    assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
+    assert rates["logo"]["mean_score"] > own["detectors"]["builtin"]["logo"]["mean_score"]
+    assert (folder / "evaluation").exists() and (folder / "evaluation-plain").exists()
