@@ -48,7 +48,7 @@ class Transfer(Command):
     out: Path
     """Folder for runs, evaluations, cells and the table; what is there already is not done again."""
     rungs: tuple[str, ...] = ("recipe",)
-    """What to train: best, recipe (preset transfer), a technique alone upon best (margin, adaptive, shake, depth,
+    """What to train: best, recipe (preset transfer), a technique alone upon best (score, adaptive, shake, depth,
     noise, cutout, window, quality, colour, background, sharpness, mi, smooth, views), +NAME for all up to it, or
     ladder."""
     strangers_only: bool = False

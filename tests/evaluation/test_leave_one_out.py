@@ -55,10 +55,10 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
 def test_rungs_are_alone_or_in_order_and_their_settings_exist():
     assert rungs.changes("best") == {"preset": "best"}
     assert rungs.changes("shake") == {"preset": "best", "shake": 0.3}
-    assert rungs.changes("+shake") == {"preset": "best", "loss": "margin", "ensemble": "adaptive", "shake": 0.3}
+    assert rungs.changes("+shake") == {"preset": "best", "ensemble": "adaptive", "shake": 0.3}
     assert rungs.changes("recipe") == {"preset": "transfer"}
     every = rungs.names(("ladder", "best"))
-    assert len(every) == len(set(every)) == 2 * len(rungs.LADDER) + 1
+    assert len(every) == len(set(every)) == 2 * len(rungs.LADDER) + 2
     for name in every:
         make_settings(**(dict(FRONT.training) | rungs.changes(name)))
     with pytest.raises(InputError, match="--rungs: 'nothing' is not one of"):
@@ -111,7 +111,7 @@ def test_cells_are_made_once_shared_and_survive_changed_code(tmp_path, monkeypat
     values = [cell["success"] for cell in cells]
     assert told["mean"] == pytest.approx(np.mean(values), abs=1e-4) and told["worst"] == min(values)
     with pytest.raises(Interrupted, match="time budget"):
-        matrix(out, deadline=0.0).fill(["margin"])
+        matrix(out, deadline=0.0).fill(["adaptive"])
     files = show(cells, tmp_path / "docs", "table", "cloak transfer --detector onnx:/secret/place/a.onnx --out /x/y")
     text = files[-1].read_text()
     assert "a.onnx" in text and "secret" not in text and "| onnx red | stranger |" in text

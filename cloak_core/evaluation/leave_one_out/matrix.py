@@ -170,8 +170,8 @@ def gather(out: Path) -> list[dict]:
             raise InputError(
                 f"{out / 'cells'}: a cell of another version ({cell.get('format')}); this one has {FORMAT}"
             )
-    order = rungs.names((rungs.ALL,))
-    return sorted(cells, key=lambda cell: (order.index(cell["rung"]), cell["judged"]))
+    order = {name: place for place, name in enumerate(rungs.names((rungs.ALL,)))}
+    return sorted(cells, key=lambda cell: (order.get(cell["rung"], len(order)), cell["rung"], cell["judged"]))
 
 
 def summary(cells: Sequence[dict]) -> dict:

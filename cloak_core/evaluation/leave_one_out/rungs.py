@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from cloak_core.files.errors import InputError
 
 LADDER: dict[str, dict[str, object]] = {
-    "margin": {"loss": "margin"},
     "adaptive": {"ensemble": "adaptive"},
     "shake": {"shake": 0.3},
     "depth": {"random_depth": 0.1},
@@ -23,16 +22,18 @@ LADDER: dict[str, dict[str, object]] = {
     "views": {"angles": "-20..20", "elevation": "0:20", "distance": "1.8:3.5"},
 }
 """What each rung changes of preset `best`, in order."""
+ASIDE: dict[str, dict[str, object]] = {"score": {"loss": "score"}}
+"""Rungs that stand alone: steps back from `best`."""
 BASE, RECIPE, ALL = "best", "recipe", "ladder"
 
 
 def names(asked: Sequence[str]) -> tuple[str, ...]:
     """The rungs' names, `ladder` spelled out. InputError: no such rung."""
-    whole = (BASE, *LADDER, *(f"+{name}" for name in list(LADDER)[1:]), RECIPE)
+    whole = (BASE, *ASIDE, *LADDER, *(f"+{name}" for name in list(LADDER)[1:]), RECIPE)
     found = tuple(dict.fromkeys(name for one in asked for name in (whole if one == ALL else (one,))))
     for name in found:
         if name not in whole:
-            known = ", ".join((BASE, *LADDER, RECIPE, ALL))
+            known = ", ".join((BASE, *ASIDE, *LADDER, RECIPE, ALL))
             raise InputError(f"--rungs: {name!r} is not one of {known}; +NAME is all up to NAME")
     return found
 
@@ -42,7 +43,7 @@ def changes(name: str) -> dict[str, object]:
     if name == RECIPE:
         return {"preset": "transfer"}
     if not name.startswith("+"):
-        return {"preset": "best"} | LADDER.get(name, {})
+        return {"preset": "best"} | (LADDER | ASIDE).get(name, {})
     settings: dict[str, object] = {"preset": "best"}
     for own, change in LADDER.items():
         settings |= change
