@@ -14,11 +14,13 @@ from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import box_iou, max_person_score, person_boxes
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.measurement import Boxes, Measurement
+from cloak_core.evaluation.precision import MOST_BOXES, first_hits
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
 
-BOX_THRESHOLD = 0.05
-"""Boxes scored lower are not kept: they change no average precision that matters."""
+BOX_THRESHOLD = 0.001
+"""Boxes scored lower are not kept. Detectors are commonly scored so in COCO: a cloak that only makes a detector unsure
+then still leaves it its average precision."""
 OnProgress = Callable[[int, int], None]
 """Told after every batch: images done, images in all."""
 
@@ -74,7 +76,7 @@ def _judge_trials(
                 score_on[d, c, batch] = max_score_on(detections, true).cpu().numpy()
                 found += _found(d, c, batch, detections, true.cpu())
             progress.advance(len(batch))
-    kinds = (np.int64, np.int64, np.int64, np.float32, np.bool_)
+    kinds = (np.int64, np.int64, np.int64, np.float32, np.bool_, np.float64)
     columns = (
         np.concatenate(column).astype(kind) for column, kind in zip(zip(*found, strict=True), kinds, strict=True)
     )
@@ -118,8 +120,9 @@ def _found(
 ) -> Iterator[tuple[np.ndarray, ...]]:
     """The columns of `Boxes` for each image of a batch: person boxes after non-maximum suppression; `true` [B, 4]."""
     for image, boxes, truth in zip(batch, person_boxes(detections, BOX_THRESHOLD), true, strict=True):
-        hit = np.zeros(len(boxes), bool)
-        on = (box_iou(boxes[:, :4], truth.to(boxes)) >= IOU).nonzero()[:, 0]
-        hit[on[:1]] = True  # best first
+        boxes = boxes[:MOST_BOXES]  # best first
+        # In double precision: whether an overlap is 0.55 or just below shall not hang on rounding.
+        iou = box_iou(boxes[:, :4].double(), truth.double()).numpy()
+        hit = first_hits(iou, np.zeros(len(boxes), np.int64), IOU)
         label = np.broadcast_to(np.array([[detector], [control], [int(image)]]), (3, len(boxes)))
-        yield (*label, boxes[:, 4].numpy(), hit)
+        yield (*label, boxes[:, 4].numpy(), hit, iou)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.errors import InputError
@@ -69,14 +69,17 @@ def draw_trials(
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Person boxes after non-maximum suppression, those of every detector, control and image in one long list."""
+    """Person boxes after non-maximum suppression, those of every detector, control and image in one long list; an
+    image's stand together, the surest first."""
 
     detector: Int64[np.ndarray, K]
     control: Int64[np.ndarray, K]
     image: Int64[np.ndarray, K]
     score: Float32[np.ndarray, K]
     hit: Bool[np.ndarray, K]
-    """The best box that overlaps the image's body; every other one is a false positive."""
+    """The best box that overlaps the image's body (IoU at least 0.5); every other one is a false positive."""
+    iou: Float64[np.ndarray, K]
+    """With the image's true box; nan in files of versions that kept none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,8 @@ def read_measurement(path: Path) -> Measurement:
     try:
         unsaid = {"trials_elevation": np.full(len(arrays["trials_pose"]), np.nan, np.float32)}
         trials = Trials(**{f.name: (unsaid | arrays)[f"trials_{f.name}"] for f in fields(Trials)})
-        boxes = Boxes(**{f.name: arrays[f"boxes_{f.name}"] for f in fields(Boxes)})
+        unsaid = {"boxes_iou": np.full(len(arrays["boxes_score"]), np.nan)}
+        boxes = Boxes(**{f.name: (unsaid | arrays)[f"boxes_{f.name}"] for f in fields(Boxes)})
         return Measurement(
             **{k: tuple(map(str, arrays[k])) for k in ("specs", "controls", "body_names", "background_names")},
             **{k: arrays[k] for k in ("score", "score_on", "bare")},

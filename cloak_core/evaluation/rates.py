@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Shaped
 
-from cloak_core.detectors.scoring import THRESHOLD
+from cloak_core.detectors import IOU, THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.evaluation.measurement import Measurement
+from cloak_core.evaluation.precision import OVERLAPS, average_precision_of, first_hits
 
 THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
 
@@ -64,7 +65,8 @@ def rate_record(
 
     `success`: no person box above the threshold anywhere; `success_own`: none above the detector's own one;
     `success_iou`: none on the body; `conditional`: success where the same image with the body's own clothing is
-    detected, null where none is (`n_conditional` images are); `ap50`: `average_precision` of these images.
+    detected, null where none is (`n_conditional` images are); `ap50` and `ap50_95`: `average_precision` of these
+    images (the latter null where an earlier version measured).
     """
     mask = np.ones(len(measurement.trials), bool) if mask is None else mask
     gone = measurement.score[detector, control] <= threshold
@@ -84,6 +86,7 @@ def rate_record(
         "n_conditional": conditional.n,
         "mean_score": _finite(float(measurement.score[detector, control][mask].mean()) if mask.any() else math.nan),
         "ap50": _finite(average_precision(measurement, detector, control, mask)),
+        "ap50_95": _finite(average_precision(measurement, detector, control, mask, OVERLAPS)),
     } | _own_record(measurement, detector, control, mask, own, resamples)
 
 
@@ -107,23 +110,24 @@ def threshold_curves(measurement: Measurement, detector: int) -> dict[str, dict[
 
 
 def average_precision(
-    measurement: Measurement, detector: int, control: int, mask: Bool[np.ndarray, N] | None = None
+    measurement: Measurement,
+    detector: int,
+    control: int,
+    mask: Bool[np.ndarray, N] | None = None,
+    overlaps: Sequence[float] = (IOU,),
 ) -> float:
-    """Area under precision over recall (all points, IoU 0.5): one body per image; boxes elsewhere are false positives.
+    """COCO's average precision of these images, or all: AP50, or the mean over several overlaps (`OVERLAPS`: AP50:95).
 
-    Of the images of `mask`, or all. Boxes below score 0.05 are not counted; nan without images.
+    nan without images, and for other overlaps than 0.5 where an earlier version measured.
     """
     boxes = measurement.boxes
     mask = np.ones(len(measurement.trials), bool) if mask is None else mask
     mine = (boxes.detector == detector) & (boxes.control == control) & mask[boxes.image]
-    order = np.argsort(-boxes.score[mine], kind="stable")
-    hit = boxes.hit[mine][order]
-    if not mask.any():
+    score, iou, image = boxes.score[mine], boxes.iou[mine], boxes.image[mine]
+    if np.isnan(iou).any() and set(overlaps) != {IOU}:
         return math.nan
-    true = np.cumsum(hit)
-    precision = true / np.arange(1, len(hit) + 1)
-    envelope = np.maximum.accumulate(precision[::-1])[::-1] if len(hit) else precision
-    return float(envelope[hit].sum() / mask.sum())
+    hits = (boxes.hit[mine] if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
+    return float(np.mean([average_precision_of(hit, score, int(mask.sum())) for hit in hits]))
 
 
 def group_rates(

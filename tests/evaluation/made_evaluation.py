@@ -31,6 +31,7 @@ def make_measurement(
         *(where[:, k].astype(np.int64) for k in range(3)),
         score=score[tuple(where.T)],
         hit=(score_on > 0)[tuple(where.T)],
+        iou=np.where((score_on > 0)[tuple(where.T)], 0.8, 0.1),
     )
     return Measurement(
         specs=specs,

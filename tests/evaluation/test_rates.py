@@ -39,7 +39,7 @@ def hand_made() -> Measurement:
         score=np.array([[logo, clean]], np.float32),
         score_on=np.array([[on, clean]], np.float32),
         bare=np.array([[0.1, 0.9, 0.61, 0.6]], np.float32),
-        boxes=Boxes(nothing, nothing, nothing, np.zeros(0, np.float32), np.zeros(0, bool)),
+        boxes=Boxes(nothing, nothing, nothing, np.zeros(0, np.float32), np.zeros(0, bool), np.zeros(0)),
     )
 
 
@@ -92,13 +92,16 @@ def test_nothing_found_clean_gives_null() -> None:
 
 
 def test_average_precision_by_hand() -> None:
-    """Six bodies. Boxes by score: hit, false, hit: precision 1 up to recall 1/6, then 2/3 up to 2/6."""
+    """Six bodies. Boxes by score: hit, false, hit: precision 1 up to recall 1/6, then 2/3 up to 2/6: 17 of COCO's 101
+    recalls each. The last box overlaps too little for 0.75 and more."""
     zeros = np.zeros(3, np.int64)
-    boxes = Boxes(
-        zeros, zeros, np.array([0, 1, 2]), np.array([0.9, 0.8, 0.7], np.float32), np.array([True, False, True])
-    )
+    score, hit = np.array([0.9, 0.8, 0.7], np.float32), np.array([True, False, True])
+    boxes = Boxes(zeros, zeros, np.array([0, 1, 2]), score, hit, np.array([1.0, 0.2, 0.74]))
     measurement = replace(hand_made(), boxes=boxes)
-    assert average_precision(measurement, 0, 0) == pytest.approx((1 + 2 / 3) / 6)
+    assert average_precision(measurement, 0, 0) == pytest.approx(17 * (1 + 2 / 3) / 101)
+    assert average_precision(measurement, 0, 0, overlaps=(0.75,)) == pytest.approx(17 / 101)
+    both = average_precision(measurement, 0, 0), average_precision(measurement, 0, 0, overlaps=(0.75,))
+    assert average_precision(measurement, 0, 0, overlaps=(0.5, 0.75)) == pytest.approx(np.mean(both))
     assert average_precision(measurement, 0, 1) == 0.0
     assert average_precision(measurement, 0, 0, np.arange(6) == 2) == 1.0  # of the one image with a box on its body
 
@@ -134,11 +137,13 @@ def test_trials_at_several_elevations_and_only_so_many_of_them() -> None:
         EvaluateSettings(elevations=(0.0, 91.0))
 
 
-def test_a_file_without_elevations_is_read(tmp_path: Path) -> None:
+def test_a_file_without_elevations_and_overlaps_is_read(tmp_path: Path) -> None:
     make_measurement().save(tmp_path / "new.npz")
-    arrays = {k: v for k, v in np.load(tmp_path / "new.npz").items() if k != "trials_elevation"}
+    arrays = {k: v for k, v in np.load(tmp_path / "new.npz").items() if k not in ("trials_elevation", "boxes_iou")}
     np.savez(tmp_path / "old.npz", **arrays)
     back = read_measurement(tmp_path / "old.npz")
+    new, old = (rate_record(one, 0, 0) for one in (make_measurement(), back))
+    assert new["ap50_95"] is not None and old["ap50_95"] is None and old["ap50"] == new["ap50"] > 0
     assert np.isnan(back.trials.elevation).all() and "by_elevation" not in summarize(back)["detectors"][back.specs[0]]
 
 

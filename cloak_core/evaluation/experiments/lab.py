@@ -41,7 +41,7 @@ from cloak_core.files.writing import new_folder, write_json
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
-_MEASURING = ("controls", "cycles", "evaluate", "inference", "measurement", "settings", "stage")
+_MEASURING = ("controls", "cycles", "evaluate", "inference", "measurement", "precision", "settings", "stage")
 MEASURING = (*TRAINING, *(f"evaluation/{name}.py" for name in _MEASURING))
 """The code that decides what an evaluation measures."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
