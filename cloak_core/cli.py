@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "print": "printing:Print",
     "sweep": "sweep:Sweep",
     "transfer": "transfer:Transfer",
+    "export coco": "export:Coco",
     "reproduce": "reproduce:Reproduce",
     "zoo list": "zoo:List",
     "zoo show": "zoo:Show",

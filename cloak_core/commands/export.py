@@ -1,0 +1,92 @@
+"""`cloak export`: renders for others' tools."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from rich.progress import Progress
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.values import Angles
+from cloak_core.commands.base import Command, err, out
+from cloak_core.commands.compute import prepare_process
+from cloak_core.evaluation.settings import EvaluateSettings
+
+if TYPE_CHECKING:
+    from cloak_core.evaluation.stage import Stage
+
+
+@dataclass(kw_only=True)
+class Coco(Command):
+    """Write renders of a run as a data set in COCO's format: every image in own clothing, and cloaked."""
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote, or zoo:NAME."""
+    out: Path
+    """New folder: images/ and annotations.json."""
+    scene: str | None = None
+    """Bodies: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
+    backgrounds: str | None = None
+    """Folder of images, or procedural:test (the default after training on procedural:train)."""
+    angles: Angles = Angles.parse("-10:10:5")
+    """Azimuths in degrees: A:B:STEP or a comma list."""
+    format: Literal["jpg", "png"] = "jpg"
+    """Of the images; jpg is written with quality 95, png is exact."""
+    images_per_view: int = 1
+    """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
+    most_images: int | None = None
+    """Where these are more, only so many of them, drawn by the seed; each is written twice."""
+    distances: tuple[float, ...] = (2.2,)
+    """Camera distances, metres."""
+    elevations: tuple[float, ...] = (6.0,)
+    """Camera elevations, degrees."""
+    size: int = 416
+    """Width and height of the images, pixels."""
+    shift: int | None = None
+    """The body is moved by up to this many pixels along both axes (default: an eighth of the size, at most 50)."""
+    seed: int = 0
+    """Every random draw derives from it."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.evaluation.coco import export_coco
+
+        prepare_process(self.compute)
+        stage = self._stage()
+        with Progress(console=err, disable=not err.is_terminal) as progress:
+            task = progress.add_task("rendering", total=None)
+            told = lambda done, total: progress.update(task, completed=done, total=total)
+            return export_coco(stage, self.out, self.format, told)
+
+    def _stage(self) -> Stage:
+        from cloak_core.evaluation.measurement import draw_trials
+        from cloak_core.evaluation.stage import Stage
+        from cloak_core.evaluation.trained_run import kept_back, read_run
+        from cloak_core.exchange.colors import read_colors
+        from cloak_core.render.view_files import view_files
+        from cloak_core.render.views import ViewBank
+        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+        from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.scene.opening import load_scene
+        from cloak_core.zoo.shelf import run_path
+
+        settings, folder = self._settings(), run_path(self.run_folder)
+        config = read_run(folder)
+        bodies = load_scene(self.scene or kept_back("scene", config))
+        backgrounds = load_backgrounds(self.backgrounds or kept_back("backgrounds", config))
+        logo = load_logo(bodies, folder / "logo.npy")
+        colors = read_colors(folder / "colors.npy", len(logo))
+        trials = draw_trials(bodies.pose_count, self.angles, len(backgrounds), bodies.outfit_count, settings)
+        bank = ViewBank(bodies, device=self.compute.device, files=view_files())
+        return Stage(colors, logo, bodies, backgrounds, trials, settings.camera, bank, self.seed)
+
+    def _settings(self) -> EvaluateSettings:
+        names = ("images_per_view", "most_images", "distances", "elevations", "size", "seed")
+        shift = min(50, self.size // 8) if self.shift is None else self.shift
+        return EvaluateSettings(shift=shift, **{name: getattr(self, name) for name in names})
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['file']}: {result['images']} images, {result['annotations']} annotations")
