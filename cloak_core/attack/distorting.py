@@ -10,32 +10,11 @@ import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from cloak_core.detectors.filters import TO_YCC, blurred, through_jpeg, windowed
 from cloak_core.render.compositing import Canvas, pixels_of
 
 OCCLUDER_SIDES = (0.15, 0.45)
 """Sides of an occluder as shares of the body's box."""
-BLOCK = 8
-_LUMINANCE = (
-    (16, 11, 10, 16, 24, 40, 51, 61),
-    (12, 12, 14, 19, 26, 58, 60, 55),
-    (14, 13, 16, 24, 40, 57, 69, 56),
-    (14, 17, 22, 29, 51, 87, 80, 62),
-    (18, 22, 37, 56, 68, 109, 103, 77),
-    (24, 35, 55, 64, 81, 104, 113, 92),
-    (49, 64, 78, 87, 103, 121, 120, 101),
-    (72, 92, 95, 98, 112, 100, 103, 99),
-)
-"""JPEG (ITU-T T.81), annex K, table K.1."""
-_CHROMINANCE = (
-    (17, 18, 24, 47, 99, 99, 99, 99),
-    (18, 21, 26, 66, 99, 99, 99, 99),
-    (24, 26, 56, 99, 99, 99, 99, 99),
-    (47, 66, 99, 99, 99, 99, 99, 99),
-    *((99,) * 8,) * 4,
-)
-"""Table K.2."""
-_TO_YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))
-"""JFIF's RGB to Y, Cb, Cr, without the offset of 128."""
 
 
 @dataclass(frozen=True)
@@ -75,75 +54,15 @@ def zoomed(images: Float[Tensor, "B 3 H W"], factor: Float[Tensor, "B"]) -> Floa
     return F.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
 
 
-def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3 H W"]:
-    """What each image's window shows of it, bilinearly, at the same size; mid-grey beyond its edges.
-
-    window: side (below 1 a crop, above 1 a margin) and centre (x, y), see `Distortion`.
-    """
-    place = torch.zeros(len(images), 2, 3, dtype=images.dtype, device=images.device)
-    place[:, 0, 0] = place[:, 1, 1] = window[:, 0]
-    place[:, :, 2] = window[:, 1:]
-    grid = F.affine_grid(place, list(images.shape), align_corners=False)
-    return F.grid_sample(images - 0.5, grid, padding_mode="zeros", align_corners=False) + 0.5
-
-
 def tinted(images: Float[Tensor, "B 3 H W"], factors: Float[Tensor, "B 4"]) -> Float[Tensor, "B 3 H W"]:
     """Channels multiplied by the first three factors, then the distance from each pixel's grey by the last; clamped.
 
     The gradient passes the clamp within [0, 1].
     """
     images = images * factors[:, :3, None, None]
-    luma = torch.tensor(_TO_YCC[0], dtype=images.dtype, device=images.device).view(1, 3, 1, 1)
+    luma = torch.tensor(TO_YCC[0], dtype=images.dtype, device=images.device).view(1, 3, 1, 1)
     grey = (images * luma).sum(1, keepdim=True)
     return torch.lerp(grey.expand_as(images), images, factors[:, 3].view(-1, 1, 1, 1)).clamp(0, 1)
-
-
-def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
-    """A Gaussian blur of each image with its own standard deviation in pixels, cut at 3 pixels; edges are repeated."""
-    batch, channels, height, width = images.shape
-    place = torch.arange(-3.0, 4.0, device=images.device)
-    kernel = torch.exp(-0.5 * (place / sigma.clamp(min=1e-3)[:, None]) ** 2)
-    kernel = (kernel / kernel.sum(1, keepdim=True)).repeat_interleave(channels, 0)
-    flat = F.pad(images, (3, 3, 3, 3), mode="replicate").reshape(1, batch * channels, height + 6, width + 6)
-    flat = F.conv2d(flat, kernel[:, None, :, None], groups=batch * channels)
-    flat = F.conv2d(flat, kernel[:, None, None, :], groups=batch * channels)
-    return flat.view(images.shape)
-
-
-def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
-    """What JPEG of each image's quality leaves of it: blocks of 8 x 8 in YCbCr, DCT coefficients rounded to its tables.
-
-    Without chroma subsampling. The gradient passes rounding as if it were not there. Clamped to [0, 1].
-    """
-    height, width = images.shape[2:]
-    padded = F.pad(images, (0, -width % BLOCK, 0, -height % BLOCK), mode="replicate")
-    to_ycc = torch.tensor(_TO_YCC, dtype=images.dtype, device=images.device)
-    ycc = torch.einsum("kc,bchw->bkhw", to_ycc, 255 * padded) - 128 * images.new_tensor([1.0, 0, 0]).view(3, 1, 1)
-    cosines = _cosines(images)
-    blocks = ycc.unflatten(3, (-1, BLOCK)).unflatten(2, (-1, BLOCK))  # [B, 3, rows, 8, columns, 8]
-    coefficients = torch.einsum("ui,bkricj,vj->bkrucv", cosines, blocks, cosines)
-    step = _quantisation(images, quality)[:, :, None, :, None, :]
-    scaled = coefficients / step
-    rounded = scaled + (scaled.round() - scaled).detach()
-    blocks = torch.einsum("ui,bkrucv,vj->bkricj", cosines, rounded * step, cosines)
-    ycc = blocks.reshape(ycc.shape) + 128 * images.new_tensor([1.0, 0, 0]).view(3, 1, 1)
-    rgb = torch.einsum("ck,bkhw->bchw", torch.linalg.inv(to_ycc), ycc) / 255
-    return rgb[:, :, :height, :width].clamp(0, 1)
-
-
-def _cosines(like: Tensor) -> Float[Tensor, "8 8"]:
-    """The orthonormal discrete cosine transform."""
-    k = torch.arange(BLOCK, dtype=torch.float64)
-    matrix = torch.cos(torch.pi * (2 * k + 1) * k[:, None] / (2 * BLOCK)) * (2 / BLOCK) ** 0.5
-    matrix[0] /= 2**0.5
-    return matrix.to(like)
-
-
-def _quantisation(like: Tensor, quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 8 8"]:
-    """The tables of annex K scaled as libjpeg does for a quality of 1..100."""
-    tables = torch.tensor([_LUMINANCE, _CHROMINANCE, _CHROMINANCE], dtype=like.dtype, device=like.device)
-    percent = torch.where(quality < 50, 5000 / quality, 200 - 2 * quality)
-    return (tables * percent.view(-1, 1, 1, 1) / 100 + 0.5).floor().clamp(1, 255)
 
 
 def occluded(

@@ -127,7 +127,7 @@ def show_report(report: dict) -> None:
 
 @dataclass(kw_only=True)
 class List(Command):
-    """Say which detector families there are, what each needs, and how each was verified."""
+    """Say which detector families there are, what each needs and how each was verified, and which defences."""
 
     def run(self) -> dict:
         from cloak_core.detectors.families import list_families
@@ -140,6 +140,8 @@ class List(Command):
             out.print(f"{family['spec']}: {uses}; {family['licence']}; verified: {family['verified']}")
             if not family["installed"]:
                 out.print(f"    not installed: {family['install']}")
+        for defence in result["defences"]:
+            out.print(f"{defence['spec']}: {defence['what']}")
 
 
 @dataclass(kw_only=True)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from cloak_core.detectors.defended.table import list_defences
 from cloak_core.detectors.extras import install_command, installed
 from cloak_core.detectors.specs import PERSON, Request
 from cloak_core.files.errors import InputError
@@ -136,7 +137,8 @@ FAMILIES = {
 
 
 def list_families() -> dict[str, list[dict]]:
-    """{"families": [{family, spec, trains, evaluates, installed, install, needs, weights, licence, verified}, ...]}.
+    """{"families": [{family, spec, trains, evaluates, installed, install, needs, weights, licence, verified}, ...],
+    "defences": [{defence, spec, what}, ...]}.
 
     `installed` says whether it works here and now; where not, `install` is the command that changes it, else None.
     """
@@ -147,4 +149,4 @@ def list_families() -> dict[str, list[dict]]:
         install = None if there or family.needs is None else install_command(family.needs)
         row = {key: getattr(family, key) for key in told}
         families.append({"family": name, **row, "installed": there, "install": install})
-    return {"families": families}
+    return {"families": families, "defences": list_defences()}

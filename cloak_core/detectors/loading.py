@@ -6,6 +6,7 @@ from typing import Literal
 import torch
 
 from cloak_core.detectors.compiling import compile_detector
+from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.specs import Request, parse_spec, with_person_class
@@ -38,13 +39,28 @@ def load_detector(
     `precision`: "float32"; "bfloat16" (see `Detector`); "auto", bfloat16 where the device gains. `compiled` runs it
     through torch.compile. `download` allows official weights to be fetched where they are missing; without it nothing
     is. `fold=False` leaves batch norm and memory layout as they were trained, to measure against.
-    InputError names whatever cannot be found, read or understood.
+    Before any spec may stand defences, `jpeg=75:SPEC` (`defended.table.DEFENCES`); all else is said of the detector
+    behind them. InputError names whatever cannot be found, read or understood.
     """
+    if (defended := split_defence(spec)) is not None:
+        from cloak_core.detectors.defended.detector import defend
+
+        head, rest = defended
+        read_head(head, spec)  # before anything is loaded
+        given = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
+        inner = load_detector(rest, **given, compiled=compiled, layout=layout, download=download, fold=fold)
+        detector = defend(inner, head)
+        detector.precision = _precision(precision, _device(device))
+        return detector
     request = replace(parse_spec(spec), layout=layout, download=download, fold=fold)
     request = _told(request, input_size, letterbox, person_class)
     if request.family not in FAMILIES:
         forms = " | ".join(family.spec for family in FAMILIES.values())
-        raise InputError(f"detector {spec!r}: unknown family {request.family!r}; expected {forms}, then @OPTIONS")
+        before = " | ".join(defence["spec"] for defence in list_defences())
+        raise InputError(
+            f"detector {spec!r}: unknown family {request.family!r}; expected {forms}, then @OPTIONS; "
+            f"or a defence before one: {before}"
+        )
     place = _device(device)
     chosen = _precision(precision, place)
     detector = FAMILIES[request.family].load(request).to(place)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import PureWindowsPath
 
+from cloak_core.detectors.defended.table import split_defence
 from cloak_core.evaluation.figures import SERIES
 from cloak_core.evaluation.report.history import History
 from cloak_core.files.specs import split_spec
@@ -38,7 +39,9 @@ def control_label(control: str) -> str:
 
 
 def short_name(spec: str) -> str:
-    """A detector's spec without folders: darknet:/a/b.cfg:/a/b.weights@224 -> darknet b @224."""
+    """A detector's spec without folders: jpeg=75:darknet:/a/b.cfg:/a/b.weights@224 -> jpeg=75 darknet b @224."""
+    if (defended := split_defence(spec)) is not None:
+        return f"{defended[0]} {short_name(defended[1])}"
     family, _, rest = spec.partition(":")
     if not rest:
         return spec

@@ -1,0 +1,62 @@
+"""A detector behind a defence, as one detector."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.detectors.defended.table import DEFENCES, read_head
+from cloak_core.detectors.protocol import Detections, Detector, state_hash
+
+
+class DefendedDetector(Detector):
+    """Shows the inner detector what the defence leaves of the images; boxes are in the pixels of the images given.
+
+    Where it reports, which class it looks for, the size it takes: all are the inner detector's.
+    """
+
+    def __init__(self, inner: Detector, name: str, value: float, spec: str) -> None:
+        super().__init__(f"{name} {inner.name}", spec)
+        self.defence, self.inner = DEFENCES[name].build(value), inner
+        # A part of the state and of its hash, as whatever else decides the answers.
+        self.register_buffer(f"{name.replace('-', '_')}_value", torch.tensor(value, dtype=torch.float64))
+        self.differentiable, self.compiled = inner.differentiable, inner.compiled
+        why = (self.defence.partial_gradient, inner.partial_gradient)
+        self.partial_gradient = "; ".join(part for part in why if part)
+        self.operating_point = inner.operating_point
+        self.operating_point_assumed = inner.operating_point_assumed
+        self.source = {"defence": name, "value": value, "inner": inner.source or {"spec": inner.spec}}
+        self.source |= {key: inner.source[key] for key in ("input_size", "layout") if key in inner.source}
+        self.packages = inner.packages
+        if hasattr(inner, "person"):
+            self.person = inner.person
+
+    def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        # A defence works on bytes of pictures, not on numbers of eight bits' precision.
+        with torch.autocast(images.device.type, enabled=False):
+            seen, windows = self.defence.placed(images)
+        found = self.inner(seen)
+        return found if windows is None else found._replace(boxes=_restored(found.boxes, windows, images.shape))
+
+    def verify(self, before: str) -> None:
+        """See `Detector.verify`; the inner detector verifies itself, too."""
+        self.inner.verify(state_hash(self.inner))
+        super().verify(before)
+
+
+def defend(inner: Detector, head: str) -> DefendedDetector:
+    """The detector behind the defence that `head` names, "jpeg=75"; frozen, on the detector's device, its tensors
+    shared. InputError: an unknown defence, a number out of bounds."""
+    spec = f"{head}:{inner.spec}"
+    name, value = read_head(head, spec)
+    defended = DefendedDetector(inner, name, value, spec).to(inner.device)
+    defended.freeze()
+    return defended
+
+
+def _restored(
+    boxes: Float[Tensor, "B N 4"], windows: Float[Tensor, "B 3"], shape: torch.Size
+) -> Float[Tensor, "B N 4"]:
+    """Boxes seen through windows, in the pixels of the images of this shape."""
+    size = boxes.new_tensor([shape[3], shape[2]] * 2)
+    side, centre = windows[:, None, :1].to(boxes), windows[:, None, [1, 2, 1, 2]].to(boxes)
+    return (side * (2 * boxes / size - 1) + centre + 1) * size / 2

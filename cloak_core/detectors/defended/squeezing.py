@@ -1,0 +1,113 @@
+"""Defences that change the whole picture: JPEG, blur, median, fewer bits, a random margin."""
+
+import zlib
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from cloak_core.detectors.filters import blurred, through_jpeg, windowed
+
+
+def straight_through(images: Float[Tensor, "*shape"], value: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """`value`, its gradient passed on to `images` as if nothing had happened between them."""
+    return images + (value - images).detach()
+
+
+class Defence(nn.Module):
+    """Images [B, 3, H, W] in [0, 1] to images of the same shape; each by itself, and alike at every call."""
+
+    partial_gradient = ""
+    """What the gradient leaves out on purpose, in words; "" where it is exact."""
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        raise NotImplementedError
+
+    def placed(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B 3 H W"], Float[Tensor, "B 3"] | None]:
+        """The images that the detector sees, and their windows (`filters.windowed`) where they were moved."""
+        return self(images), None
+
+
+class Jpeg(Defence):
+    """Through JPEG of a quality in 1..100, as Dziugaite et al. (2016) proposed; without chroma subsampling."""
+
+    partial_gradient = "JPEG's rounding is passed straight through"
+
+    def __init__(self, quality: float) -> None:
+        super().__init__()
+        self.quality = quality
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        with torch.no_grad():
+            seen = through_jpeg(images, images.new_full((len(images),), self.quality))
+        return straight_through(images, seen)
+
+
+class Blur(Defence):
+    """A Gaussian blur, standard deviation in pixels."""
+
+    def __init__(self, sigma: float) -> None:
+        super().__init__()
+        self.sigma = sigma
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        reach = max(1, min(round(3 * self.sigma + 0.5), min(images.shape[2:]) - 1))
+        return blurred(images, images.new_full((len(images),), self.sigma), reach)
+
+
+class Median(Defence):
+    """The median of `side` x `side` pixels, channel by channel (Xu et al., "Feature squeezing", NDSS 2018)."""
+
+    def __init__(self, side: float) -> None:
+        super().__init__()
+        self.side = round(side)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        height, width = images.shape[2:]
+        around = F.pad(images, (self.side // 2,) * 4, mode="replicate")
+        shifted = [around[:, :, y : y + height, x : x + width] for y in range(self.side) for x in range(self.side)]
+        return torch.stack(shifted).median(dim=0).values
+
+
+class Bits(Defence):
+    """So many bits of each channel, 1..8 (feature squeezing, too)."""
+
+    partial_gradient = "rounding to a few levels is passed straight through"
+
+    def __init__(self, bits: float) -> None:
+        super().__init__()
+        self.levels = 2 ** round(bits) - 1
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        return straight_through(images, (images * self.levels).round() / self.levels)
+
+
+class ResizePad(Defence):
+    """Each image smaller by a random share up to `margin`, at a random place before mid-grey (Xie et al., ICLR 2018).
+
+    The draw follows from the image's own bytes: whoever asks twice is told the same, in a batch of any size. The least
+    change draws anew, so that a training, whose images change at every step, sees the expectation over all draws (EOT).
+    """
+
+    partial_gradient = "the random place is held fixed"
+
+    def __init__(self, margin: float) -> None:
+        super().__init__()
+        self.margin = margin
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        return self.placed(images)[0]
+
+    def placed(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B 3 H W"], Float[Tensor, "B 3"]]:
+        pixels = (images.detach() * 255).round().clamp(0, 255).to(torch.uint8).cpu().contiguous().numpy()
+        windows = torch.tensor([self._window(zlib.crc32(image.tobytes())) for image in pixels])
+        windows = windows.to(images).view(-1, 3)
+        return windowed(images, windows), windows
+
+    def _window(self, seed: int) -> tuple[float, float, float]:
+        random = np.random.default_rng([seed, 0x9AD])
+        side = 1 / (1 - random.uniform(0, self.margin))
+        x, y = random.uniform(-1, 1, 2) * (side - 1)
+        return side, float(x), float(y)

@@ -1,0 +1,223 @@
+"""Defences before a detector: what they do to pictures, to gradients, to boxes, and to a detector's identity."""
+
+import io
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from cloak_core.detectors.defended.detector import DefendedDetector, defend
+from cloak_core.detectors.defended.masking import EntropyMask, local_entropy, surroundings
+from cloak_core.detectors.defended.squeezing import Bits, Blur, Jpeg, Median, ResizePad
+from cloak_core.detectors.defended.table import DEFENCES, list_defences
+from cloak_core.detectors.families import list_families
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import Detections, Detector, detector_record, state_hash
+from cloak_core.detectors.scoring import max_person_score
+from cloak_core.evaluation.provenance import trained_against
+from cloak_core.evaluation.report.words import short_name
+from cloak_core.files.errors import InputError
+from tests.detectors.helpers import images, write_tiny
+
+HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask")
+
+
+class Brightest(Detector):
+    """Two boxes: where each image is brighter than half, and all of it; the scores are its mean and its middle."""
+
+    def detect(self, images: torch.Tensor) -> Detections:
+        boxes = []
+        for image in images:
+            rows, columns = (image.mean(0) > 0.75).nonzero().T
+            boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+        flat = images.flatten(1)
+        return Detections(torch.tensor(boxes).float()[:, None], flat.mean(1, keepdim=True))
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return write_tiny(tmp_path_factory.mktemp("tiny"))
+
+
+def square(size: int = 96) -> torch.Tensor:
+    """A white square on mid-grey: x in 24..56, y in 40..72."""
+    picture = torch.full((1, 3, size, size), 0.5)
+    picture[:, :, 40:72, 24:56] = 1
+    return picture
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_keeps_what_the_inner_detector_says_of_itself_and_carries_a_gradient(tiny: str, head: str) -> None:
+    inner, defended = load_detector(f"{tiny}@96,conf=0.3"), load_detector(f"{head}:{tiny}@96,conf=0.3")
+    assert defended.spec == f"{head}:{inner.spec}"
+    assert (defended.operating_point, defended.operating_point_assumed) == (0.3, False)
+    assert defended.person == inner.person
+    assert defended.source["input_size"] == [96, 96]
+    pixels = images(2).requires_grad_()
+    found = defended(pixels)
+    assert found.boxes.shape == inner(images(2)).boxes.shape
+    max_person_score(found).sum().backward()
+    assert (pixels.grad.flatten(1).abs().sum(1) > 0).all()
+    assert not any(parameter.requires_grad for parameter in defended.parameters())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("head", HEADS)
+def test_an_image_is_answered_alike_alone_and_in_a_batch(tiny: str, head: str) -> None:
+    defended = load_detector(f"{head}:{tiny}")
+    batch = images(3)
+    together = defended(batch).scores
+    alone = torch.cat([defended(batch[i : i + 1]).scores for i in range(3)])
+    torch.testing.assert_close(together, alone, atol=1e-5, rtol=1e-4)
+
+
+def test_nested_defences_work_from_the_outside_in(tiny: str) -> None:
+    pixels = images(1)
+    nested = load_detector(f"bits=2:blur=2:{tiny}")
+    inner = load_detector(tiny)
+    expected = inner(Blur(2.0)(Bits(2.0)(pixels)))
+    torch.testing.assert_close(nested(pixels).scores, expected.scores)
+    assert nested.spec == f"bits=2:blur=2:{inner.spec}"
+    assert not torch.allclose(nested(pixels).scores, load_detector(f"blur=2:bits=2:{tiny}")(pixels).scores)
+
+
+def test_jpeg_is_near_what_pillow_writes() -> None:
+    picture = images(1, 48, 48)
+    as_bytes = (picture[0].permute(1, 2, 0) * 255).round().byte().numpy()
+    file = io.BytesIO()
+    Image.fromarray(as_bytes).save(file, "JPEG", quality=30, subsampling=0)
+    theirs = torch.from_numpy(np.array(Image.open(file))).permute(2, 0, 1) / 255
+    ours = Jpeg(30.0)(torch.from_numpy(as_bytes).permute(2, 0, 1)[None] / 255)[0]
+    assert (ours - theirs).abs().mean() < 0.01
+    assert (ours - picture[0]).abs().mean() > 2 * (ours - theirs).abs().mean()
+
+
+def test_what_rounds_passes_its_gradient_straight_through() -> None:
+    pixels = images(1, 16, 16).requires_grad_()
+    upstream = torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    for defence in (Bits(2.0), Jpeg(20.0)):
+        (gradient,) = torch.autograd.grad(defence(pixels), pixels, upstream)
+        torch.testing.assert_close(gradient, upstream)
+
+
+def test_bits_and_median_are_what_they_say() -> None:
+    assert set(Bits(1.0)(images(1)).flatten().tolist()) == {0.0, 1.0}
+    dotted = torch.full((1, 3, 9, 9), 0.5)
+    dotted[:, :, 4, 4] = 1
+    assert bool((Median(3.0)(dotted) == 0.5).all())
+
+
+def test_blur_reaches_three_standard_deviations() -> None:
+    line = torch.zeros(1, 3, 65, 65)
+    line[:, :, :, 32] = 1
+    profile = Blur(4.0)(line)[0, 0, 32]
+    place = torch.arange(65.0) - 32
+    assert float((profile * place**2).sum()) ** 0.5 == pytest.approx(4, rel=0.05)
+
+
+def test_boxes_come_back_from_the_random_place() -> None:
+    found = defend(Brightest("bright", "bright"), "resize-pad=0.4")(square())
+    torch.testing.assert_close(found.boxes[0, 0], torch.tensor([24.0, 40, 56, 72]), atol=1.5, rtol=0)
+
+
+def test_the_random_place_follows_from_the_image_and_changes_with_it() -> None:
+    pad = ResizePad(0.3)
+    assert torch.equal(pad.placed(square())[1], pad.placed(square())[1])
+    other = square()
+    other[0, 0, 0, 0] = 0
+    assert not torch.equal(pad.placed(square())[1], pad.placed(other)[1])
+    windows = pad.placed(torch.rand(64, 3, 8, 8, generator=torch.Generator().manual_seed(1)))[1]
+    assert float(windows[:, 0].min()) >= 1
+    assert float(windows[:, 0].max()) <= 1 / 0.7
+    assert bool((windows[:, 1:].abs().amax(1) <= windows[:, 0] - 1 + 1e-6).all())
+
+
+def noisy_square() -> torch.Tensor:
+    """A square of noise on mid-grey: x and y in 48..112."""
+    picture = torch.full((1, 3, 160, 160), 0.4)
+    picture[:, :, 48:112, 48:112] = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+    return picture
+
+
+def test_entropy_of_a_plain_place_is_none_and_of_noise_much() -> None:
+    bits = local_entropy(noisy_square())[0, 0]
+    assert float(bits[0, 0]) < 1.01  # a level between two bins
+    assert float(bits[9, 9]) > 3.5
+
+
+def test_an_entropy_mask_paints_over_noise_alone() -> None:
+    picture = noisy_square()
+    seen = EntropyMask(2.9)(picture)
+    assert float((seen[:, :, 56:104, 56:104] - 0.4).abs().mean()) < 0.12
+    assert torch.equal(seen[:, :, :24], picture[:, :, :24])
+
+
+def test_a_mask_is_attacked_through_the_picture_and_through_its_own_decision() -> None:
+    picture = noisy_square().requires_grad_()
+    mask = EntropyMask(2.9)
+    (through_all,) = torch.autograd.grad(mask(picture)[:, :, 70:80, 70:80].sum(), picture)
+    assert bool((through_all[:, :, 70:80, 70:80] != 0).all())
+    (decision,) = torch.autograd.grad(mask.evidence(picture).sum(), picture)
+    assert float(decision.abs().sum()) > 0
+
+
+def test_what_is_painted_over_takes_the_colour_around_it() -> None:
+    picture, mask = torch.full((1, 3, 64, 64), 0.3), torch.zeros(1, 1, 64, 64)
+    picture[:, :, 24:40, 24:40], mask[:, :, 24:40, 24:40] = 1, 1
+    torch.testing.assert_close(surroundings(picture, mask)[:, :, 30, 30], torch.full((1, 3), 0.3))
+    everything = surroundings(picture, torch.ones(1, 1, 64, 64))
+    assert bool(everything.isfinite().all())
+
+
+def test_a_defended_detector_is_another_detector(tiny: str) -> None:
+    plain, strong, weak = (load_detector(spec) for spec in (tiny, f"bits=2:{tiny}", f"bits=7:{tiny}"))
+    assert len({state_hash(detector) for detector in (plain, strong, weak, load_detector(f"blur=2:{tiny}"))}) == 4
+    assert detector_record(strong)["source"]["inner"] == detector_record(plain)["source"]
+    config = {"detectors": [detector_record(strong)]}
+    asked = {"same": load_detector(f"bits=2:{tiny}"), "weak": weak, "plain": plain}
+    assert trained_against(config, asked) == {"same": True, "weak": False, "plain": False}
+
+
+def test_one_from_parts_shares_the_tensors_of_its_inner_detector(tiny: str) -> None:
+    inner = load_detector(tiny)
+    assert next(defend(inner, "blur=1").inner.parameters()) is next(inner.parameters())
+
+
+def test_the_person_class_and_the_precision_reach_the_right_place(tiny: str) -> None:
+    defended = load_detector(f"blur=1:{tiny}", person_class="0", precision="bfloat16")
+    assert isinstance(defended, DefendedDetector)
+    assert defended.spec.endswith("@person=0")
+    assert (defended.precision, defended.inner.precision) == ("bfloat16", "float32")
+    assert defended(images(1)).scores.dtype == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("jpeg=0:builtin", "jpeg=0 must give its quality, a whole number in 1..100, as jpeg=QUALITY:SPEC"),
+        ("jpeg=101:builtin", "must give its quality"),
+        ("jpeg=75.5:builtin", "must give its quality"),
+        ("jpeg:builtin", "must give its quality"),
+        ("jpeg=much:builtin", "must give its quality"),
+        ("blur=nan:builtin", "must give its standard deviation"),
+        ("median=4:builtin", "an odd number in 3..9"),
+        ("jpeg=75", "names no detector behind it; expected jpeg=QUALITY:SPEC"),
+        ("blur=1:jpeg=75:", "names no detector behind it"),
+        ("jpg=75:builtin", "unknown family 'jpg=75'.*or a defence before one: jpeg=QUALITY:SPEC"),
+        ("blur=1:nothing", "unknown family 'nothing'"),
+    ],
+)
+def test_bad_defences_are_refused_in_one_line(spec: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        load_detector(spec)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_table_is_told_with_the_families() -> None:
+    assert [row["defence"] for row in list_families()["defences"]] == list(DEFENCES)
+    assert {row["spec"] for row in list_defences()} >= {"jpeg=QUALITY:SPEC", "resize-pad[=LARGEST]:SPEC"}
+
+
+def test_short_names_say_the_defence() -> None:
+    assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights@224") == "jpeg=75 blur=1 darknet a @224"
