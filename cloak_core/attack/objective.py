@@ -99,7 +99,9 @@ class Objective:
 
     def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
         settings = self.settings
-        loss = evidence(detections, settings.loss, settings.reduce, self.detectors[number].operating_point)
+        # Success is said at both: the lower one is what has to be passed.
+        point = min(self.detectors[number].operating_point, self.run.threshold)
+        loss = evidence(detections, settings.loss, settings.reduce, point)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:
