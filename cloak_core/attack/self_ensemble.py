@@ -48,7 +48,8 @@ class _Shaking(TorchFunctionMode):
     def __init__(self, settings: SurrogateSettings, random: torch.Generator) -> None:
         super().__init__()
         self.settings, self.random = settings, random
-        # The tensors themselves, so that no other gets the name of one that is gone.
+        # By where they lie, for a slice of all channels is still the same map; the tensors themselves are kept so that
+        # no other comes to lie there.
         self._read: dict[int, Tensor] = {}
 
     def __torch_function__(
@@ -59,7 +60,7 @@ class _Shaking(TorchFunctionMode):
             args = (*self._branches(args[0], args[1]), *args[2:])
         found = function(*args, **(kwargs or {}))
         if name in _READERS and args and isinstance(args[0], Tensor):
-            self._read[id(args[0])] = args[0]
+            self._read[args[0].data_ptr()] = args[0]
         if name == "conv2d" and self.settings.activation_noise and isinstance(found, Tensor):
             found = found * self._factors(found, found.shape[1], self.settings.activation_noise)
         return found
@@ -69,7 +70,7 @@ class _Shaking(TorchFunctionMode):
 
         What a layer has read already is the way around; what none has read comes out of the branch.
         """
-        is_way_around = [id(x) in self._read for x in (one, other)]
+        is_way_around = [x.data_ptr() in self._read for x in (one, other)]
         is_residual = is_way_around[0] != is_way_around[1]
         changed = [
             x if is_residual and around else x * self._branch_factors(x, is_residual)
