@@ -84,6 +84,7 @@ def evaluate(
     *,
     colors: Named | None = None,
     out: Named | None = None,
+    over_time: bool = False,
     angles: Sequence[float] | str = "-10:10:1",
     settings: EvaluateSettings | None = None,
     device: str = "cpu",
@@ -93,7 +94,8 @@ def evaluate(
     """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
-    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME.
+    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME. over_time:
+    judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png).
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
     loaded on `device`; None takes those that the run was trained against. angles: azimuths in degrees. How to evaluate:
@@ -107,6 +109,7 @@ def evaluate(
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluation_folder import FOLDER
     from cloak_core.evaluation.foreign import colors_of
+    from cloak_core.evaluation.over_time import over_time as judge_snapshots
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -118,18 +121,19 @@ def evaluate(
     else:
         worn, trained, name = colors_of(colors, logo, bodies)
         place = f"{FOLDER}-{name}"
-    return evaluate_logo(
+    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
+    asked = (logo, bodies, backgrounds, judges, angles, settings)
+    summary = evaluate_logo(
         worn,
-        logo,
-        bodies,
-        backgrounds,
-        _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device),
-        from_plain("angles", angles, Angles) if isinstance(angles, str) else angles,
-        settings,
+        *asked,
         training=trained,
         out=folder / place if out is None else Path(out),
         on_progress=on_progress,
     )
+    if over_time:
+        summary["over_time"] = judge_snapshots(folder, *asked, on_progress)
+    return summary
 
 
 def _unseen(

@@ -97,6 +97,9 @@ class Search:
                 figures = self._one_step()
                 every = self.settings.run.checkpoint_every
                 reason = stop.reason(self.seconds)
+                kept = self.settings.run.snapshot_every
+                if kept and self.step % kept == 0:
+                    self.run.write_snapshot(self.step, self.colors.cpu().numpy())
                 if every and self.step % every == 0:
                     self._save()
             reason = "" if self.step >= self.steps else reason

@@ -131,6 +131,8 @@ class TrainingLoop:
             while not self._is_done() and not reason:
                 figures = self._one_step()
                 self._hold_out()
+                if self.world.is_first and self._due(self.settings.run.snapshot_every):
+                    self.run.write_snapshot(self.step, self._colors_array())
                 reason = self.world.agree(stop.reason(self.seconds), self.batcher.device)
                 if self._is_done() or reason:
                     self._save(final=True)

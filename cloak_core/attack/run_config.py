@@ -19,7 +19,7 @@ from cloak_core.files.likeness import pose_shape
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "max_seconds", "palette", "init")
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "snapshot_every", "max_seconds", "palette", "init")
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
 DECISIVE = {
     "topology": (),

@@ -1,6 +1,6 @@
 """The folder of one training: who may write into it, what it was started with, and how it is told to stop.
 
-config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previews/  report.html  cancel
+config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previews/  snapshots/  report.html  cancel
 """
 
 import contextlib
@@ -13,7 +13,7 @@ from jaxtyping import Float32
 
 from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import changes_around, check_same
-from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
@@ -36,9 +36,18 @@ class RunFolder:
         self.colors = path / "colors.npy"
         self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
+        self.snapshots = path / "snapshots"
         self.cancel = path / "cancel"
         self.changes: list[str] = []
         """What is not as it was when the run began, though it decides at most the last bits of the result."""
+
+    def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
+        """Keep a copy of the colours after so many steps."""
+        if self.snapshots.is_symlink():
+            raise InputError(f"{self.snapshots}: not a folder of its own")
+        with written(self.snapshots):
+            self.snapshots.mkdir(exist_ok=True)
+        write_colors(self.snapshots / f"step-{step:08d}.npy", colors)
 
 
 def read_start(path: Path, logo: Logo) -> Float32[np.ndarray, "L 3"]:

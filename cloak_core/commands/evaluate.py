@@ -29,6 +29,8 @@ class Evaluate(Command):
     or zoo:NAME; written to RUN/evaluation-NAME."""
     out: Path | None = None
     """Folder for the evaluation (default: RUN/evaluation)."""
+    over_time: bool = False
+    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
     scene: str | None = None
     """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
     backgrounds: str | None = None
@@ -60,6 +62,7 @@ class Evaluate(Command):
                 dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
                 colors=self.colors,
                 out=self.out,
+                over_time=self.over_time,
                 angles=self.angles,
                 settings=self.settings,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
@@ -67,6 +70,10 @@ class Evaluate(Command):
 
     def show(self, result: dict) -> None:
         show_success(result)
+        for row in result.get("over_time", []):
+            rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
+            seconds = "" if row["seconds"] is None else f", {row['seconds']:.0f} s"
+            out.print(f"step {row['step']}{seconds}: success {rates}")
 
 
 BOXES = {True: "white", False: "black", None: "?"}

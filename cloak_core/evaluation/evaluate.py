@@ -20,6 +20,7 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
 from cloak_core.render.view_files import view_files
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
@@ -80,6 +81,7 @@ def _circumstances(stage: Stage, hashes: dict[str, str], settings: EvaluateSetti
         "topology": stage.bodies.topology,
         "backgrounds": len(stage.backdrops),
         "logo_faces": len(stage.logo.face_ids),
+        "colors": sha256_arrays(stage.colors),
         "detector_hashes": hashes,
     }
     return {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}

@@ -48,7 +48,9 @@ def test_a_search_lowers_the_score_with_no_more_images_than_allowed(tmp_path):
 
 @pytest.mark.slow
 def test_a_stopped_search_goes_on_to_the_same_colours(tmp_path):
-    whole = run(tmp_path / "whole", [Asked()], black_box_queries=60, **HOW)
+    whole = run(tmp_path / "whole", [Asked()], black_box_queries=60, snapshot_every=5, **HOW)
+    kept = sorted(path.name for path in (tmp_path / "whole" / "snapshots").iterdir())
+    assert kept == ["step-00000005.npy", "step-00000010.npy", "step-00000015.npy"]
     stop = lambda event: (tmp_path / "part" / "cancel").touch() if event["step"] == 13 else None
     part = run(tmp_path / "part", [Asked()], on_event=stop, black_box_queries=60, **HOW)
     assert part.stopped == "cancel file" and part.step < part.steps

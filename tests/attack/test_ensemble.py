@@ -186,7 +186,9 @@ def test_runs_with_every_technique_resume_to_the_same_bits(tmp_path):
         "smooth": 2, "preview_every": 0,
     }  # fmt: skip
     detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
-    whole = run(tmp_path / "whole", detectors, **changes)
+    whole = run(tmp_path / "whole", detectors, snapshot_every=3, **changes)
+    kept = [np.load(tmp_path / "whole" / "snapshots" / f"step-{step:08d}.npy") for step in (3, 6)]
+    assert np.array_equal(kept[1], whole.colors) and not np.array_equal(*kept)
     stop = lambda event: (tmp_path / "part" / "cancel").touch() if event["step"] == 3 else None
     part = run(tmp_path / "part", detectors, on_event=stop, **changes)
     assert part.stopped

@@ -93,3 +93,11 @@ def test_a_run_stopped_by_the_first_version_goes_on(tmp_path, capsys):
     assert code == 2 and "settings.distance = 2:2.4, not 2.2" in said
     code, said, errors = cloak(capsys, *resume, "--distance", "2.0:2.4")
     assert code == 3 and json.loads(said)["step"] == 2, errors
+
+
+def test_preset_transfer_with_one_detector_says_that_it_needs_more(logo, capsys):
+    code, _, said = cloak(capsys, *train("absent.npy", "--preset", "transfer"))
+    lines = [line for line in said.splitlines() if "--preset transfer" in line]
+    assert code == 2 and len(lines) == 1 and "cloak zoo list" in lines[0]
+    code, _, said = cloak(capsys, *train("absent.npy"))
+    assert code == 2 and "--preset transfer" not in said

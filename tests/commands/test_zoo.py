@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from cloak_core import library
-from cloak_core.attack.run_folder import read_start
+from cloak_core.attack.run_folder import RunFolder, read_start
 from cloak_core.cli import main
 from cloak_core.evaluation.foreign import colors_of
 from cloak_core.exchange.colors import read_colors, write_colors
@@ -150,7 +150,12 @@ def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
     write_colors(tmp_path / "plain.npy", grey)
     how = {"angles": "0", "images_per_view": 1, "bare": 1, "backgrounds": "procedural:test:2"}
     how |= {"size": 96, "shift": 5, "samples": 1, "controls": ("grey",), "resamples": 100}
-    own = library.evaluate(folder, bodies, **how)
+    for step in (20, 10):
+        RunFolder(folder).write_snapshot(step, grey)
+    own = library.evaluate(folder, bodies, over_time=True, **how)
+    assert [row["step"] for row in own["over_time"]] == [10, 20] and (folder / "curve.png").stat().st_size > 1000
+    snapshot = own["over_time"][0]["detectors"]["builtin"]
+    assert snapshot["success"] == own["detectors"]["builtin"]["grey"]["success"]
     other = library.evaluate(folder, bodies, colors=tmp_path / "plain.npy", **how)
     assert own["white_box"] == {"builtin": True} and other["white_box"] == {"builtin": None}
     rates = other["detectors"]["builtin"]

@@ -50,6 +50,8 @@ class RunSettings:
     """Steps between checkpoints; 0 writes one at the end alone."""
     preview_every: Annotated[int, Within()] = 100
     """Steps between preview pictures; 0 writes none."""
+    snapshot_every: Annotated[int, Within()] = 0
+    """Steps between copies of the colours in RUN/snapshots, for `cloak evaluate --over-time`; 0 keeps none."""
 
     def check(self) -> None:
         """InputError: values that do not go together."""
