@@ -38,6 +38,7 @@ COMMANDS: dict[str, str] = {
     "transfer": "transfer:Transfer",
     "export coco": "export:Coco",
     "reproduce": "reproduce:Reproduce",
+    "harden": "harden:Harden",
     "zoo list": "zoo:List",
     "zoo show": "zoo:Show",
     "zoo export": "zoo:Export",

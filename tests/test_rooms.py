@@ -15,8 +15,9 @@ MAY_IMPORT = {
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},
     "attack": {"files", "exchange", "zoo", "scene", "render", "detectors"},
+    "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
     "output": {"files", "exchange", "scene", "render", "detectors"},
-    "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
+    "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
 }
 """Nobody imports `bench` and `pretrain` but the commands; `commands` are imported by the command line alone."""
 TOP = {"commands", "cli", "library", "bench", "pretrain", "__main__", "__init__"}

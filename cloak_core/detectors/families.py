@@ -64,10 +64,10 @@ class Family:
 
 FAMILIES = {
     "builtin": Family(
-        spec="builtin",
+        spec="builtin[:WEIGHTS]",
         loader="builtin:load_builtin",
-        parts=(0, 0),
-        weights="embedded",
+        parts=(0, 1),
+        weights="embedded, or your .weights of the same network (cloak harden)",
         licence="Apache-2.0",
         verified="clean recall and false alarms on held-out bodies and photographs",
     ),

@@ -127,7 +127,8 @@ def test_names_beside_must_agree(tmp_path: Path) -> None:
         ("darknet:none.cfg:none.weights", "none.cfg: no such file"),
         ("python:none.py:load", "none.py: no such file"),
         ("python:none.py", "expected python:FILE.py:FUNCTION"),
-        ("builtin:x", "expected builtin, @OPTIONS"),
+        ("builtin:x:y", r"expected builtin\[:WEIGHTS\], @OPTIONS"),
+        ("builtin:x", "x: no such file"),
         ("darknet:a:b@0", "an input size of .0, 0. is not possible"),
     ],
 )

@@ -1,0 +1,102 @@
+"""`cloak harden`: a detector that cloaks no longer hide from, made of one that they do."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, Stopped, load_scene, out
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.progress import TrainingProgress
+from cloak_core.defend.settings import HardenSettings
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.defend.pool import Given
+    from cloak_core.exchange.bodies import Bodies
+
+
+@dataclass(kw_only=True)
+class Harden(Command):
+    """Harden a detector against cloaks: adversarial fine-tuning without labels; writes a detector of the same format.
+
+    Ctrl-C, or a file named `cancel` in --out, ends it after the current step with everything in place (exit code 3);
+    the same command with --resume goes on from there.
+    """
+
+    spec: Positional[str]
+    """Detector to harden: builtin or darknet:CFG:WEIGHTS."""
+    out: Path
+    """Folder to write; a new one unless --resume."""
+    resume: bool = False
+    """Go on with the hardening in --out from its last checkpoint."""
+    scene: str = "sample:train"
+    """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
+    backgrounds: str = "procedural:train"
+    """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
+    photos: str | None = None
+    """Folder of photographs with people, of whom the detector is to report what it reported; no labels."""
+    cloak: UseAppendAction[tuple[str, ...]] = ()
+    """Runs or zoo:NAME to be hardened against as well, on the bodies of --scene. Judge by others."""
+    settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.defend.hardening import harden
+        from cloak_core.defend.students import open_student
+        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+
+        prepare_process(self.compute)
+        if self.out.exists() and not self.resume:
+            raise InputError(f"{self.out}: exists already (--resume goes on with it)")
+        student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)
+        with TrainingProgress() as progress:
+            result = harden(
+                self.settings,
+                student,
+                bodies,
+                load_backgrounds(self.backgrounds),
+                self.out,
+                photographs=None if self.photos is None else load_backgrounds(self.photos),
+                given=[self._given(bodies, name) for name in self.cloak],
+                resume=self.resume,
+                on_event=progress,
+            )
+        record = {"before": None, "after": None, "out": str(self.out), "spec": result.spec, "step": result.step}
+        record |= {"steps": result.steps, "seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
+        why = f"stopped at step {result.step}: {result.stopped}"
+        return record | ({"stopped": why} if result.stopped else {})
+
+    @staticmethod
+    def _given(bodies: Bodies, name: str) -> Given:
+        from cloak_core.defend.pool import Given
+        from cloak_core.exchange.colors import read_colors
+        from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.zoo.shelf import run_path
+
+        folder = run_path(name)
+        logo = load_logo(bodies, folder / "logo.npy")
+        return Given(logo, read_colors(folder / "colors.npy", len(logo)))
+
+    def _commands(self, spec: str) -> list[str]:
+        """What judges the result: a new cloak, trained against the hardened detector, on a logo it never saw."""
+        run, face_list = self.out / "adaptive", self.out / "chest_thighs.npy"
+        select = ["logo", "select", "--scene", "sample", "--region", "chest+thighs", "--out", str(face_list)]
+        train = ["train", "--scene", "sample:train", "--logo", str(face_list), "--detector", spec]
+        train += ["--angles", "-10:10:5", "--out", str(run)]
+        check = ["detectors", "check", spec, "--scene", "sample:unseen", "--backgrounds", "procedural:test"]
+        judge = ["evaluate", str(run), "--detector", spec, "--detector", self.spec]
+        return [shlex.join(["cloak", *words]) for words in (check, select, train, judge)]
+
+    def show(self, result: dict) -> None:
+        out.print(f"wrote {result['spec']}: step {result['step']} of {result['steps']}, {result['seconds']:.0f} s")
+        out.print("judge it by cloaks that are trained against it anew:")
+        for line in result["judge"]:
+            out.print(f"  {line}")
+        if result.get("stopped"):
+            raise Stopped(result["stopped"])

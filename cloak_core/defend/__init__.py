@@ -1,0 +1,1 @@
+"""Detectors hardened against cloaks: adversarial fine-tuning, without labels."""

@@ -1,0 +1,203 @@
+"""Hardening: the detector learns to say of people in cloaks what it said of them without.
+
+A turn: a cloak is attacked further against the detector as it stands (never against a copy that is out of date), then
+the detector learns from new images of it, from the same images without it, and from pictures, all by distillation from
+what it was (`distillation`). So no labels are needed, and what nobody attacked is to stay as it was.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
+from cloak_core.attack.events import EventLog, OnEvent, rewind_events
+from cloak_core.attack.loop import TrainingError
+from cloak_core.attack.stopping import StopRequest, stop_request
+from cloak_core.defend.folder import HardenFolder, harden_config, open_folder
+from cloak_core.defend.pool import Given, Pool
+from cloak_core.defend.settings import HardenSettings
+from cloak_core.defend.students import Student
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+
+WARM_UP = 0.05
+"""Share of the steps over which the learning rate rises."""
+CLIP = 5.0
+"""Longest gradient, over all parameters."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HardenResult:
+    """How a hardening ended."""
+
+    out: Path
+    spec: str
+    """Of the hardened detector."""
+    step: int
+    steps: int
+    seconds: float
+    stopped: str
+    """Why it was ended early; "" when it is complete."""
+
+
+def harden(
+    settings: HardenSettings,
+    student: Student,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    out: Path,
+    *,
+    photographs: Backgrounds | None = None,
+    given: Sequence[Given] = (),
+    resume: bool = False,
+    on_event: OnEvent | None = None,
+) -> HardenResult:
+    """Harden the student into the folder `out`: hardened.cfg, hardened.weights and their licence, beside config.json,
+    events.jsonl and checkpoint/ as a training's run has them.
+
+    photographs: pictures with people, of whom the detector is to report what it reported; no labels. given: cloaks that
+    are there already. SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step;
+    `resume` goes on from there. InputError: `out` exists without `resume`, or was begun with something else.
+    """
+    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs)
+    config = harden_config(settings, student, bodies, backgrounds, photographs, given)
+    with (
+        open_folder(Path(out), config, resume) as folder,
+        stop_request(folder.cancel, settings.max_seconds) as stop,
+    ):
+        return Hardening(settings, student, pool, folder, on_event).run_to_end(stop)
+
+
+class Hardening:
+    """One hardening from its last checkpoint, or its start, to its end."""
+
+    def __init__(
+        self,
+        settings: HardenSettings,
+        student: Student,
+        pool: Pool,
+        folder: HardenFolder,
+        on_event: OnEvent | None = None,
+    ) -> None:
+        self.settings, self.student, self.pool, self.folder = settings, student, pool, folder
+        self.parameters = list(student.network.parameters())
+        self.optimizer = torch.optim.AdamW(self.parameters, settings.lr, weight_decay=0.0)
+        self.averaged = {name: value.clone() for name, value in student.network.state_dict().items()}
+        self.step, self._earlier, self._started = 0, 0.0, time.perf_counter()
+        self._restore()
+        self.log = EventLog(folder.events, on_event)
+
+    @property
+    def seconds(self) -> float:
+        """Of hardening so far, earlier parts included."""
+        return self._earlier + time.perf_counter() - self._started
+
+    def run_to_end(self, stop: StopRequest) -> HardenResult:
+        """Steps until done or told to stop; a checkpoint and the detector are written either way."""
+        reason, steps = "", self.settings.steps
+        try:
+            self._tell("resume" if self.step else "start", steps=steps)
+            while self.step < steps and not reason:
+                self._one_step()
+                reason = stop.reason(self.seconds)
+                if self.step % self.settings.checkpoint_every == 0 or reason or self.step == steps:
+                    self._save()
+            reason = "" if self.step >= steps else reason
+            images = self.step * (2 * self.settings.batch + self.settings.pictures)
+            spec = self.student.write(self.averaged, self.folder.path, images)
+            self._tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
+        finally:
+            self.log.close()
+        return HardenResult(self.folder.path, spec, self.step, steps, self.seconds, reason)
+
+    def _one_step(self) -> None:
+        self.student.detector.requires_grad_(False)
+        attack = self.pool.attack(self.step)
+        pair, pictures = self.pool.pair(self.step), self.pool.pictures(self.step)
+        parts = self._learn(pair.cloaked, pair.clean, pictures)
+        self.step += 1
+        self._average()
+        figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}
+        self._tell("step", **parts, **figures)
+
+    def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor) -> dict[str, float]:
+        """One update; returns the loss and its parts, each a mean over its own images."""
+        student, count = self.student, len(cloaked)
+        with torch.no_grad():
+            wanted = student.maps(student.teacher, torch.cat([clean, pictures]))
+        wanted = [torch.cat([maps[:count], maps]) for maps in wanted]
+        images = torch.cat([cloaked, clean, pictures])
+        surer = torch.arange(len(images), device=images.device) < 2 * count
+        student.detector.requires_grad_(True)
+        each = student.distance(images, wanted, surer, self.settings.sure)
+        loss = each.mean()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        length = torch.nn.utils.clip_grad_norm_(self.parameters, CLIP)
+        if not math.isfinite(float(loss.detach())) or not math.isfinite(float(length)):
+            raise TrainingError(f"{self.folder.path}: the loss of step {self.step + 1} is not finite; try a lower --lr")
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.settings.lr * rate(self.step, self.settings.steps)
+        self.optimizer.step()
+        parts = each.detach().split([count, count, len(pictures)])
+        names = ("cloaked", "clean", "pictures")
+        told = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
+        return {"loss": float(loss.detach())} | told
+
+    @torch.no_grad()
+    def _average(self) -> None:
+        decay = min(self.settings.average, self.step / (self.step + 10))
+        for name, value in self.student.network.state_dict().items():
+            if value.is_floating_point():
+                self.averaged[name].lerp_(value, 1 - decay)
+
+    def _tell(self, kind: str, **more: object) -> None:
+        self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 3)} | more)
+
+    def _save(self) -> None:
+        tensors = {f"network.{name}": value for name, value in self.student.network.state_dict().items()}
+        tensors |= {f"averaged.{name}": value for name, value in self.averaged.items()}
+        for number, state in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"adam.{number}.{name}": value for name, value in state.items()}
+        save_checkpoint(self.folder.checkpoint, Checkpoint(self.step, self.seconds, tensors | self.pool.state()))
+
+    def _restore(self) -> None:
+        found, _ = load_checkpoint(self.folder.checkpoint)
+        if found is None:
+            return
+        tensors, device = found.tensors, self.pool.device
+        try:
+            for mark, target in (("network.", self.student.network.state_dict()), ("averaged.", self.averaged)):
+                for name, value in target.items():
+                    value.copy_(tensors[mark + name])
+            self._load_adam(
+                {n.removeprefix("adam."): v.to(device) for n, v in tensors.items() if n.startswith("adam.")}
+            )
+            self.pool.load(found.step, tensors)
+        except (KeyError, ValueError, RuntimeError) as error:
+            raise InputError(f"{self.folder.checkpoint}: is of another detector ({error})") from None
+        self.step, self._earlier = found.step, found.time
+        rewind_events(self.folder.events, self.step)
+
+    def _load_adam(self, tensors: dict[str, Tensor]) -> None:
+        states: dict[int, dict[str, Tensor]] = {}
+        for name, value in tensors.items():
+            number, _, key = name.partition(".")
+            states.setdefault(int(number), {})[key] = value.cpu() if key == "step" else value
+        self.optimizer.load_state_dict(self.optimizer.state_dict() | {"state": states})
+
+
+def rate(step: int, steps: int) -> float:
+    """Share of the learning rate before update `step` (from 0): a rise, then half a cosine down to 0."""
+    warm = max(1, round(WARM_UP * steps))
+    if step < warm:
+        return (step + 1) / (warm + 1)
+    return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / max(1, steps - warm))

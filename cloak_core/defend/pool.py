@@ -1,0 +1,181 @@
+"""The cloaks that a detector is hardened against, and the pictures that it is to answer as before.
+
+Everything drawn is a function of (seed, turn), so that a hardening that was stopped goes on as if it had not been.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.attack.batches import Batcher
+from cloak_core.attack.objective import Objective, StepFigures, gradient_step
+from cloak_core.attack.optimizing import ColorOptimizer
+from cloak_core.attack.sampling import Sampler
+from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.defend.logos import draw_colors, draw_logo
+from cloak_core.defend.settings import HardenSettings
+from cloak_core.detectors.protocol import Detector
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.render.views import ViewBank
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.geometry import face_centres
+from cloak_core.scene.logos.logo import Logo, make_logo
+
+DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
+"""Metres and degrees, for one cloak after the other."""
+FRONT, AROUND = 4, 6
+"""Azimuths of a cloak: so many within 15 degrees of the front, so many all around."""
+SAMPLES = 4
+"""Per pixel: what sampling misses in one view it finds in the next."""
+_LOGO, _VIEWS, _PICTURES = 1, 2, 3
+"""Streams of random numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A finished cloak to be hardened against: colours [L, 3] of a logo."""
+
+    logo: Logo
+    colors: np.ndarray
+
+
+@dataclass(eq=False)
+class Cloak:
+    """One cloak of the pool."""
+
+    generation: int
+    logo: Logo
+    batcher: Batcher
+    objective: Objective
+    optimizer: ColorOptimizer
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The same images with a cloak and without."""
+
+    cloaked: Float[Tensor, "B 3 H W"]
+    clean: Float[Tensor, "B 3 H W"]
+
+
+class Pool:
+    """Cloaks, each on its logo, seen from its own distance and angles; they take turns."""
+
+    def __init__(
+        self,
+        settings: HardenSettings,
+        bodies: Bodies,
+        backgrounds: Backgrounds,
+        detector: Detector,
+        given: Sequence[Given] = (),
+        photographs: Backgrounds | None = None,
+    ) -> None:
+        self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
+        self.given, self.photographs = tuple(given), photographs
+        self.device = torch.device(detector.device)
+        self.bank = ViewBank(bodies, device=self.device, samples=SAMPLES)
+        self.centres = face_centres(bodies)
+        self.cloaks: dict[int, Cloak] = {}
+
+    def place(self, turn: int) -> tuple[int, int, int]:
+        """(slot, generation, how often the slot has had its turn); one slot after the other gets its next cloak."""
+        slot, count = turn % self.settings.cloaks, turn // self.settings.cloaks
+        ahead = slot * self.settings.life // self.settings.cloaks
+        return slot, (count + ahead) // self.settings.life, count
+
+    def cloak(self, turn: int) -> Cloak:
+        """The cloak whose turn it is: the slot's own, or a new one where its life is over."""
+        slot, generation, _ = self.place(turn)
+        known = self.cloaks.get(slot)
+        if known is None or known.generation != generation:
+            self.cloaks[slot] = self._new(slot, generation)
+        return self.cloaks[slot]
+
+    def attack(self, turn: int) -> StepFigures | None:
+        """Move the colours against the detector as it stands; figures of the last step, None without steps."""
+        cloak, figures = self.cloak(turn), None
+        first = self.place(turn)[2] * (self.settings.attack_steps + 1)
+        for k in range(self.settings.attack_steps):
+            figures = gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(first + k)).figures
+            cloak.optimizer.update(self.settings.attack_lr)
+        return figures
+
+    @torch.no_grad()
+    def pair(self, turn: int) -> Pair:
+        """New images of the cloak whose turn it is; clean ones in the body's clothes, without changes of colour."""
+        cloak = self.cloak(turn)
+        batch = cloak.batcher.batch(self.place(turn)[2] * (self.settings.attack_steps + 1) + self.settings.attack_steps)
+        outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
+        clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
+        # The second call draws into the memory of the first.
+        cloaked = batch.images(cloak.optimizer.colors()).clone()
+        return Pair(cloaked, replace(batch, on_logo=None).images(clothing).clone())
+
+    def pictures(self, turn: int) -> Float[Tensor, "P 3 H W"]:
+        """Backgrounds and photographs, half of each where there are some, mirrored at random."""
+        rng, size = np.random.default_rng([self.settings.seed, _PICTURES, turn]), self.settings.size
+        images = torch.zeros(self.settings.pictures, 3, size, size)
+        for k, image in enumerate(images):
+            source = self.photographs if self.photographs is not None and k % 2 else self.backgrounds
+            picture = source.image(int(rng.integers(len(source))), (size, size)).float() / 255
+            image.copy_(picture.flip(2) if rng.random() < 0.5 else picture)
+        return images.to(self.device)
+
+    def state(self) -> dict[str, Tensor]:
+        """For a checkpoint; which logo a cloak has follows from the turn."""
+        return {
+            f"cloak.{slot}.{name}": value
+            for slot, cloak in self.cloaks.items()
+            for name, value in cloak.optimizer.state().items()
+        }
+
+    def load(self, turn: int, tensors: dict[str, Tensor]) -> None:
+        """Go on before this turn, from `state()`."""
+        for earlier in range(max(0, turn - self.settings.cloaks), turn):
+            slot = self.place(earlier)[0]
+            mark = f"cloak.{slot}."
+            own = {name.removeprefix(mark): value for name, value in tensors.items() if name.startswith(mark)}
+            self.cloak(earlier).optimizer.load({name: value.to(self.device) for name, value in own.items()})
+
+    def _new(self, slot: int, generation: int) -> Cloak:
+        rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
+        if self.given and rng.random() < 0.5:
+            chosen = self.given[rng.integers(len(self.given))]
+            logo, colors = chosen.logo, chosen.colors
+        else:
+            logo = make_logo(self.bodies, draw_logo(self.bodies, rng))
+            colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
+        settings = self._train_settings(slot)
+        poses, outfits = self.bodies.pose_count, self.bodies.outfit_count
+        sampler = Sampler(settings, poses, outfits, len(self.backgrounds))
+        first = torch.from_numpy(np.array(colors, np.float32)).to(self.device)
+        return Cloak(
+            generation,
+            logo,
+            Batcher(settings, sampler, self.bank, logo.face_ids, self.backgrounds, self.device),
+            Objective(settings, logo, [self.detector], self.device),
+            ColorOptimizer(settings.optimization, first),
+        )
+
+    def _train_settings(self, slot: int) -> TrainSettings:
+        rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
+        front = rng.integers(-15, 16, FRONT)
+        around = (rng.integers(360) + np.arange(AROUND) * 360 // AROUND) % 360
+        angles = sorted({float(angle) for angle in (*front, *around)})
+        return make_settings(
+            "best",
+            steps=10_000_000,
+            batch=self.settings.batch,
+            seed=self.settings.seed + slot,
+            size=self.settings.size,
+            translation=self.settings.size // 8,
+            angles=",".join(f"{angle:g}" for angle in angles),
+            distance=f"{DISTANCES[slot % len(DISTANCES)]}",
+            elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
+        )

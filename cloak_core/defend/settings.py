@@ -1,0 +1,46 @@
+"""How a detector is hardened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from cloak_core.attack.settings import check_settings
+from cloak_core.attack.settings.values import Within
+
+
+@dataclass(frozen=True, kw_only=True)
+class HardenSettings:
+    """How a detector is hardened."""
+
+    steps: Annotated[int, Within(1, 10_000_000)] = 1500
+    """Updates of the detector."""
+    max_seconds: Annotated[float | None, Within(ends="()")] = None
+    """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
+    batch: Annotated[int, Within(1, 4096)] = 8
+    """Rendered images per update; each is shown cloaked and in its own clothes, and photographs beside them."""
+    pictures: Annotated[int, Within(0, 4096)] = 4
+    """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
+    cloaks: Annotated[int, Within(1, 256)] = 8
+    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
+    life: Annotated[int, Within(1, 100_000)] = 40
+    """Turns after which a cloak makes room for a new one, on another logo and from other colours."""
+    attack_steps: Annotated[int, Within(0, 1000)] = 3
+    """Steps of a cloak against the detector as it stands, before each update."""
+    attack_lr: Annotated[float, Within(0, 1, "(]")] = 0.05
+    """Their learning rate (Adam), in units of colour."""
+    lr: Annotated[float, Within(0, 1, "()")] = 5e-4
+    """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0."""
+    sure: Annotated[float, Within(0, 1, "[)")] = 0.9
+    """Where the unhardened detector reports the rendered person, it is to be at least so sure; 0: as sure as it was."""
+    average: Annotated[float, Within(0, 1, "[)")] = 0.99
+    """Decay of the running average of the weights, which is what gets written."""
+    size: Annotated[int, Within(32, 4096)] = 416
+    """Width and height of the rendered images, pixels."""
+    checkpoint_every: Annotated[int, Within(1, 10_000_000)] = 50
+    """Steps between checkpoints."""
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+    """Every random draw derives from it."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)

@@ -1,0 +1,190 @@
+"""A detector learns to see through cloaks, goes on where it was stopped, and is written as what it was."""
+
+import itertools
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.attack.stopping import StopRequest
+from cloak_core.commands.harden import Harden
+from cloak_core.defend.hardening import HardenResult, harden
+from cloak_core.defend.logos import JUDGED, draw_colors, draw_logo
+from cloak_core.defend.pool import Given, Pool
+from cloak_core.defend.settings import HardenSettings
+from cloak_core.defend.students import NAME, Student, open_student
+from cloak_core.detectors.darknet.layers import BatchNorm
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import state_hash
+from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_areas, face_centres
+from cloak_core.scene.logos.logo import region_mask
+from cloak_core.scene.people.samples import sample_bodies
+from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds
+from tests.detectors.helpers import images, write_tiny
+
+FEW = {"steps": 4, "batch": 2, "pictures": 1, "cloaks": 2, "life": 2, "attack_steps": 1, "size": 64}
+
+
+@pytest.fixture
+def student(tmp_path: Path) -> Student:
+    return open_student(write_tiny(tmp_path))
+
+
+def hardened(student: Student, out: Path, resume: bool = False, **changes: object) -> HardenResult:
+    settings = HardenSettings(**(FEW | changes))
+    return harden(settings, student, box_bodies(), noise_backgrounds(), out, resume=resume)
+
+
+def test_writes_what_loads_as_the_same_kind_and_another_network(student: Student, tmp_path: Path) -> None:
+    result = hardened(student, tmp_path / "out")
+    assert result.spec == f"darknet:{tmp_path}/out/{NAME}.cfg:{tmp_path}/out/{NAME}.weights"
+    before, after = load_detector(student.spec), load_detector(result.spec)
+    assert not torch.equal(before(images(2)).scores, after(images(2)).scores)
+    torch.testing.assert_close(before(images(2)).scores, after(images(2)).scores, atol=0.2, rtol=0)
+    licence = (tmp_path / "out" / f"{NAME}.licence.txt").read_text()
+    assert student.spec in licence and "their authors'" in licence
+    assert (tmp_path / "out" / f"{NAME}.names").read_text().split() == ["person"]
+
+
+@pytest.mark.slow
+def test_the_teacher_stays_what_it_was_and_batch_norm_keeps_its_statistics(student: Student, tmp_path: Path) -> None:
+    teacher = state_hash(student.teacher)
+    statistics = [m.running_mean.clone() for m in student.network.modules() if isinstance(m, BatchNorm)]
+    hardened(student, tmp_path / "out")
+    assert state_hash(student.teacher) == teacher
+    after = [m.running_mean for m in student.network.modules() if isinstance(m, BatchNorm)]
+    assert statistics and all(torch.equal(*pair) for pair in zip(statistics, after, strict=True))
+
+
+@pytest.mark.slow
+def test_a_stopped_hardening_goes_on_to_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = write_tiny(tmp_path)
+    whole = hardened(open_student(spec), tmp_path / "whole")
+    asked = []
+    monkeypatch.setattr(
+        StopRequest, "reason", lambda *_: (asked.append(1), "cancel file" if len(asked) == 3 else "")[1]
+    )
+    part = hardened(open_student(spec), tmp_path / "part")
+    assert (part.stopped, part.step) == ("cancel file", 3)
+    rest = hardened(open_student(spec), tmp_path / "part", resume=True)
+    assert (rest.stopped, rest.step) == ("", 4)
+    assert state_hash(load_detector(rest.spec)) == state_hash(load_detector(whole.spec))
+    types = [json.loads(line)["type"] for line in (tmp_path / "part" / "events.jsonl").read_text().splitlines()]
+    assert types == ["start", *["step"] * 3, "resume", "step", "end"]
+
+
+def test_a_cancel_file_and_a_time_budget_end_it_in_order(student: Student, tmp_path: Path) -> None:
+    started = time.monotonic()
+    result = hardened(student, tmp_path / "out", steps=1000, max_seconds=0.01)
+    assert (result.stopped, result.step) == ("time budget", 1)
+    assert time.monotonic() - started < 60
+    assert load_detector(result.spec)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({}, "exists already"), ({"resume": True, "lr": 0.1}, "begun with other --lr = 0.0005, not 0.1")],
+)
+def test_a_folder_that_is_there_is_not_taken_for_another(
+    student: Student, tmp_path: Path, changes: dict, message: str
+) -> None:
+    hardened(student, tmp_path / "out", steps=1)
+    with pytest.raises(InputError, match=message):
+        hardened(student, tmp_path / "out", **({"steps": 1} | changes))
+
+
+def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
+    with pytest.raises(InputError, match="cannot train 'torchvision' yet, only builtin and darknet"):
+        open_student("torchvision:fcos_resnet50_fpn:random")
+    with pytest.raises(InputError, match="cannot train 'jpeg=75' yet"):
+        open_student("jpeg=75:builtin")
+
+
+def test_a_hardened_built_in_detector_is_a_built_in_one(tmp_path: Path) -> None:
+    student = open_student("builtin@96")
+    spec = student.write(student.network.state_dict(), tmp_path, 0)
+    assert spec == f"builtin:{tmp_path}/{NAME}.weights@96"
+    again, first = load_detector(spec), load_detector("builtin@96")
+    torch.testing.assert_close(again(images(1)).scores, first(images(1)).scores)
+    assert (again.operating_point, again.operating_point_assumed) == (0.5, False)
+    assert "Apache-2.0" in (tmp_path / f"{NAME}.licence.txt").read_text()
+
+
+@pytest.mark.slow
+def test_the_epsilon_of_the_original_darknet_moves_into_the_scale(tmp_path: Path) -> None:
+    spec = write_tiny(tmp_path)
+    weights = tmp_path / "tiny.weights"
+    data = bytearray(weights.read_bytes())
+    data[8:12] = (0).to_bytes(4, "little")  # the original's revision
+    weights.write_bytes(bytes(data))
+    student = open_student(spec)
+    again = student.write(student.network.state_dict(), tmp_path, 0)
+    torch.testing.assert_close(load_detector(again)(images(2)).scores, load_detector(spec)(images(2)).scores)
+
+
+def test_an_attack_moves_the_colours_of_the_cloak_whose_turn_it_is(
+    student: Student, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.defend.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
+    settings = HardenSettings(**(FEW | {"attack_steps": 2}))
+    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    first, second = pool.cloak(0), pool.cloak(1)
+    before = [cloak.optimizer.colors().detach().clone() for cloak in (first, second)]
+    assert pool.attack(0) is not None
+    assert not torch.equal(first.optimizer.colors(), before[0])
+    assert torch.equal(second.optimizer.colors(), before[1])
+
+
+def test_a_pair_differs_where_the_logo_is(student: Student) -> None:
+    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    pair = pool.pair(0)
+    apart = (pair.cloaked - pair.clean).abs().amax((1, 2, 3))
+    assert pair.cloaked.shape == (2, 3, 64, 64)
+    assert float(apart.max()) > 0.05
+    assert pool.pictures(0).shape == (1, 3, 64, 64)
+
+
+def test_cloaks_die_one_after_the_other_and_given_ones_are_among_them(student: Student) -> None:
+    logo = front_logo(box_bodies())
+    given = Given(logo, np.full((len(logo), 3), 0.25, np.float32))
+    settings = HardenSettings(**(FEW | {"cloaks": 4, "life": 4}))
+    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector, [given])
+    generations = [pool.place(turn)[1] for turn in range(32)]
+    rounds = [generations[turn : turn + 4] for turn in range(0, 32, 4)]
+    changes = [sum(a != b for a, b in zip(*pair, strict=True)) for pair in itertools.pairwise(rounds)]
+    assert changes == [1] * 7
+    colors = [pool.cloak(turn).optimizer.colors() for turn in range(32)]
+    shares = [bool((c == 0.25).all()) for c in colors]
+    assert 0 < sum(shares) < len(shares)
+
+
+@pytest.mark.slow
+def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
+    bodies, rng = sample_bodies("train"), np.random.default_rng(0)
+    areas = face_areas(bodies)
+    judged = [np.any([region_mask(bodies, name) for name in names], 0) for names in JUDGED]
+    shares = []
+    for _ in range(60):
+        chosen = np.isin(np.arange(bodies.face_count), draw_logo(bodies, rng))
+        shares.append(areas[chosen].sum() / areas.sum())
+        for mask in judged:
+            assert areas[chosen & mask].sum() <= 0.7 * areas[chosen | mask].sum()
+    assert min(shares) >= 0.05 and max(shares) <= 0.7
+    assert np.std(shares) > 0.05
+
+
+def test_first_colours_are_colours() -> None:
+    centres = face_centres(box_bodies()).astype(np.float32)
+    for seed in range(12):
+        colors = draw_colors(centres, np.random.default_rng(seed))
+        assert colors.shape == centres.shape and colors.dtype == np.float32
+        assert 0 <= colors.min() and colors.max() <= 1
+
+
+def test_the_command_names_a_folder_that_is_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="exists already"):
+        Harden(spec="builtin", out=tmp_path).run()
