@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "print": "printing:Print",
     "sweep": "sweep:Sweep",
     "transfer": "transfer:Transfer",
+    "assess": "assess:Assess",
     "export coco": "export:Coco",
     "reproduce": "reproduce:Reproduce",
     "harden": "harden:Harden",

@@ -65,3 +65,36 @@ class TrainingProgress:
         elif time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total:
             self._said = time.monotonic()
             err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s")
+
+
+class WorkProgress:
+    """Takes what is being done, how much of all is done and how much there is in all; shows them and the time left.
+
+    What was found done already takes no time, and tells nothing of how long the rest will.
+    """
+
+    def __init__(self, silent: bool = False) -> None:
+        self._silent, self._said, self._spent, self._worked = silent, -PLAIN_EVERY, 0.0, 0.0
+        self._done, self._at, self._label = 0.0, time.monotonic(), ""
+
+    def __call__(self, label: str, done: float, total: float) -> None:
+        now = time.monotonic()
+        if now - self._at > QUICK and done > self._done:
+            self._spent, self._worked = self._spent + now - self._at, self._worked + done - self._done
+        self._done, self._at = done, now
+        if not self._silent and (now - self._said >= PLAIN_EVERY or label != self._label):
+            self._said, self._label = now, label
+            left = f", about {_minutes(self.left(total))} left" if self._worked else ""
+            err.print(f"{label}: {done / total:.0%}{left}")
+
+    def left(self, total: float) -> float:
+        """Seconds that the rest will take at the pace so far."""
+        return (total - self._done) * self._spent / max(self._worked, 1e-9)
+
+
+QUICK = 0.002
+"""Seconds; a report that comes sooner is of something that was done before."""
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from jaxtyping import Bool, Integer
+from jaxtyping import Bool, Float, Integer
 from scipy.special import stdtrit
 
 RESAMPLES = 1000
@@ -46,7 +46,7 @@ class Rate:
 
 
 def clustered_rate(
-    hits: Bool[np.ndarray, " N"],
+    hits: Bool[np.ndarray, " N"] | Float[np.ndarray, " N"],
     bodies: Integer[np.ndarray, " N"],
     backgrounds: Integer[np.ndarray, " N"],
     seeds: Integer[np.ndarray, " N"] | None = None,
@@ -55,7 +55,10 @@ def clustered_rate(
     level: float = LEVEL,
     seed: int = 0,
 ) -> Rate:
-    """Share of `hits` with its interval over bodies, backgrounds and, where given, the seeds of trainings (labels)."""
+    """Share of `hits` with its interval over bodies, backgrounds and, where given, the seeds of trainings (labels).
+
+    A hit may also be a part of one, in [0, 1].
+    """
     n = len(hits)
     if not n:
         return Rate(math.nan, math.nan, math.nan, 0)

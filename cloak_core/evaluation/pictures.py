@@ -49,7 +49,7 @@ def write_pictures(
         "gallery": [shoot_pair(*told, trial, *judges) for trial in shown],
         "failures": failures,
         "worst": worst,
-        "controls": _label(stage, middle) | {"images": _shoot(*told, middle, measurement.controls, *judges)},
+        "controls": label(stage, middle) | {"images": shoot(*told, middle, measurement.controls, *judges)},
         "flat": {side: _flat(folder, stage, side, azimuth) for side, azimuth in SIDES.items()},
     }
 
@@ -57,7 +57,7 @@ def write_pictures(
 @torch.no_grad()
 def shoot_pair(folder: Path, stage: Stage, trial: int, detectors: dict[str, Detector], threshold: float) -> dict:
     """One trial in own clothing and cloaked: both pictures written into `folder`, what they show and what was found."""
-    return _label(stage, trial) | _shoot(folder, stage, trial, (CLOTHING, LOGO), detectors, threshold)
+    return label(stage, trial) | shoot(folder, stage, trial, (CLOTHING, LOGO), detectors, threshold)
 
 
 def gallery_trials(trials: Trials) -> list[int]:
@@ -91,7 +91,8 @@ def worst_trials(measurement: Measurement, detector: int, threshold: float) -> l
     return [(trial, success) for success, _, trial in sorted(rows)[:WORST] if success < 1]
 
 
-def _label(stage: Stage, trial: int) -> dict:
+def label(stage: Stage, trial: int) -> dict:
+    """What one trial shows, as plain values."""
     trials = stage.trials
     return {
         "trial": trial,
@@ -102,7 +103,7 @@ def _label(stage: Stage, trial: int) -> dict:
     }
 
 
-def _shoot(
+def shoot(
     folder: Path, stage: Stage, trial: int, controls: Sequence[str], detectors: dict[str, Detector], threshold: float
 ) -> dict[str, dict]:
     """Render one trial under these controls, write the pictures, and record what each detector sees in them."""

@@ -83,6 +83,24 @@ def angle_panels(rows: Rows, panel: str, curve: str, label: str) -> Figure:
     return figure
 
 
+def ring(axis: Axes, rows: Rows, key: str, color: str, dash: object, name: str, banded: bool = False) -> None:
+    """A closed line of one column around the body, with its band of intervals where asked for."""
+    rows = [*rows, rows[0]]
+    at = np.unwrap(np.radians(column(rows, "angle")))
+    axis.plot(at, column(rows, key), color=color, ls=dash, lw=1.8 if key == "success" else 1.2, label=name)
+    if banded:
+        axis.fill_between(at, column(rows, "low"), column(rows, "high"), color=color, alpha=0.12, lw=0)
+
+
+def compass(axis: Axes) -> None:
+    """A polar axis seen from above: front at the bottom, as the camera sees it at azimuth 0."""
+    axis.set_theta_zero_location("S")
+    axis.set_ylim(0, 1)
+    axis.set_rlabel_position(135)
+    axis.set_yticks([0.25, 0.5, 0.75, 1], ["", "50 %", "", "100 %"])
+    axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])
+
+
 def threshold_axis(axis: Axes) -> None:
     """Detection thresholds along x, the usual one marked."""
     axis.axvline(THRESHOLD, color=INK, lw=0.8, ls=":", zorder=0)

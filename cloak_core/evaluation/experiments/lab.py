@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.attack.events import read_events
+from cloak_core.attack.events import OnEvent, read_events
 from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
@@ -28,7 +28,7 @@ from cloak_core.evaluation.experiments.logos import chest_thighs
 from cloak_core.evaluation.experiments.materials import Materials, backgrounds_record, bodies_record
 from cloak_core.evaluation.experiments.options import QUICK_STEPS, Options
 from cloak_core.evaluation.experiments.repeats import Repeats
-from cloak_core.evaluation.inference import measure
+from cloak_core.evaluation.inference import OnProgress, measure
 from cloak_core.evaluation.measurement import Measurement, read_measurement
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
@@ -77,6 +77,10 @@ class Lab:
         self.materials, self.options = materials, options
         self.tell = on_progress or (lambda message: _log.info("%s", message))
         """Takes a line of progress."""
+        self.on_event: OnEvent | None = None
+        """Hears what trainings log."""
+        self.on_images: OnProgress | None = None
+        """Hears how many images of an evaluation are done, and how many there are."""
         if len(options.steps) not in (0, 1, len(self.specs)):
             raise InputError(
                 f"--steps: {len(options.steps)} numbers for {len(self.specs)} detectors; one for all or one for each"
@@ -137,7 +141,8 @@ class Lab:
                 _precision([self.materials.detectors[spec] for spec in specs], precision) as detectors,
                 _clocked(folder),
             ):
-                result = train(settings, bodies, logo, detectors, self.materials.backgrounds, folder, resume=True)
+                backgrounds, told = self.materials.backgrounds, self.on_event
+                result = train(settings, bodies, logo, detectors, backgrounds, folder, resume=True, on_event=told)
             if result.stopped:
                 raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
         colors = read_colors(folder / "colors.npy", len(logo))
@@ -248,7 +253,8 @@ class Lab:
         folder = self.options.out / "evaluations" / key
         if not (folder / "scores.npz").exists():
             self.tell(f"evaluating {trained.folder.name} as {key}")
-            measurement = measure(make(), {spec: self.materials.detectors[spec] for spec in specs}, settings)
+            detectors = {spec: self.materials.detectors[spec] for spec in specs}
+            measurement = measure(make(), detectors, settings, self.on_images)
             shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
             with new_folder(folder) as temporary:
                 write_json(temporary / "config.json", shown | more)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.experiments.drawing import band, clothing_line, look
+from cloak_core.evaluation.experiments.drawing import band, clothing_line, compass, look, ring
 from cloak_core.evaluation.experiments.lab import MULTI, Lab
 from cloak_core.evaluation.experiments.logos import chest_thighs, shirt_trousers
-from cloak_core.evaluation.experiments.numbers import Numbers, Rows, column, group, select
+from cloak_core.evaluation.experiments.numbers import Numbers, column, group, select
 from cloak_core.evaluation.figures import INK, SERIES, WIDTH, azimuth_axis, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.report.words import said, short_name
 
@@ -64,30 +62,12 @@ def draw(numbers: Numbers) -> dict[str, Figure]:
         wide, circle = select(rows, test="-50..50"), select(rows, test="circle")
         band(axis, column(wide, "angle"), wide, name, alpha=0.1, **look(k))
         # On a circle only one band can be read.
-        _ring(polar, circle, "success", look(k)["color"], look(k)["ls"], name, banded=k == len(cloaks) - 1)
+        ring(polar, circle, "success", look(k)["color"], look(k)["ls"], name, banded=k == len(cloaks) - 1)
     clothing_line(axis, column(wide, "angle"), wide)
-    _ring(polar, circle, "clothing", INK, ":", SERIES["clothing"].label)
+    ring(polar, circle, "clothing", INK, ":", SERIES["clothing"].label)
     percent_axis(axis)
     azimuth_axis(axis)
     legend_above(figure)
-    _compass(polar)
+    compass(polar)
     around.legend(*polar.get_legend_handles_labels(), loc="outside upper left")
     return {"wide": figure, "circle": around}
-
-
-def _ring(axis: Axes, rows: Rows, key: str, color: str, dash: object, name: str, banded: bool = False) -> None:
-    """A closed line of one column around the body, with its band of intervals where asked for."""
-    rows = [*rows, rows[0]]
-    at = np.unwrap(np.radians(column(rows, "angle")))
-    axis.plot(at, column(rows, key), color=color, ls=dash, lw=1.8 if key == "success" else 1.2, label=name)
-    if banded:
-        axis.fill_between(at, column(rows, "low"), column(rows, "high"), color=color, alpha=0.12, lw=0)
-
-
-def _compass(axis: Axes) -> None:
-    """A polar axis seen from above: front at the bottom, as the camera sees it at azimuth 0."""
-    axis.set_theta_zero_location("S")
-    axis.set_ylim(0, 1)
-    axis.set_rlabel_position(135)
-    axis.set_yticks([0.25, 0.5, 0.75, 1], ["", "50 %", "", "100 %"])
-    axis.set_xticks(np.radians([0, 90, 180, 270]), ["front", "left", "back", "right"])

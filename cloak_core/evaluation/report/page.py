@@ -138,15 +138,15 @@ def _detector(stored: StoredEvaluation, d: int, spec: str, rates: dict, threshol
 
 def _pair(folder: Path, specs: list[str], shot: dict) -> dict:
     label = {key: shot[key] for key in ("body", "angle", "distance", "background")}
-    return label | {control: _shot(folder, specs, shot[control]) for control in ("clothing", "logo")}
+    return label | {control: told_shot(folder, specs, shot[control]) for control in ("clothing", "logo")}
 
 
 def _strip(folder: Path, specs: list[str], shot: dict) -> dict:
     label = {key: shot[key] for key in ("body", "angle", "background")}
-    return label | {"images": {c: _shot(folder, specs, picture) for c, picture in shot["images"].items()}}
+    return label | {"images": {c: told_shot(folder, specs, picture) for c, picture in shot["images"].items()}}
 
 
-def _shot(folder: Path, specs: list[str], picture: dict) -> dict:
+def told_shot(folder: Path, specs: list[str], picture: dict) -> dict:
     """One picture with its boxes, and what every detector made of it."""
     boxes = [
         {"d": d, "x": b[0], "y": b[1], "w": max(b[2] - b[0], 0), "h": max(b[3] - b[1], 0), "score": f"{b[4]:.2f}"}

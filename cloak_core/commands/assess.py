@@ -1,0 +1,132 @@
+"""`cloak assess`: a robustness card for any detector."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, Stopped, err, out
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.progress import WorkProgress
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.detectors.protocol import Detector
+    from cloak_core.evaluation.card.protocol import Budget
+    from cloak_core.evaluation.experiments.lab import Lab
+
+
+@dataclass(kw_only=True)
+class Assess(Command):
+    """Measure how robust detectors are, clean and attacked, by a fixed protocol: a card for each, as figures and as one
+    page that opens offline; of several, a page that compares them.
+
+    What is there already is not done again: a stopped call goes on with the same command. Without any SPEC the pages
+    and the leaderboard are written again from the cards in --out.
+    """
+
+    specs: Positional[tuple[str, ...]] = ()
+    """Detectors, as in cloak train; of one without gradients the black-box part alone is made."""
+    out: Path
+    """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all that were asked for."""
+    quick: bool = False
+    """Short attacks and few images: ten minutes on two cores for a small detector (default: about an hour)."""
+    full: bool = False
+    """Long attacks, three seeds each, and many images."""
+    scene: str = "sample"
+    """Bodies: scene folder, .npz, or sample; every second one attacks, the others judge."""
+    unseen: str | None = None
+    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
+    back)."""
+    backgrounds: str = "procedural"
+    """Folder of images without people, or procedural; every second one attacks, the others judge."""
+    unseen_backgrounds: str | None = None
+    """Backgrounds to judge on (default: every second one of --backgrounds)."""
+    zoo: UseAppendAction[tuple[str, ...]] = ()
+    """Entries of the zoo to show it (default: all that these bodies can wear)."""
+    seed: int = 0
+    """Every random draw derives from it."""
+    leaderboard: Path | None = None
+    """Markdown file that takes a table of all cards in --out."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
+        from cloak_core.evaluation.card.page import write_card, write_comparison
+        from cloak_core.evaluation.experiments.lab import Interrupted
+
+        budget = self._budget()
+        try:
+            cards = self._measured(budget) if self.specs else gather(self.out)
+        except Interrupted as stop:
+            raise Stopped(str(stop)) from None
+        folders = {name: self.out / name for name in cards}
+        pages = [write_card(folder) for folder in folders.values()]
+        pages += [write_comparison(folders, self.out / "card.html")] if len(cards) > 1 else []
+        if self.leaderboard is not None:
+            write_leaderboard(gather(self.out), self.leaderboard)
+            pages.append(self.leaderboard)
+        files = {"files": [str(path) for path in pages]}
+        if len(cards) == 1:
+            return next(iter(cards.values())) | files
+        return {"cards": {card["spec"]: card for card in cards.values()}} | files
+
+    def _budget(self) -> Budget:
+        from cloak_core.evaluation.card.protocol import DEFAULT, FULL, QUICK
+
+        if self.quick and self.full:
+            raise InputError("--quick, --full: one of them")
+        return QUICK if self.quick else FULL if self.full else DEFAULT
+
+    def _measured(self, budget: Budget) -> dict[str, dict]:
+        """A card for each detector, by its folder's name."""
+        from cloak_core.evaluation.card.assessing import Assessment
+        from cloak_core.evaluation.card.leaderboard import folder_names
+
+        prepare_process(self.compute)
+        specs = tuple(dict.fromkeys(self.specs))
+        names, cards = folder_names(specs), {}
+        for spec, detector in zip(specs, self.options.load(specs, self.compute.device), strict=True):
+            err.print(f"assessing {spec}")
+            lab = self._lab(spec, detector, budget)
+            folder, zoo = self.out / names[spec], self.zoo or None
+            cards[names[spec]] = Assessment(lab, budget, folder, zoo, WorkProgress()).run()
+        return cards
+
+    def _lab(self, spec: str, detector: Detector, budget: Budget) -> Lab:
+        from cloak_core.evaluation.experiments.lab import Lab
+        from cloak_core.evaluation.experiments.materials import open_bodies_and_backgrounds
+        from cloak_core.evaluation.experiments.options import Options
+
+        materials = open_bodies_and_backgrounds(
+            {spec: detector},
+            scene=self.scene,
+            unseen=self.unseen,
+            backgrounds=self.backgrounds,
+            unseen_backgrounds=self.unseen_backgrounds,
+        )
+        amount = Options(
+            out=self.out,
+            seeds=budget.seeds,
+            seed=self.seed,
+            device=self.compute.device,
+            command=shlex.join(["cloak", *sys.argv[1:]]),
+        )
+        return Lab(materials, amount, lambda message: None)
+
+    def show(self, result: dict) -> None:
+        from cloak_core.evaluation.card.words import headline, lede
+
+        for card in result["cards"].values() if "cards" in result else [result]:
+            out.print(headline(card))
+            out.print(f"  {lede(card)}")
+        for path in result["files"]:
+            out.print(f"wrote {path}")

@@ -1,0 +1,190 @@
+"""The robustness card on tiny images: a fake detector under a tiny budget, its page, and several side by side."""
+
+import itertools
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from cloak_core.cli import main
+from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.evaluation.card import assessing as assessing_module
+from cloak_core.evaluation.card import words
+from cloak_core.evaluation.card.areas import nested_areas
+from cloak_core.evaluation.card.assessing import Assessment
+from cloak_core.evaluation.card.leaderboard import folder_names, gather, write_leaderboard
+from cloak_core.evaluation.card.page import write_card, write_comparison
+from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Budget
+from cloak_core.evaluation.card.rows import pose_of
+from cloak_core.evaluation.experiments import lab as lab_module
+from cloak_core.evaluation.experiments.lab import Lab
+from cloak_core.evaluation.experiments.materials import Materials
+from cloak_core.evaluation.experiments.options import Options
+from cloak_core.files.errors import InputError
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+from cloak_core.scene.logos.logo import area_share
+from cloak_core.scene.people.samples import sample_bodies
+
+TINY = Budget("tiny", 2, 1, 10, 180, 1, 6, areas=(0.05, 0.76))
+
+
+class Glow(Detector):
+    """A person is what is bright in the middle."""
+
+    def __init__(self, name: str, differentiable: bool = True) -> None:
+        super().__init__(name, name)
+        self.gain = torch.nn.Parameter(torch.tensor(30.0))
+        self.differentiable, self.operating_point = differentiable, 0.25
+        self.freeze()
+
+    def forward(self, images: Tensor) -> Detections:
+        count, _, height, width = images.shape
+        middle = images[:, 0, height // 5 : 4 * height // 5, 2 * width // 5 : 3 * width // 5]
+        score = torch.sigmoid((middle.flatten(1).mean(1) - 0.4) * self.gain)[:, None]
+        box = torch.tensor([0.3 * width, 0.1 * height, 0.7 * width, 0.9 * height])
+        return Detections(box.expand(count, 1, 4), score, score, torch.ones(count, 1, dtype=torch.bool))
+
+
+def make_lab(out: Path, detector: Detector) -> Lab:
+    materials = Materials(
+        sample_bodies("train").select_poses([0, 9]),
+        sample_bodies("unseen").select_poses([0, 3]),
+        load_backgrounds("procedural:train:4"),
+        load_backgrounds("procedural:test:4"),
+        {detector.spec: detector},
+    )
+    return Lab(materials, Options(out=out, batch=2, size=48, samples=1, seeds=1), lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
+    """A folder with the card of a white box and of a black box, the first card, and the progress told."""
+    out, told = tmp_path_factory.mktemp("cards"), []
+    card = Assessment(
+        make_lab(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"], lambda *x: told.append(x)
+    ).run()
+    Assessment(make_lab(out, Glow("dark:net.onnx", False)), TINY, out / "dark", []).run()
+    for name in ("glow", "dark"):
+        write_card(out / name)
+    return out, card, told
+
+
+def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) -> None:
+    out, card, told = made
+    assert json.loads((out / "glow/card.json").read_text()) == json.loads(json.dumps(card, allow_nan=False))
+    assert card["protocol"] == "1" and card["spec"] == "glow" and card["operating_point"] == 0.25
+    assert {"recall", "recall_own", "ap50", "ap50_95", "false_alarms", "n", "ci95"} <= card["clean"].keys()
+    assert card["clean"]["n"] == 6 and card["clean"]["backgrounds"] == 4
+    assert card["recall_by"].keys() == {"distance", "azimuth", "elevation", "body", "pose"}
+    for rows in card["recall_by"].values():
+        assert sum(row["n"] for row in rows.values()) == 6
+    assert card["controls"].keys() == {"noise", "clothing", "grey", "random", "stripes", "checks"}
+    assert [row["asked"] for row in card["white_box"]] == [0.05, 0.76]
+    for row in card["white_box"]:
+        low, high = row["ci95_own"]
+        assert 0 <= low <= row["success_own"] <= high <= 1 and row["n"] == 2 * 3
+        assert row["masr"] == pytest.approx(np.mean(list(row["by_threshold"].values())), abs=1e-3)
+    assert card["circle"] == card["around"]["success"] and card["around"]["by_angle"].keys() == {"0", "180"}
+    (entry,) = card["black_box"]["zoo"]
+    assert entry["name"] == "builtin-sample" and entry["trained_against_it"] is False
+    assert card["black_box"]["success_own"] == entry["success_own"]
+    done = [d for _, d, _ in told]
+    assert done == sorted(done) and done[-1] == told[-1][2] > 0
+
+
+def test_it_is_made_once_and_the_same_again(made: tuple[Path, dict, list], monkeypatch: pytest.MonkeyPatch) -> None:
+    out, card, _ = made
+    for name in ("train", "measure"):
+        monkeypatch.setattr(lab_module, name, lambda *_, **__: pytest.fail("made again"))
+    again = Assessment(make_lab(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
+    assert again == card  # its seconds, too: of what was done before, no more
+
+
+def test_of_a_black_box_only_what_needs_no_gradients(made: tuple[Path, dict, list]) -> None:
+    card = json.loads((made[0] / "dark/card.json").read_text())
+    assert card["white_box"] == [] and card["circle"] is None and card["clean"]["n"] == 6
+    said = words.not_tested(card)
+    assert "gives no gradients" in said[0] and "No cloak made against other detectors" in said[1]
+    assert "gives no gradients" in words.headline(card) and words.verdict(card)[0] == "unknown"
+    assert "White" not in (made[0] / "dark/card.html").read_text() or "white box not tested" in words.verdict(card)[1]
+
+
+def test_the_page_needs_nothing_but_itself(made: tuple[Path, dict, list]) -> None:
+    page = (made[0] / "glow/card.html").read_text("utf-8")
+    assert "<script" not in page and not re.search(r"(src|href)=\"(?!data:|#)", page)
+    for words_of in ("What was not tested", "By the cloak", "All around", "By the detection threshold"):
+        assert words_of in page
+    assert words.headline(made[1]) in page
+    assert (made[0] / "glow/card.md").read_text().startswith("| detector |")
+
+
+def test_several_are_compared_on_one_page_and_in_a_leaderboard(made: tuple[Path, dict, list], tmp_path: Path) -> None:
+    shutil.copytree(made[0], tmp_path / "cards")
+    out = tmp_path / "cards"
+    page = write_comparison({"glow": out / "glow", "dark": out / "dark"}, out / "card.html").read_text("utf-8")
+    assert 'href="glow/card.html"' in page and "<script" not in page and page.count('class="compared"') == 2
+    write_leaderboard(gather(out), tmp_path / "board.md")
+    rows = [line for line in (tmp_path / "board.md").read_text().splitlines() if line.startswith("| ")]
+    assert [row.split(" | ")[0] for row in rows[2:]] == ["| glow", "| dark net"]  # no white-box figures: last
+    assert len({row.count("|") for row in rows}) == 1
+    record = json.loads((out / "glow/card.json").read_text()) | {"protocol": "0"}
+    (out / "glow/card.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"card.json: a card of protocol '0'; this version has '1'"):
+        gather(out)
+
+
+def test_areas_are_nested_and_as_large_as_asked() -> None:
+    bodies = sample_bodies("train")
+    areas = nested_areas(bodies, AREAS)
+    for small, large in itertools.pairwise(areas):
+        assert set(small) < set(large)
+    assert [area_share(bodies, ids) for ids in areas] == pytest.approx(AREAS, abs=0.01)
+    assert bodies.regions["front"][areas[1]].all() and not bodies.regions["front"][areas[3]].all()
+
+
+def test_the_headline_names_the_least_area_that_hides_half(made: tuple[Path, dict, list]) -> None:
+    card = made[1]
+    row = card["white_box"][0]
+    told = lambda *shares: replaced(card, [row | {"area": a, "asked": a, "success_own": s} for a, s in shares])
+    weak = told((0.05, 0.1), (0.2, 0.5), (0.76, 0.9))
+    assert "on 20 % of the body" in words.headline(weak) and words.verdict(weak) == (
+        "bad",
+        "hidden by 20 % of the body",
+    )
+    strong = told((0.05, 0.1), (0.76, 0.3))
+    assert "No cloak" in words.headline(strong) and words.verdict(strong)[0] == "good"
+
+
+def replaced(card: dict, rows: list[dict]) -> dict:
+    return card | {"white_box": rows}
+
+
+def test_another_budget_takes_its_own_time(made: tuple[Path, dict, list], tmp_path: Path) -> None:
+    shutil.copy(made[0] / "glow/spent.json", tmp_path)
+    lab = make_lab(tmp_path, Glow("glow"))
+    work = lambda budget: assessing_module.Work({}, tmp_path / "spent.json", asked(budget), None)
+    asked = lambda budget: Assessment(lab, budget, tmp_path, ["builtin-sample"])._asked()
+    assert work(TINY).seconds > 0 == work(replace(TINY, steps=3)).seconds
+    assert QUICK.steps < DEFAULT.steps < FULL.steps and QUICK.areas == DEFAULT.areas == FULL.areas == AREAS
+
+
+def test_names() -> None:
+    assert [pose_of(name) for name in ("walking-10", "standing", "12")] == ["walking", "standing", "12"]
+    names = folder_names(("builtin", "builtin@conf=0.3", "onnx:a/net.onnx", "onnx:b/net.onnx"))
+    assert names["builtin"] == "builtin" and len(set(names.values())) == 4
+
+
+def test_bad_options_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for asked, said in (
+        (["builtin", "--quick", "--full"], "--quick, --full"),
+        ([], "holds no card"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(["assess", *asked, "--out", str(tmp_path)])
+        assert said in capsys.readouterr().err
