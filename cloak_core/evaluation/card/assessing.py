@@ -66,7 +66,7 @@ class Assessment:
 
     def run(self) -> dict:
         """The card. `lab.Interrupted` where a training was stopped in order: the same call goes on from there."""
-        work = Work(self._costs(), self.folder / "spent.json", self._asked(), self.on_work)
+        work = Work(self._costs(), self.folder / "spent.json", self._asked(), self.on_work, self.budget.seeds)
         self.lab.on_event, self.lab.on_images = work.on_event, work.on_images
         card = self._head()
         with work.part("clean"):

@@ -38,9 +38,10 @@ def by_area(card: dict) -> Figure:
     own = [of(row, "success_own", "ci95_own") for row in rows]
     band(axis, at, own, f"cloak, at the detector's own {card['operating_point']:g}", **look(0))
     band(axis, at, [of(row, "success", "ci95") for row in rows], f"cloak, at {THRESHOLD:g}", **look(1))
-    for control, dash in (("random", ":"), (CLOTHING, (0, (1, 2)))):
-        series = SERIES[control]
-        axis.plot(at, [row[f"{control}_own"] for row in rows], color=INK, lw=1.2, ls=dash, label=series.label)
+    for control in ("random", CLOTHING):
+        series, values = SERIES[control], [row[f"{control}_own"] for row in rows]
+        color = series.color if control == "random" else INK
+        axis.plot(at, values, color=color, lw=1.2, ls=series.dash, marker=series.marker, ms=3, label=series.label)
     _area_axis(axis, at)
     legend_above(figure)
     return figure
@@ -48,7 +49,7 @@ def by_area(card: dict) -> Figure:
 
 def areas_of(cards: Sequence[dict]) -> Figure:
     """The same of several detectors, at the own threshold of each."""
-    figure, (axis,) = new_figure(2 * WIDTH, 3.4)
+    figure, (axis,) = new_figure(1.5 * WIDTH, 3.2)
     for k, card in enumerate(cards):
         rows = card["white_box"]
         if rows:
@@ -92,7 +93,7 @@ def around(card: dict) -> Figure:
 
 def recall(cards: Sequence[dict]) -> Figure:
     """Recall in own clothing by distance, azimuth and elevation; a line for each detector."""
-    figure, axes = new_figure(2 * WIDTH, 3.0, len(RECALL_WAYS), sharey=True)
+    figure, axes = new_figure(1.5 * WIDTH, 2.6, len(RECALL_WAYS), sharey=True)
     for axis, (way, name) in zip(axes, RECALL_WAYS.items(), strict=True):
         for k, card in enumerate(cards):
             rows = sorted(((float(v), r) for v, r in card["recall_by"][way].items()), key=lambda pair: pair[0])
@@ -109,7 +110,7 @@ def bodies(card: dict) -> Figure:
     """Recall by body, and by pose, with intervals."""
     by = card["recall_by"]
     count = max(len(by["body"]), len(by["pose"]))
-    figure, axes = new_figure(2 * WIDTH, max(1.6, 0.9 + 0.24 * count), 2)
+    figure, axes = new_figure(1.5 * WIDTH, max(1.6, 0.9 + 0.24 * count), 2)
     for axis, way in zip(axes, ("body", "pose"), strict=True):
         named = sorted(by[way].items(), key=lambda pair: pair[1]["recall_own"])[:20]
         _bars(axis, {name: of(row, "recall_own", "ci95_own") for name, row in named}, "found in own clothing")

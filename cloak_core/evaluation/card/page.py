@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,7 +43,7 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
         drawn = {name: report.svg(figure) for name, figure in shown.items()}
     rows = [words.leaderboard_row(card) for card in cards.values()]
     heads = list(dict.fromkeys([*max(rows, key=len), *(key for row in rows for key in row)]))
-    links = {name: (folder / CARD).relative_to(path.parent).as_posix() for name, folder in folders.items()}
+    links = {name: Path(os.path.relpath(folder / CARD, path.parent)).as_posix() for name, folder in folders.items()}
     page = {
         "title": "Robustness cards",
         "cards": [_summary(card) | {"link": links[name]} for name, card in cards.items()],

@@ -31,28 +31,27 @@ def headline(card: dict) -> str:
                 f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
             )
         return f"Nothing attacked {name} here: it gives no gradients, and there was no cloak to show it."
-    half = next((row for row in rows if (row["success_own"] or 0) >= HALF), None)
+    half = next((row for row in rows if row["success_own"] >= HALF), None)
+    row = half or max(rows, key=lambda row: row["success_own"])
+    what = f"on {percent(row['area'])} of the body"
+    own = f"In their own clothing it misses {percent(row['clothing_own'])} of the same."
     if half is None:
-        best = max(rows, key=lambda row: row["success_own"])
-        return (
-            f"No cloak that was tried hid half of the people from {name}: the best, on {percent(best['area'])} of the "
-            f"body, hid {percent(best['success_own'])}."
-        )
-    return (
-        f"A cloak on {percent(half['area'])} of the body, made against {name}, hides {percent(half['success_own'])} "
-        f"of people from it."
-    )
+        least = f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid"
+        return f"{least} {percent(row['success_own'])}. {own}"
+    return f"A cloak {what}, made against {name}, hides {percent(row['success_own'])} of people from it. {own}"
 
 
 def verdict(card: dict) -> tuple[str, str]:
-    """(kind, word) of the badge: kind good, bad or unknown, by the least area that hides half of the people."""
+    """(kind, words) of the badge, by the least area that hides half of the people: good, bad, or unknown where there
+    was no attack or the intervals reach beyond half."""
     rows = card["white_box"]
     if not rows:
         return "unknown", "white box not tested"
-    hiding = [row["asked"] for row in rows if (row["success_own"] or 0) >= HALF]
-    if not hiding:
-        return "good", "no cloak hid half"
-    return "bad", f"hidden by {percent(min(hiding))} of the body"
+    hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
+    if hiding:
+        return "bad", f"hidden by {percent(min(hiding))} of the body"
+    sure = all(row["ci95_own"][1] < HALF for row in rows)
+    return "good" if sure else "unknown", "no cloak hid half"
 
 
 def tiles(card: dict) -> list[dict]:

@@ -23,24 +23,31 @@ class Work:
     done already costs nothing more. `asked` names what is assessed: of another, earlier times mean nothing.
     """
 
-    def __init__(self, costs: dict[str, tuple[float, float]], file: Path, asked: str, on_work: OnWork | None) -> None:
-        self.costs, self.on_work = costs, on_work
-        """By part: its trainings' and its evaluations' images."""
+    def __init__(
+        self,
+        costs: dict[str, tuple[float, float]],
+        file: Path,
+        asked: str,
+        on_work: OnWork | None = None,
+        seeds: int = 1,
+    ) -> None:
+        self.costs, self.on_work, self.seeds = costs, on_work, seeds
+        """By part: its trainings' (one for each seed) and its evaluations' images."""
         self.total = sum(map(sum, costs.values()))
         self._file, self._record = file, {"asked": asked, "seconds": {}, "done": []}
         earlier = read_json(file) if file.exists() else {}
         if earlier.get("asked") == asked:
             self._record = earlier
-        self._name, self._before, self._trained = "", 0.0, 0.0
+        self._name, self._before, self._ended, self._steps = "", 0.0, 0, 1
 
     @property
     def seconds(self) -> float:
-        return round(sum(self._record["seconds"].values()), 1)
+        return round(sum(self._record["seconds"].values(), 0.0), 1)
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:
         """What is done inside is this part."""
-        self._name, self._trained, started = name, 0.0, time.monotonic()
+        self._name, self._ended, started = name, 0, time.monotonic()
         self._tell(0.0)
         try:
             yield
@@ -63,8 +70,10 @@ class Work:
         if event.get("type") in ("start", "resume"):
             self._steps = event.get("steps") or 1
         elif event.get("type") == "step":
-            self._trained = self.costs[self._name][0] * min(1.0, event["step"] / self._steps)
-            self._tell(self._trained)
+            share = (self._ended + min(1.0, event["step"] / self._steps)) / self.seeds
+            self._tell(self.costs[self._name][0] * share)
+        elif event.get("type") == "end":
+            self._ended += 1
 
     def on_images(self, done: int, total: int) -> None:
         """Of an evaluation."""
