@@ -27,6 +27,7 @@ EXPERIMENTS = (
     "render-gap",
     "cost",
     "white-box",
+    "defences",
 )
 """In the order in which `all` runs them; each is the module of its name."""
 
