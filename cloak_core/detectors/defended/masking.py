@@ -5,7 +5,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.detectors.defended.patch_segmenter import load_segmenter
 from cloak_core.detectors.defended.squeezing import Defence, straight_through
 
 BLOCK = 8
@@ -57,22 +56,6 @@ class EntropyMask(Masking):
         soft = F.avg_pool2d(soft, 3, 1, 1, count_include_pad=False)
         large = F.interpolate(soft, scale_factor=float(BLOCK), mode="nearest")
         return large[:, :, : images.shape[2], : images.shape[3]]
-
-
-class SegmenterMask(Masking):
-    """Paints over what a small network takes for a patch with at least this probability.
-
-    After SAC (Liu et al., CVPR 2022) and PAD (Jing et al., CVPR 2024); the network is our own, trained by
-    `cloak train-segmenter` on rendered bodies in odd colours.
-    """
-
-    def __init__(self, probability: float) -> None:
-        super().__init__()
-        self.network, self.shift = load_segmenter(), float(torch.logit(torch.tensor(probability)))
-
-    def evidence(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 H W"]:
-        logits = self.network(images) - self.shift
-        return torch.sigmoid(F.interpolate(logits, images.shape[2:], mode="bilinear", align_corners=False))
 
 
 def local_entropy(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 rows columns"]:
