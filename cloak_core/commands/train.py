@@ -24,7 +24,7 @@ from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.tensorboard import TensorBoardEvents
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_toml
+from cloak_core.files.reading import read_json, read_toml
 
 
 @dataclass(kw_only=True)
@@ -68,16 +68,18 @@ class Train(Command):
 
     @classmethod
     def default(cls, arguments: list[str]) -> Train:
-        """What the options default to: the preset, then the TOML file, not checked before the options replace them."""
+        """What the options default to: the preset, as it was when a resumed run began, then the TOML file; not checked
+        before the options replace them."""
         preset, config = _value_of("preset", arguments), _value_of("config", arguments)
         # Any number: the option itself replaces it. Of --steps and --epochs the one that is given counts.
         given: dict = {name: 1 for name in ("steps", "epochs") if _value_of(name, arguments) is not None}
         given |= {"preset": preset} if preset in PRESETS else {}
         in_file = {} if config is None else read_toml(Path(config))
+        begun = _as_begun(arguments, str(given.get("preset", in_file.get("preset", "best"))))
         try:
-            settings = components_from_record(merge({k.replace("-", "_"): v for k, v in in_file.items()}, given))
+            settings = components_from_record(merge(begun, {k.replace("-", "_"): v for k, v in in_file.items()}, given))
         except InputError as error:
-            raise InputError(f"{config}: {error}") from None
+            raise InputError(f"{config or 'the run'}: {error}") from None
         settings["length"] = settings.pop("run")
         return cls(**dict.fromkeys(("scene", "logo", "out"), tyro.MISSING), **settings)
 
@@ -138,6 +140,18 @@ class Train(Command):
             out.print(f"{result['queries']} images asked; success on each round's new images: {shares}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+
+def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
+    """What `preset` stood for when the run that is resumed began: it may be another in this version."""
+    recorded = Path(_value_of("out", arguments) or "") / "config.json"
+    if "--resume" not in arguments or preset not in PRESETS or not recorded.is_file():
+        return {}
+    config = read_json(recorded)
+    settings = config.get("settings") if isinstance(config, dict) else None
+    if not isinstance(settings, dict) or settings.get("preset") != preset:
+        return {}
+    return {name: settings[name] for name in PRESETS[preset] if name in settings}
 
 
 def _value_of(name: str, arguments: list[str]) -> str | None:

@@ -174,7 +174,11 @@ def test_transfer_writes_everything(materials: Materials, finished: tuple[Path, 
     page = make_page(out).read_text("utf-8")
     assert "Transfer between detectors" in page and "Not run yet: table1" in page
     assert 'src="http' not in page and "<script" not in page
+    config_path = folder / "config.json"
+    command = "cloak reproduce transfer --scene '/a/b-c/bodies.npz[0:4]' --detector onnx:/a/n.onnx@conf=0.4"
+    config_path.write_text(json.dumps(config | {"command": command}))
     text = publish(out, tmp_path / "docs").read_text("utf-8")
+    assert "--scene 'bodies.npz[0:4]' --detector onnx:n.onnx@conf=0.4" in text
     assert "## transfer: Transfer between detectors" in text and "![" in text and str(out) not in text
     assert {p.name for p in (tmp_path / "docs").iterdir()} == {
         "tables.md", "transfer-matrix.png", "transfer-thresholds.png"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,9 @@ LEFT_OUT = ("clean_detection", "false_alarms", "seeds", "worst_seed", "best_seed
 COLORS = 128
 """Of a published figure: plots have few, and the files stay small."""
 
+_FOLDERS = re.compile(r"(?<![\w.])/(?:[\w.+-]+/)+")
+"""Where files lay on the machine that measured: their names are what others have."""
+
 
 def publish(out: Path, folder: Path) -> Path:
     """Write FOLDER/tables.md, one section for every finished experiment of OUT, with plots beside it; its path."""
@@ -34,6 +38,7 @@ def publish(out: Path, folder: Path) -> Path:
         figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in record["figures"] if _is_shown(file)]
         config = read_json(out / name / "config.json")
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
+        command = _FOLDERS.sub("", command)
         parts.append(_section(name, record, config | {"command": command}, figures))
     path = folder / "tables.md"
     write_text(path, "\n".join(parts))

@@ -35,6 +35,8 @@ class Numbers:
     """What the words say beside the rows: plain values by name."""
     pictures: dict[str, Image.Image] = field(default_factory=dict)
     """Contact sheets, by file name without ending; not read back."""
+    counts: dict = field(default_factory=dict)
+    """What the experiment did otherwise than the options' counts say."""
     thresholds: Rows = field(default_factory=list)
     """One row per row of the table and control: success at every threshold. Filled in when they are written."""
 
@@ -49,7 +51,7 @@ def write_numbers(folder: Path, name: str, numbers: Numbers, lab: Lab) -> None:
     write_csv(folder / "numbers.csv", rows)
     if thresholds:
         write_csv(folder / "thresholds.csv", thresholds)
-    counts = lab.options.counts()
+    counts = lab.options.counts() | numbers.counts
     config = {"command": lab.options.command} | counts | lab.materials.record() | {"cloak": __version__} | environment()
     write_json(folder / "config.json", config)
     measured = {"rows": rows, "thresholds": thresholds, "facts": numbers.facts, "counts": counts}

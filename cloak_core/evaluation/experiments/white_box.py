@@ -32,7 +32,7 @@ def measure(lab: Lab) -> Numbers:
             label = {"detector": spec, "logo": logo, "area_share": round(area_share(bodies, faces), 4)}
             spent = {"steps": lab.steps([spec], angles=MULTI)} | times(trained)
             rows.append(label | _rates(result, spec, point) | spent)
-    return Numbers(rows, facts)
+    return Numbers(rows, facts, counts={"images_per_view": images})
 
 
 def _rates(result: Repeats, spec: str, point: float) -> dict:
