@@ -91,7 +91,8 @@ class Harden(Command):
         train += ["--angles", "-10:10:5", "--out", str(run)]
         check = ["detectors", "check", spec, "--scene", "sample:unseen", "--backgrounds", "procedural:test"]
         judge = ["evaluate", str(run), "--detector", spec, "--detector", self.spec]
-        return [shlex.join(["cloak", *words]) for words in (check, select, train, judge)]
+        cards = ["assess", self.spec, spec, "--quick", "--out", str(self.out / "cards")]
+        return [shlex.join(["cloak", *words]) for words in (check, select, train, judge, cards)]
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['spec']}: step {result['step']} of {result['steps']}, {result['seconds']:.0f} s")
