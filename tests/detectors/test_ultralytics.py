@@ -2,6 +2,8 @@
 
 import copy
 import functools
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,7 +18,9 @@ from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
 from tests.detectors.test_gradients import lowers_score
 
-pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
+# Asked without importing it: what it patches would stay so for the tests that follow.
+if find_spec("ultralytics") is None:
+    pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)", allow_module_level=True)
 
 from cloak_core.detectors.ultralytics_family.architecture import build, fuse, read_architecture
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
@@ -165,12 +169,10 @@ def test_options_of_the_spec(small: Path) -> None:
 
 @pytest.mark.slow
 def test_what_decides_its_answers_is_recorded(small: Path, tmp_path: Path) -> None:
-    import ultralytics
-
     copied = tmp_path / "other.pt"
     copied.write_bytes(small.read_bytes())
     first, second = (detector_record(load_detector(f"ultralytics:{path}")) for path in (small, copied))
-    assert first == second and first["packages"]["ultralytics"] == ultralytics.__version__
+    assert first == second and first["packages"]["ultralytics"] == version("ultralytics")
     assert first != detector_record(load_detector(f"ultralytics:{small}@64"))
 
 

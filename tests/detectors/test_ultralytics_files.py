@@ -8,6 +8,7 @@ import subprocess
 import sys
 import types
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,9 @@ from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images
 from tests.detectors.test_gradients import lowers_score
 
-pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
+# Asked without importing it: what it patches would stay so for the tests that follow.
+if find_spec("ultralytics") is None:
+    pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)", allow_module_level=True)
 
 from cloak_core.detectors.ultralytics_family.architecture import build
 from cloak_core.detectors.ultralytics_family.library import library

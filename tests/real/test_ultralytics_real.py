@@ -1,5 +1,7 @@
 """The original YOLOv5n pickle says of photographs what its ONNX twin says."""
 
+from importlib.util import find_spec
+
 import pytest
 import torch
 from jaxtyping import Float
@@ -8,7 +10,9 @@ from torch import Tensor
 from cloak_core.detectors.check import check_image, read_image
 from cloak_core.detectors.loading import load_detector
 
-pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]' (AGPL-3.0)")
+# Asked without importing it: what it patches would stay so for the tests that follow.
+if find_spec("ultralytics") is None:
+    pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)", allow_module_level=True)
 pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 pytestmark = pytest.mark.slow
 STRIDES, ANCHORS = (8, 16, 32), 3
