@@ -29,7 +29,10 @@ class Proposing(TinyDetector):
 
 
 def objective(detectors, **changes) -> Objective:
-    return Objective(tiny_settings(**changes), front_logo(box_bodies()), detectors, torch.device("cpu"))
+    """Of the plain score, unless told."""
+    return Objective(
+        tiny_settings(**{"loss": "score"} | changes), front_logo(box_bodies()), detectors, torch.device("cpu")
+    )
 
 
 def asked(ensemble: Ensemble, step: int) -> tuple[int, ...]:

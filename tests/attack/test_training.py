@@ -69,7 +69,8 @@ def test_a_run_folder_is_complete(tmp_path):
     config = json.loads((folder / "config.json").read_text())
     assert config["topology"] == bodies.topology
     told = {"spec": "tiny:0", "name": "tiny", "sha256": before, "precision": "float32", "compiled": False}
-    assert config["detectors"] == [told | {"source": {"spec": "tiny:0"}, "packages": {}}]
+    told |= {"operating_point": 0.5, "source": {"spec": "tiny:0"}, "packages": {}}
+    assert config["detectors"] == [told]
     assert config["settings"]["steps"] == 6
     assert (read_face_list(folder / "logo.npy", bodies).ids == front_logo(bodies).face_ids).all()
     assert np.array_equal(read_colors(folder / "colors.npy", 16), result.colors)
