@@ -21,4 +21,4 @@ def without_folders(text: str) -> str:
 
     onnx:/a/b/c.onnx@320 -> onnx:c.onnx@320
     """
-    return re.sub(r"/?([^\s/:=@,]+/)+", "", text)
+    return re.sub(r"/?([^\s/:=@,'\"]+/)+", "", text)

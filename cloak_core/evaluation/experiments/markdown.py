@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from cloak_core.evaluation.experiments.index_page import table
 from cloak_core.evaluation.experiments.registry import finished
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
+from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_text
 from cloak_core.scene.pictures import read_picture, save_picture
 
@@ -22,9 +22,6 @@ LEFT_OUT = ("clean_detection", "false_alarms", "seeds", "worst_seed", "best_seed
 """Columns that a narrow table can spare where they say nothing new: all are in numbers.csv."""
 COLORS = 128
 """Of a published figure: plots have few, and the files stay small."""
-
-_FOLDERS = re.compile(r"(?<![\w.])/(?:[\w.+-]+/)+")
-"""Where files lay on the machine that measured: their names are what others have."""
 
 
 def publish(out: Path, folder: Path) -> Path:
@@ -38,7 +35,7 @@ def publish(out: Path, folder: Path) -> Path:
         figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in record["figures"] if _is_shown(file)]
         config = read_json(out / name / "config.json")
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
-        command = _FOLDERS.sub("", command)
+        command = without_folders(command)
         parts.append(_section(name, record, config | {"command": command}, figures))
     path = folder / "tables.md"
     write_text(path, "\n".join(parts))
