@@ -25,6 +25,8 @@ if [ ! -x .venv/bin/python ]; then
     "$PYTHON" -c 'import ensurepip' 2>/dev/null || need "a virtual environment" python3-venv
     "$PYTHON" -m venv .venv
 fi
+# What OpenCV is linked against, which ultralytics brings.
+[ "${1:-}" != test ] || need "the tests of ultralytics" libgl1 libglib2.0-0
 extras=${1:+"[$1]"}
 echo "installing cloak$extras into .venv (torch is large: a few minutes the first time)" >&2
 .venv/bin/python -m pip install -q --disable-pip-version-check -e ".$extras"
