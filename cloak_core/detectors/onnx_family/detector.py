@@ -21,12 +21,10 @@ from cloak_core.detectors.onnx_family.networks import Converted, Session, as_inp
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images, takes_batches
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.resizing import fit
+from cloak_core.detectors.resizing import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError, first_line
 
-GREY = 114 / 255
-"""What the YOLO exports were trained to see around letterboxed pictures."""
 COCO_91 = (90, 91, 92)
 """Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
 PACKAGES = ("onnx", "onnx2torch", "onnxruntime")
@@ -50,7 +48,7 @@ class OnnxDetector(Detector):
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         if images.requires_grad and not self.differentiable:
             raise InputError(f"{self.spec}: a black box without gradients: evaluate with it, do not train")
-        inputs, placement = fit(images, self.input_size, self.letterbox, GREY)
+        inputs, placement = fit(images, self.input_size, self.letterbox, YOLO_GREY)
         found = self.answer(self.pixels.apply(inputs))
         person = found.classes[..., self.person]
         scores = person if found.objectness is None else person * found.objectness
