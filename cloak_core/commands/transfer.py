@@ -66,6 +66,8 @@ class Transfer(Command):
     """Every random draw derives from it; repetitions count on from it."""
     batch: int | None = None
     """Images per update (default: what the preset says)."""
+    detectors_per_step: int | None = None
+    """So many of the surrogates, drawn anew, are asked in each update (default: all)."""
     size: int = 416
     """Width and height of the images, pixels."""
     images_per_view: int = 4
@@ -128,6 +130,8 @@ class Transfer(Command):
         )
         most = self.most_images or (240 if self.circle else None)
         places = CIRCLE if self.circle else FRONT
+        if self.detectors_per_step:
+            places = places.with_training(detectors_per_step=self.detectors_per_step)
         return Matrix(
             lab=LastingLab(materials, amount, lambda message: err.print(message)),
             faces=self._faces(materials.bodies),

@@ -99,6 +99,8 @@ class Add(Command):
     """The command that trained it, for the record; folders are left out."""
     licence: str = "CC0-1.0"
     """Of the colours."""
+    logo: str | None = None
+    """What the logo is called (default: as its file or regions were)."""
     folder: Path | None = None
     """Folder of entries (default: the one that ships)."""
 
@@ -107,7 +109,7 @@ class Add(Command):
         from cloak_core.zoo.shelf import SHELF
 
         folder = self.folder or SHELF
-        words = {"about": self.about, "licence": self.licence, "command": self.command}
+        words = {"about": self.about, "licence": self.licence, "command": self.command, "logo": self.logo}
         write_entry(folder, self.name, self.run_folder, **words)
         files = [folder / f"{self.name}.{end}" for end in ("npz", "json")]
         return {"files": [str(path) for path in files], "bytes": sum(path.stat().st_size for path in files)}

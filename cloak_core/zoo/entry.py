@@ -73,8 +73,12 @@ def names(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.json") if path.with_suffix(".npz").exists())
 
 
-def write_entry(folder: Path, name: str, run: Path, *, about: str, licence: str, command: str = "") -> dict:
+def write_entry(
+    folder: Path, name: str, run: Path, *, about: str, licence: str, command: str = "", logo: str | None = None
+) -> dict:
     """Make an entry of a finished and evaluated run; returns its record.
+
+    logo: what the logo is called; None: as its file or regions were.
 
     InputError: a bad name, an unfinished run, or one without an evaluation (`cloak evaluate RUN` leaves it there).
     """
@@ -95,7 +99,7 @@ def write_entry(folder: Path, name: str, run: Path, *, about: str, licence: str,
         "command": without_folders(command),
         "seed": config["settings"]["seed"],
         "detectors": [detector["spec"] for detector in config["detectors"]],
-        "logo": Path(config["inputs"].get("logo", "logo")).stem,
+        "logo": logo or Path(config["inputs"].get("logo", "logo")).stem,
         "faces": len(faces.ids),
         "face_count": len(mask),
         "colors": sha256_arrays(colors),

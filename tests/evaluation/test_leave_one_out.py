@@ -115,11 +115,14 @@ def test_cells_are_made_once_shared_and_survive_changed_code(tmp_path, monkeypat
     files = show(cells, tmp_path / "docs", "table", "cloak transfer --detector onnx:/secret/place/a.onnx --out /x/y")
     text = files[-1].read_text()
     assert "a.onnx" in text and "secret" not in text and "| onnx red | stranger |" in text
+    assert "- yolo a: trained on onnx red, yolo b" in text
     assert all(path.stat().st_size > 1000 for path in files[:2])
 
 
 def test_the_circle_has_its_places():
     assert len(CIRCLE.angles) == 36 and CIRCLE.angles[0] == 0
+    training = CIRCLE.with_training(detectors_per_step=3).training
+    assert training == dict(CIRCLE.training) | {"detectors_per_step": 3}
     assert CIRCLE.with_test(most_images=7).test["most_images"] == 7 and "most_images" not in CIRCLE.test
 
 

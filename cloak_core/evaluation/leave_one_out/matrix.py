@@ -43,6 +43,10 @@ class Places:
     test: Mapping[str, object]
     """Further settings of the evaluation, by name."""
 
+    def with_training(self, **changes: object) -> Places:
+        """The same with more training settings."""
+        return replace(self, training=dict(self.training) | changes)
+
     def with_test(self, **changes: object) -> Places:
         """The same with more settings of the evaluation."""
         return replace(self, test=dict(self.test) | changes)

@@ -92,7 +92,20 @@ def tables(cells: Sequence[dict]) -> list[str]:
         heads += ["random", "own clothing", "seeds at 0.6", "images", "seconds"]
         lines += ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
         lines += ["| " + " | ".join(_line(cell)) + " |" for cell in own] + [""]
+        lines += [*_surrogates(own), ""]
     return lines
+
+
+def _surrogates(cells: Sequence[dict]) -> list[str]:
+    """Of one rung: a line per training, who judged what was trained on whom."""
+    judged: dict[tuple[str, ...], list[str]] = {}
+    for cell in cells:
+        judged.setdefault(tuple(cell["surrogates"]), []).append(cell["judged"])
+    return [f"- {_named(judges)}: trained on {_named(trained_on)}" for trained_on, judges in judged.items()]
+
+
+def _named(specs: Sequence[str]) -> str:
+    return ", ".join(map(short_name, specs))
 
 
 def _line(cell: dict) -> list[str]:
