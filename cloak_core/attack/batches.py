@@ -45,8 +45,9 @@ class Batch:
     def __len__(self) -> int:
         return self.canvas.shape[0] if self.canvas else 0
 
-    def images(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B 3 H W"]:
-        """The images, in [0, 1], differentiable in the colours. The next call draws into the same memory."""
+    def images(self, colors: Float[Tensor, "*B L 3"]) -> Float[Tensor, "B 3 H W"]:
+        """The images, in [0, 1], differentiable in the colours (all images', or each image's own). The next call draws
+        into the same memory."""
         if self.canvas is None:
             return self.empty + 0 * colors.sum()
         shown = colors if self.on_logo is None else self.on_logo(colors)
@@ -207,7 +208,7 @@ class LogoChange:
             summand = drawn.add_(summand)
         return LogoChange(factor, summand)
 
-    def __call__(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
+    def __call__(self, colors: Float[Tensor, "*B L 3"]) -> Float[Tensor, "B L 3"]:
         return torch.addcmul(self.summand, colors, self.factor)
 
 

@@ -1,9 +1,11 @@
-"""Colours from a detector's answers alone: a random search over patches of faces, bounded by the images asked.
+"""Colours from a detector's answers alone: a gradient estimated from pairs of questions, bounded by the images asked.
 
-After Square Attack (Andriushchenko et al., ECCV 2020), on a mesh and under changing views: a try changes a patch of
-neighbouring faces and is kept where the detectors then find the person less surely in the same images. The images stay
-for a round of tries; then come new ones, on which the colours so far are asked first. That first answer is about images
-that nothing was fitted to, so that they make an honest curve of success against queries on the training material.
+Natural evolution strategies (Ilyas et al., ICML 2018) on a mesh and under changing views: each image of a batch is
+asked about twice, with the colours moved a little along a direction of its own and against it; the difference of the
+two answers weighs the direction. Directions are low-dimensional: the logo falls apart into cells around random faces,
+and every cell moves its three channels up or down. No image is asked about again in a later step, so that nothing is
+fitted to single images; now and then the colours themselves are asked first, which makes an honest curve of success
+against queries on the training material.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import time
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch, Batcher
@@ -28,10 +31,13 @@ from cloak_core.attack.stopping import StopRequest
 from cloak_core.exchange.colors import write_colors
 from cloak_core.files.errors import InputError
 
-TRIES = 8
-"""On the images of a round."""
-LAST_BLOCK = 1 / 16
-"""Of the first patches' size: that of the last ones."""
+EVERY = 8
+"""Steps from one look at the colours themselves to the next."""
+CELLS = (8, 64)
+"""Fewest and most cells of a direction; the number is drawn evenly in its logarithm. More cells need more answers than
+a few thousand: with up to 512 a search against YOLO-LITE got nowhere."""
+MEMORY = (0.9, 0.99)
+"""Of the estimate, and of its mean square."""
 _STREAM = 0xB1AC
 """Of random numbers, apart from those that draw the images."""
 
@@ -43,31 +49,39 @@ class SearchResult(RunResult):
     queries: int = 0
     """Images that the detectors were shown, every detector's counted."""
     curve: tuple[tuple[int, float], ...] = ()
-    """Success on each round's new images, before anything was fitted to them, after so many queries."""
+    """Success of the colours on new images, after so many queries."""
 
     def record(self) -> dict:
         return super().record() | {"queries": self.queries, "curve": [list(point) for point in self.curve]}
 
 
-def asks(settings: TrainSettings, detectors: int) -> int:
-    """How often a batch can be shown to so many detectors. InputError: not even for one try."""
-    cost = settings.run.batch * detectors
-    count = (settings.queries.black_box_queries or 0) // cost
-    if count < 2:
-        raise InputError(f"--black-box-queries: fewer than the {2 * cost} that a single try takes (--batch {cost})")
-    return count
+def queries_after(steps: int, cost: int) -> int:
+    """Images asked in so many steps; `cost`: those of a batch, every detector's."""
+    return cost * (2 * steps + -(-steps // EVERY))
+
+
+def steps_within(settings: TrainSettings, detectors: int) -> int:
+    """How many steps the allowed images last. InputError: not even for one."""
+    cost, allowed = settings.run.batch * detectors, settings.queries.black_box_queries or 0
+    if allowed < queries_after(1, cost):
+        raise InputError(
+            f"--black-box-queries: fewer than the {queries_after(1, cost)} that one step takes (--batch "
+            f"{settings.run.batch})"
+        )
+    rounds, left = divmod(allowed // cost, 2 * EVERY + 1)
+    return rounds * EVERY + max(left - 1, 0) // 2
 
 
 def search_settings(settings: TrainSettings, detectors: int) -> TrainSettings:
-    """The settings by which a search draws its images and judges answers: a batch a round, the margin for its loss."""
-    rounds = -(-asks(settings, detectors) // (TRIES + 1))
-    changes = {"steps": rounds, "epochs": None, "hard_views": 0.0, "loss": "margin", "rpn_weight": 0.0}
+    """The settings by which a search draws its images and judges answers: a batch a step, the margin for its loss."""
+    steps = steps_within(settings, detectors)
+    changes = {"steps": steps, "epochs": None, "hard_views": 0.0, "loss": "margin", "rpn_weight": 0.0}
     ensemble = {"ensemble": "mean", "detector_weights": None, "detectors_per_step": None}
     return settings.changed(**changes, **ensemble)
 
 
 class Search:
-    """One search from its last checkpoint (or its start) to its end. A step is one batch shown to every detector."""
+    """One search from its last checkpoint (or its start) to its end. A step is a batch of pairs of questions."""
 
     def __init__(
         self,
@@ -82,9 +96,10 @@ class Search:
         """`batcher` and `objective` are those of `search_settings`; centres: of the logo's faces, metres."""
         self.settings, self.run, self.batcher, self.objective = settings, run, batcher, objective
         self.centres, self.colors, self.step = centres, start.clone(), 0
-        self.steps, self.cost = asks(settings, len(objective.detectors)), len(objective.detectors) * settings.run.batch
-        self._best, self._earlier, self._started = np.inf, 0.0, time.perf_counter()
-        self._batch: tuple[int, Batch] | None = None
+        self.cost = len(objective.detectors) * settings.run.batch
+        self.steps = steps_within(settings, len(objective.detectors))
+        self._mean, self._square = torch.zeros_like(start), start.new_zeros(())
+        self._earlier, self._started = 0.0, time.perf_counter()
         self._restore()
         self.log = EventLog(run.events, on_event)
 
@@ -118,52 +133,62 @@ class Search:
             stopped=reason,
             colors=self.colors.cpu().numpy().astype(np.float32),
             colors_step=self.step,
-            queries=self.step * self.cost,
+            queries=queries_after(self.step, self.cost),
             curve=tuple((event["queries"], event["success"]) for event in told),
         )
 
     @torch.no_grad()
     def _one_step(self) -> StepFigures:
-        """Ask about new images, or about a try on those that are there."""
-        number, place = divmod(self.step, TRIES + 1)
-        batch = self._images_of(number)
-        tried = self.colors if place == 0 else self._changed()
-        answer = self.objective.ask(batch.images(tried))
-        loss, success = float(answer.disappearance), float(answer.success)
-        if not np.isfinite(loss):
-            raise InputError(f"{self.run.path}: step {self.step}: a detector's answer is not finite")
-        kept = place == 0 or loss < self._best
-        if kept:
-            self.colors, self._best = tried, loss
+        """Ask about new images to either side of the colours, and follow the difference."""
+        batch = self.batcher.batch(self.step)
+        if self.step % EVERY == 0:
+            self._look(batch)
+        moves = self._directions(len(batch)) * self.settings.queries.query_change
+        losses, successes = zip(
+            *(self._asked(batch, (self.colors + side * moves).clamp(0, 1)) for side in (1, -1)), strict=True
+        )
+        self._follow(((losses[0] - losses[1])[:, None, None] * moves).mean(0))
         self.step += 1
-        restless = float(self.objective.total_variation(self.colors))
-        figures = StepFigures(self._best, self._best, restless, 0.0, success)
-        asked = {"queries": self.step * self.cost, "success": success}
-        if place == 0:
-            self._tell("round", **asked, disappearance=loss)
-        self._tell("step", **dataclasses.asdict(figures), **{"queries": asked["queries"], "kept": kept})
+        loss, success = float(torch.cat(losses).mean()), sum(successes) / 2
+        figures = StepFigures(loss, loss, float(self.objective.total_variation(self.colors)), 0.0, success)
+        self._tell("step", **dataclasses.asdict(figures), queries=queries_after(self.step, self.cost))
         return figures
 
-    def _changed(self) -> Float[Tensor, "L 3"]:
-        """The colours with a patch of neighbouring faces changed; a function of (seed, step) and the colours."""
-        random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
-        queries, done = self.settings.queries, self.step / self.steps
-        count = max(1, round(queries.query_block * LAST_BLOCK**done * len(self.centres)))
-        about = self.centres[random.integers(len(self.centres))]
-        apart = ((self.centres - about) ** 2).sum(1)
-        patch = torch.from_numpy(np.argpartition(apart, count - 1)[:count]).to(self.colors.device)
-        if random.random() < 0.5:  # the pattern stays, in another colour
-            change = queries.query_change * random.choice([-1.0, 1.0], 3)
-            new = self.colors[patch] + torch.from_numpy(change).to(self.colors)
-        else:  # towards one colour
-            corner = torch.from_numpy(random.integers(0, 2, 3).astype(np.float64)).to(self.colors)
-            new = torch.lerp(self.colors[patch], corner.expand(count, 3), queries.query_change)
-        return self.colors.index_copy(0, patch, new.clamp(0, 1))
+    def _asked(self, batch: Batch, colors: Float[Tensor, "*B L 3"]) -> tuple[Float[Tensor, " B"], float]:
+        """Each image's loss, mean over the detectors, and the success."""
+        answer = self.objective.ask(batch.images(colors))
+        said = answer.detections.items()
+        losses = torch.stack([self.objective.loss(detections, number) for number, detections in said]).mean(0)
+        if not torch.isfinite(losses).all():
+            raise InputError(f"{self.run.path}: step {self.step}: a detector's answer is not finite")
+        return losses, float(answer.success)
 
-    def _images_of(self, number: int) -> Batch:
-        if self._batch is None or self._batch[0] != number:
-            self._batch = (number, self.batcher.batch(number))
-        return self._batch[1]
+    def _look(self, batch: Batch) -> None:
+        losses, success = self._asked(batch, self.colors)
+        asked = queries_after(self.step, self.cost) + self.cost
+        self._tell("round", queries=asked, success=success, disappearance=float(losses.mean()))
+
+    def _directions(self, count: int) -> Float[Tensor, "B L 3"]:
+        """+1 or -1 for every face and channel, alike within a cell; a function of (seed, step)."""
+        random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
+        found = np.empty((count, len(self.centres), 3), np.float32)
+        low, high = np.log(np.minimum(CELLS, len(self.centres)))
+        for direction in found:
+            cells = round(np.exp(random.uniform(low, high)))
+            about = self.centres[random.choice(len(self.centres), cells, replace=False)]
+            signs = random.choice(np.float32([-1, 1]), (cells, 3))
+            direction[:] = signs[cKDTree(about).query(self.centres)[1]]
+        return torch.from_numpy(found).to(self.colors)
+
+    def _follow(self, estimate: Float[Tensor, "L 3"]) -> None:
+        """One step of Adam with a single scale for all colours: where answers contradict each other, it is short."""
+        first, second = MEMORY
+        self._mean.lerp_(estimate, 1 - first)
+        self._square.lerp_(estimate.square().mean(), 1 - second)
+        done = self.step + 1
+        scale = (self._square / (1 - second**done)).sqrt().clamp_min(torch.finfo(estimate.dtype).tiny)
+        length = self.settings.queries.query_lr * (1 - self.step / self.steps)
+        self.colors = (self.colors - length * self._mean / (1 - first**done) / scale).clamp(0, 1)
 
     @property
     def seconds(self) -> float:
@@ -174,16 +199,17 @@ class Search:
 
     def _save(self) -> None:
         write_colors(self.run.colors, self.colors.cpu().numpy())
-        best = torch.tensor([self._best], dtype=torch.float64)
-        tensors = {"parameter": self.colors, "black_box.best": best}
+        tensors = {"parameter": self.colors, "black_box.mean": self._mean, "black_box.square": self._square}
         save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
 
     def _restore(self) -> None:
         checkpoint, _ = load_checkpoint(self.run.checkpoint)
         if checkpoint is not None:
-            colors, best = (checkpoint.tensors.get(name) for name in ("parameter", "black_box.best"))
-            if colors is None or best is None or colors.shape != self.colors.shape or best.shape != (1,):
+            names = ("parameter", "black_box.mean", "black_box.square")
+            kept = [checkpoint.tensors.get(name) for name in names]
+            own = (self.colors, self._mean, self._square)
+            if any(tensor is None or tensor.shape != mine.shape for tensor, mine in zip(kept, own, strict=True)):
                 raise InputError(f"{self.run.checkpoint}: holds another run's state")
-            self.colors, self._best = colors.to(self.colors), float(best)
+            self.colors, self._mean, self._square = (tensor.to(self.colors, copy=True) for tensor in kept)
             self.step, self._earlier = checkpoint.step, checkpoint.time
         rewind_events(self.run.events, self.step)

@@ -79,7 +79,7 @@ class Objective:
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             for group in groups:
                 heard = {number: self._heard(number, part, step) for number in group}
-                losses = {number: self._loss(detections, number) for number, detections in heard.items()}
+                losses = {number: self.loss(detections, number) for number, detections in heard.items()}
                 loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
                 if part.requires_grad:
                     loss.backward()
@@ -97,7 +97,8 @@ class Objective:
         with self.surrogates.shaken(number, step):
             return self.detectors[number](images)
 
-    def _loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
+    def loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
+        """What detector `number` adds to each image's loss."""
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)

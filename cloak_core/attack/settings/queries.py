@@ -15,7 +15,7 @@ class QuerySettings:
     black_box_queries: Annotated[int | None, Within(1, 10_000_000)] = None
     """Search with the detectors' answers alone, showing them so many images in all; best from transferred colours
     (--init). Steps, optimiser and loss then mean nothing; None trains by gradients."""
-    query_block: Annotated[float, Within(0, 1, "(]")] = 0.3
-    """Share of the logo's faces that the first tries change at once; the last ones change a sixteenth of it."""
-    query_change: Annotated[float, Within(0, 1, "(]")] = 0.3
-    """How far a try moves colours, in units of colour."""
+    query_change: Annotated[float, Within(0, 1, "(]")] = 0.1
+    """How far a question moves colours to either side, in units of colour."""
+    query_lr: Annotated[float, Within(0, 1, "(]")] = 0.02
+    """How far an answer that agrees with those before moves them."""
