@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from cloak_core.attack.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.protocol import Detections, Detector
+    from cloak_core.evaluation.film.settings import FilmSettings
     from cloak_core.evaluation.report.page import make_report
     from cloak_core.evaluation.settings import EvaluateSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
-    from cloak_core.library import evaluate, train
+    from cloak_core.library import evaluate, film, train
     from cloak_core.output.printing import print_logo
     from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
     from cloak_core.scene.logos.logo import Logo, load_logo, make_logo
@@ -31,11 +32,13 @@ __all__ = [
     "Detections",
     "Detector",
     "EvaluateSettings",
+    "FilmSettings",
     "InputError",
     "Logo",
     "RunResult",
     "TrainSettings",
     "evaluate",
+    "film",
     "load_backgrounds",
     "load_detector",
     "load_logo",
@@ -53,11 +56,13 @@ _PLACES = {
     "Detections": "detectors.protocol:Detections",
     "Detector": "detectors.protocol:Detector",
     "EvaluateSettings": "evaluation.settings:EvaluateSettings",
+    "FilmSettings": "evaluation.film.settings:FilmSettings",
     "InputError": "files.errors:InputError",
     "Logo": "scene.logos.logo:Logo",
     "RunResult": "attack.loop:RunResult",
     "TrainSettings": "attack.settings:TrainSettings",
     "evaluate": "library:evaluate",
+    "film": "library:film",
     "load_backgrounds": "scene.backdrops.backgrounds:load_backgrounds",
     "load_detector": "detectors.loading:load_detector",
     "load_logo": "scene.logos.logo:load_logo",

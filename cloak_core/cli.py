@@ -23,6 +23,7 @@ COMMANDS: dict[str, str] = {
     "train": "train:Train",
     "evaluate": "evaluate:Evaluate",
     "report": "evaluate:Report",
+    "film": "film:Film",
     "demo": "demo:Demo",
     "scene import": "scene:Import",
     "scene import-smpl": "scene:ImportSmpl",

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.loop import RunResult
 from cloak_core.attack.settings import TrainSettings, make_settings
@@ -28,6 +30,7 @@ from cloak_core.scene.opening import load_scene
 from cloak_core.zoo.shelf import run_path
 
 if TYPE_CHECKING:
+    from cloak_core.evaluation.film.settings import FilmSettings
     from cloak_core.evaluation.inference import OnProgress
 
 T = TypeVar("T")
@@ -108,19 +111,15 @@ def evaluate(
     """
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluation_folder import FOLDER
-    from cloak_core.evaluation.foreign import colors_of
     from cloak_core.evaluation.over_time import over_time as judge_snapshots
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
     bodies, backgrounds = _unseen(scene, backgrounds, config)
-    logo, place = load_logo(bodies, folder / "logo.npy"), FOLDER
-    if colors is None:
-        worn, trained = read_colors(folder / "colors.npy", len(logo)), config
-    else:
-        worn, trained, name = colors_of(colors, logo, bodies)
-        place = f"{FOLDER}-{name}"
+    logo = load_logo(bodies, folder / "logo.npy")
+    worn, trained, name = _worn(folder, config, logo, bodies, colors)
+    place = f"{FOLDER}-{name}" if name else FOLDER
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
     angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
     asked = (logo, bodies, backgrounds, judges, angles, settings)
@@ -134,6 +133,46 @@ def evaluate(
     if over_time:
         summary["over_time"] = judge_snapshots(folder, *asked, on_progress)
     return summary
+
+
+def film(
+    run: RunResult | Named,
+    out: Named,
+    scene: Bodies | Named | None = None,
+    backgrounds: Backgrounds | Named | None = None,
+    detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
+    *,
+    colors: Named | None = None,
+    settings: FilmSettings | None = None,
+    device: str = "cpu",
+    on_progress: OnProgress | None = None,
+) -> dict:
+    """Film a run's colours in motion beside the body's own clothing: NAME.mp4, NAME.gif, or a folder of PNGs.
+
+    The scene's poses in their order are the motion; all else is as in `evaluate`. Returns what `cloak film --json`
+    prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
+    InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
+    """
+    from cloak_core.evaluation.film.making import make_film
+
+    folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
+    config = read_run(folder)
+    bodies, backgrounds = _unseen(scene, backgrounds, config)
+    logo = load_logo(bodies, folder / "logo.npy")
+    worn, _, _ = _worn(folder, config, logo, bodies, colors)
+    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    return make_film(worn, logo, bodies, backgrounds, judges, Path(out), settings, on_progress)
+
+
+def _worn(
+    folder: Path, config: dict, logo: Logo, bodies: Bodies, colors: Named | None
+) -> tuple[np.ndarray, dict | None, str]:
+    """Colours for the logo's faces, what is known of their training, and their name; "" for the run's own."""
+    if colors is None:
+        return read_colors(folder / "colors.npy", len(logo)), config, ""
+    from cloak_core.evaluation.foreign import colors_of
+
+    return colors_of(colors, logo, bodies)
 
 
 def _unseen(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluation.film.turntable import write_turntable
 from cloak_core.evaluation.measurement import Measurement, read_measurement
 from cloak_core.evaluation.pictures import write_pictures
 from cloak_core.evaluation.stage import Stage
@@ -57,6 +58,9 @@ def write_evaluation(
         (temporary / "pictures").mkdir()
         threshold = summary["settings"]["threshold"]
         shown = write_pictures(temporary / "pictures", stage, measurement, detectors, threshold)
+        turntable, trial = temporary / "pictures/turntable.gif", shown["controls"]["trial"]
+        if write_turntable(turntable, stage, trial, detectors, threshold, len(measurement.controls)):
+            shown["turntable"] = turntable.name
         write_json(temporary / "pictures.json", shown)
         measurement.save(temporary / "scores.npz")
         write_json(temporary / "summary.json", summary)

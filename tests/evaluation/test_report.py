@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from made_evaluation import make_measurement, write_run
+from PIL import Image
 
 from cloak_core.evaluation.report.page import make_report
 from cloak_core.evaluation.report.words import duration, interval, percent, short_name
@@ -165,3 +166,18 @@ def test_words() -> None:
     assert short_name("darknet:/a/b/yolo.v2.cfg:/a/b/x.weights@224") == "darknet yolo.v2 @224"
     assert short_name("torchvision:fasterrcnn_resnet50_fpn") == "torchvision fasterrcnn_resnet50_fpn"
     assert short_name("python:detectors/d2go.py:load") == "python d2go"
+
+
+@pytest.mark.slow
+def test_a_turntable_in_the_run_or_the_evaluation_turns_in_the_report(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", measurement=make_measurement())
+    assert "All around" not in make_report(run).read_text("utf-8")
+    Image.new("RGB", (4, 4), "red").save(run / "evaluation/pictures/turntable.gif")
+    pictures = json.loads((run / "evaluation/pictures.json").read_text())
+    (run / "evaluation/pictures.json").write_text(json.dumps(pictures | {"turntable": "turntable.gif"}))
+    text = make_report(run).read_text("utf-8")
+    parse(text)
+    assert text.count("data:image/gif;base64,") == 1 and "All around" in text
+    (run / "evaluation/pictures/turntable.gif").unlink()
+    Image.new("RGB", (5, 5), "blue").save(run / "turntable.gif")  # the user's own stands for it
+    assert "data:image/gif;base64," in make_report(run).read_text("utf-8")

@@ -23,6 +23,8 @@ from cloak_core.files.writing import write_text
 HERE = Path(__file__).parent
 BLENDER = "blender.png"
 """What a training through Blender leaves in the run folder: the cloaked body as Blender renders it."""
+TURNTABLE = "turntable.gif"
+"""What `cloak film RUN --camera orbit --out RUN/turntable.gif` leaves there; it stands for the evaluation's own."""
 MAX_PICTURE = 16 << 20
 """Bytes; larger picture files are left out."""
 
@@ -49,6 +51,7 @@ def make_report(run: Path) -> Path:
             "training": _training(history),
             "previews": _previews(run),
             "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
+            "turntable": _turntable(run, stored),
             "evaluation": _evaluation(stored) if stored else None,
         }
     report = run / "report.html"
@@ -84,6 +87,15 @@ def _previews(run: Path) -> list[str]:
     """The first and the last preview, as data."""
     files = sorted((run / "previews").glob("*.png"))
     return [data_uri(file) for file in dict.fromkeys(files[:1] + files[-1:]) if file.stat().st_size <= MAX_PICTURE]
+
+
+def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
+    """The run's film from all around, or the evaluation's, as data; evaluations of few images have none."""
+    if (run / TURNTABLE).exists():
+        return data_uri(run / TURNTABLE)
+    if stored is None or "turntable" not in stored.pictures:
+        return None
+    return data_uri(stored.folder / "pictures" / Path(stored.pictures["turntable"]).name)
 
 
 def _evaluation(stored: StoredEvaluation) -> dict:
@@ -165,5 +177,5 @@ def svg(figure: Figure) -> Markup:
 def data_uri(path: Path) -> str:
     """A picture file as a data: address. InputError where it is missing or larger than a picture can be."""
     data = read_bytes(path, MAX_PICTURE)
-    kind = {".jpg": "jpeg", ".png": "png"}.get(path.suffix, "png")
+    kind = {".jpg": "jpeg", ".png": "png", ".gif": "gif"}.get(path.suffix, "png")
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,90 @@
+"""`cloak film`: a trained cloak in motion, and what detectors make of every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from rich.progress import Progress
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, err, out, require_new
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.evaluation.film.settings import FilmSettings
+
+
+@dataclass(kw_only=True)
+class Film(Command):
+    """Film a trained cloak in motion beside its own clothing: frames hidden, longest visible run, first sight, tracks.
+
+    The scene's poses in their order are the motion, again and again; the background stays as it is.
+    """
+
+    run_folder: Positional[Path]
+    """Run folder that `cloak train` wrote, or zoo:NAME."""
+    out: Path
+    """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
+    scene: str | None = None
+    """The motion: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
+    colors: str | None = None
+    """Film these colours on the run's logo instead, as in cloak evaluate."""
+    backgrounds: str | None = None
+    """Folder of images, or procedural:test (the default after training on procedural:train); a take has one."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors to watch with (default: those it was trained against)."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.scene.videos import check_film
+
+        prepare_process(self.compute)
+        require_new(self.out)
+        check_film(self.out)
+        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.library import film
+        from cloak_core.zoo.shelf import run_path
+
+        trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
+        specs = tuple(dict.fromkeys(self.detector or trained))
+        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
+        with Progress(console=err, disable=not err.is_terminal) as progress:
+            task = progress.add_task("filming", total=None)
+            return film(
+                self.run_folder,
+                self.out,
+                self.scene,
+                self.backgrounds,
+                detectors,
+                colors=self.colors,
+                settings=self.settings,
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+
+    def show(self, result: dict) -> None:
+        for spec, told in result["detectors"].items():
+            out.print(_table(spec, told, result))
+        if result["left_out"]:
+            out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
+        out.print(f"wrote {result['out']} and {result['numbers']}")
+
+
+def _table(spec: str, told: dict, result: dict) -> Table:
+    takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
+    table = Table(title=f"{spec}: {result['frames']} frames{takes}")
+    for head in ("", "threshold", "hidden", "longest run", "first sight", "tracks"):
+        table.add_column(head, justify="right" if head else "left", min_width=9 if head else 8)
+    own = result["operating_points"][spec]
+    for control, x in told.items():
+        for suffix, threshold in (("", result["threshold"]), ("_own", own)):
+            hidden, sight = x[f"hidden{suffix}"], x[f"first_sight_m{suffix}"]
+            share = "–" if hidden is None else f"{hidden:.2f}"
+            metres = "–" if sight is None else f"{sight:.1f} m"
+            tracks = str(x["tracks"]) if suffix else ""  # they are made at the detector's own threshold
+            table.add_row(control, f"{threshold:g}", share, str(x[f"longest_run{suffix}"]), metres, tracks)
+    return table
