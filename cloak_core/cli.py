@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "evaluate": "evaluate:Evaluate",
     "report": "evaluate:Report",
     "film": "film:Film",
+    "judge": "judge:Judge",
     "demo": "demo:Demo",
     "scene import": "scene:Import",
     "scene import-smpl": "scene:ImportSmpl",

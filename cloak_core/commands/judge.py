@@ -1,0 +1,118 @@
+"""`cloak judge`: what detectors make of photographs and videos of people with and without a cloak."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from rich.progress import Progress
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, err, out, warn
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.evaluation.photographs.settings import JudgeSettings
+from cloak_core.files.errors import InputError
+
+
+@dataclass(kw_only=True)
+class Judge(Command):
+    """Judge photographs and videos of people with and without a cloak: detection rates with intervals, and a report.
+
+    DIR has with/ and without/, PERSON/SCENE/file inside as far as that is known, and where there are some, nobody/ and
+    control garments; or pictures.csv, which says who is in which picture. A person whom the clean picture misses is
+    never a success.
+    """
+
+    directory: Positional[Path | None] = None
+    """Folder with with/ and without/ in it, or with pictures.csv."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors to judge with."""
+    pictures: Path | None = None
+    """CSV of the pictures instead (file and cloak; person, scene, distance, pair, x1, y1, x2, y2 where known)."""
+    boxes: Path | None = None
+    """CSV of people's boxes (file, x1, y1, x2, y2; person where several are in a picture), upright pixels."""
+    out: Path | None = None
+    """Folder for report.html, summary.json and scores.csv (default: DIR/judge)."""
+    plan: bool = False
+    """Judge nothing: say how wide intervals will be for so many people, scenes and pictures."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    settings: Annotated[OmitArgPrefixes[JudgeSettings], arg(name="judging")] = field(default_factory=JudgeSettings)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        prepare_process(self.compute)
+        if self.plan:
+            from cloak_core.evaluation.photographs.planning import RATES, independent, plan
+
+            return {"plan": plan(), "independent": {f"{rate:g}": independent(rate) for rate in RATES}}
+        if self.directory is None:
+            raise InputError("judge: which folder?")
+        if not self.detector:
+            raise InputError("--detector: none given")
+        from cloak_core.evaluation.photographs.judging import judge
+
+        specs = tuple(dict.fromkeys(self.detector))
+        with Progress(console=err, disable=not err.is_terminal) as progress:
+            task = progress.add_task("looking", total=None)
+            return judge(
+                self.directory,
+                dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
+                self.settings,
+                table=self.pictures,
+                boxes=self.boxes,
+                out=self.out or self.directory / "judge",
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+
+    def show(self, result: dict) -> None:
+        if "plan" in result:
+            return show_plan(result)
+        for spec, told in result["detectors"].items():
+            out.print(_table(spec, told, result))
+            if told["n_nobody"]:
+                out.print(f"false alarms in {told['n_nobody']} pictures of nobody: {told['false_alarms']:.1%}")
+        for words in result["warnings"]:
+            warn(words)
+        counted = f"{result['pictures']} pictures, people: {result['people']}, scenes: {result['scenes']}"
+        out.print(f"{counted}; wrote {result['report']}")
+
+
+def _table(spec: str, told: dict, result: dict) -> Table:
+    table = Table(title=f"{spec}: who is found, and who is hidden though found in the clean picture")
+    own = f"own {result['operating_points'][spec]:g}"
+    for head in ("", "hidden", "95 %", own, "of", "found", "95 %", "of"):
+        table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
+    for name, s in {"with": told["with"], **told["controls"], "without": told["without"]}.items():
+        found = _share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"])
+        hidden = ("", "", "", "")
+        if name != "without":
+            shares = _share(s["conditional"]), _interval(s["ci95_conditional"]), _share(s["conditional_own"])
+            hidden = (*shares, str(s["n_conditional"]))
+        table.add_row(name, *hidden, *found)
+    return table
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _interval(bounds: tuple) -> str:
+    return "–" if None in bounds else f"{bounds[0]:.2f}–{bounds[1]:.2f}"
+
+
+def show_plan(result: dict) -> None:
+    """Half widths of 95 % intervals, in points."""
+    rates = list(result["independent"])
+    table = Table(title="half of the 95 % interval, points")
+    for head in ("people", "scenes", "pairs of each in each", "pairs in all", *(f"rate {rate}" for rate in rates)):
+        table.add_column(head, justify="right")
+    for row in result["plan"]:
+        counts = (str(row[key]) for key in ("people", "scenes", "each", "pairs"))
+        table.add_row(*counts, *(f"±{row['points'][rate]:.0f}" for rate in rates))
+    out.print(table)
+    said = ", ".join(f"{count} at a rate of {rate}" for rate, count in result["independent"].items())
+    out.print(f"±10 points from pairs that have no person and no scene in common: {said}")
