@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "logo heatmap": "logo:Heatmap",
     "logo transfer": "logo:Transfer",
     "print": "printing:Print",
+    "calibrate": "calibrate:Calibrate",
     "sweep": "sweep:Sweep",
     "transfer": "transfer:Transfer",
     "assess": "assess:Assess",
@@ -56,6 +57,7 @@ COMMANDS: dict[str, str] = {
     "bench stability": "bench:Stability",
     "bench step": "bench:Step",
     "bench ranks": "bench:Ranks",
+    "bench printing": "bench:Printing",
     "bench detectors": "bench:Detectors",
 }
 """Command words -> module:class in cloak_core.commands; imported only when asked for, so that `--help` is quick."""

@@ -24,6 +24,8 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.profiles import read_profile
+from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
 from cloak_core.scene.opening import load_scene
@@ -86,6 +88,7 @@ def evaluate(
     detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
     *,
     colors: Named | None = None,
+    profile: Named | None = None,
     out: Named | None = None,
     over_time: bool = False,
     angles: Sequence[float] | str = "-10:10:1",
@@ -97,7 +100,9 @@ def evaluate(
     """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
-    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME. over_time:
+    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME. profile:
+    of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print --profile`; then
+    into RUN/evaluation-printed. over_time:
     judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png).
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
@@ -120,6 +125,11 @@ def evaluate(
     logo = load_logo(bodies, folder / "logo.npy")
     worn, trained, name = _worn(folder, config, logo, bodies, colors)
     place = f"{FOLDER}-{name}" if name else FOLDER
+    if profile is not None:
+        if over_time:
+            raise InputError("--over-time: judges snapshots as they are, without --profile")
+        printer = read_profile(profile)
+        worn, place = printer.photographed(printer.to_send(worn)), f"{place}-printed"
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
     angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
     asked = (logo, bodies, backgrounds, judges, angles, settings)

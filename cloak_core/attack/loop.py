@@ -72,6 +72,7 @@ class RunResult:
             "steps": self.steps,
             "colors_step": self.colors_step,
             "seconds": round(self.seconds, 2),
+            "distinct_colors": len(np.unique(self.colors, axis=0)),
         }
         record |= {"enough": self.enough} if self.enough else {}
         return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
@@ -165,7 +166,7 @@ class TrainingLoop:
 
     def _hold_out(self) -> None:
         if self.held_out is not None and self.held_out.is_due(self.step, self.sampler.steps):
-            self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.colors().detach()))
+            self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.finished()))
 
     def _recorded_figures(self) -> StepFigures | None:
         """Of the last step in the event log: what a run that was complete before has to tell."""
@@ -182,6 +183,7 @@ class TrainingLoop:
 
     def _one_step(self) -> StepFigures:
         lr = learning_rate(self.settings.optimization, self.step, self.sampler.steps, self.sampler.epoch_of(self.step))
+        self.optimizer.reach(self.step, self.sampler.steps)
         batch = self.batches.batch(self.step)
         share = len(batch) / self.sampler.images_of(self.step)
         step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
@@ -243,7 +245,7 @@ class TrainingLoop:
             self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
 
     def _colors_array(self) -> Float[np.ndarray, "L 3"]:
-        return _as_array(self.optimizer.colors())
+        return _as_array(self.optimizer.finished())
 
     def _final_colors(self) -> tuple[Float[np.ndarray, "L 3"], int]:
         """The colours the run ends with, and the step they are of."""

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.attack.pattern import Pattern
 from cloak_core.attack.settings.optimizer import OptimizerSettings
-from cloak_core.attack.smoothing import Smoothing
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -45,10 +45,10 @@ class ColorOptimizer:
     """
 
     def __init__(
-        self, settings: OptimizerSettings, initial: Float[Tensor, "L 3"], smoothing: Smoothing | None = None
+        self, settings: OptimizerSettings, initial: Float[Tensor, "N 3"], pattern: Pattern | None = None
     ) -> None:
-        """`smoothing` makes colours of the parameters, which begin as `initial`."""
-        self._sigmoid, self._smoothing, self.settings = settings.gamut == "sigmoid", smoothing, settings
+        """`pattern` makes colours of the N parameters, which begin as `initial`; None: they are the colours."""
+        self._sigmoid, self._pattern, self.settings = settings.gamut == "sigmoid", pattern, settings
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
         self._parameter = start.requires_grad_()
@@ -58,23 +58,38 @@ class ColorOptimizer:
         self._names |= {"momentum_buffer"} if settings.momentum or settings.optimizer == "mi" else set()
         self._state: dict[str, Tensor] = {}
 
+    @torch.no_grad()
+    def reach(self, step: int, steps: int) -> None:
+        """Say that `step` of `steps` begins: a pattern hangs on it. Until it is said, the run is at its beginning."""
+        if self._pattern is not None and self._pattern.reach(step, steps):
+            values = self._pattern.with_inks(self._values())
+            inks = slice(-self._pattern.learnt, None)
+            self._parameter[inks] = torch.logit(values[inks].clamp(0.02, 0.98)) if self._sigmoid else values[inks]
+
     def colors(self) -> Float[Tensor, "L 3"]:
         """The colours, in [0, 1], as part of the graph."""
-        values = torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
-        return values if self._smoothing is None else self._smoothing(values)
+        return self._values() if self._pattern is None else self._pattern(self._values())
+
+    @torch.no_grad()
+    def finished(self) -> Float[Tensor, "L 3"]:
+        """The colours if the run ended here: with an ink for each patch, where it is to end so."""
+        return (self._values() if self._pattern is None else self._pattern.finished(self._values())).detach()
+
+    def _values(self) -> Float[Tensor, "N 3"]:
+        return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
 
     @property
-    def gradient(self) -> Float[Tensor, "L 3"]:
+    def gradient(self) -> Float[Tensor, "N 3"]:
         """What the last backward pass left, with respect to the free parameters."""
         return self._parameter.grad
 
     @property
-    def heading(self) -> Float[Tensor, "L 3"] | None:
+    def heading(self) -> Float[Tensor, "N 3"] | None:
         """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
         return self._state.get("exp_avg", self._state.get("momentum_buffer"))
 
     @contextlib.contextmanager
-    def raised(self, direction: Float[Tensor, "L 3"] | None) -> Iterator[None]:
+    def raised(self, direction: Float[Tensor, "N 3"] | None) -> Iterator[None]:
         """For the time of the block, the free parameters moved by `sharpness` (root mean square) along `direction`."""
         if direction is None or not self.settings.sharpness:
             yield

@@ -12,6 +12,7 @@ from cloak_core.attack.held_out import TrainingData
 from cloak_core.attack.settings import TrainSettings, settings_from_record, settings_record
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.profiles import Profile
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
@@ -19,7 +20,7 @@ from cloak_core.files.likeness import pose_shape
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "snapshot_every", "max_seconds", "palette", "init")
+FREE_SETTINGS = ("checkpoint_every", "preview_every", "snapshot_every", "max_seconds", "palette", "init", "profile")
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
 DECISIVE = {
     "topology": (),
@@ -29,6 +30,7 @@ DECISIVE = {
     "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
     "palette": (),
+    "profile": (),
     "start": (),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
@@ -47,6 +49,7 @@ def run_config(
     palette: np.ndarray | None = None,
     held_out: TrainingData | None = None,
     start: np.ndarray | None = None,
+    profile: Profile | None = None,
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
@@ -61,6 +64,7 @@ def run_config(
         "detectors": [_detector(detector) for detector in detectors],
         "backgrounds": _backgrounds(backgrounds),
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
+        "profile": None if profile is None else {"sha256": sha256_arrays(profile.table)},
         "start": None if start is None else {"sha256": sha256_arrays(start)},
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},

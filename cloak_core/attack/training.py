@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
@@ -19,6 +20,7 @@ from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings,
 from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
+from cloak_core.attack.pattern import Inks, Pattern
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
@@ -29,6 +31,7 @@ from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.render.view_files import view_files
 from cloak_core.render.views import ViewBank
@@ -36,6 +39,7 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.geometry import face_centres
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
+from cloak_core.scene.logos.patches import patch_of_face
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""
@@ -107,15 +111,24 @@ def _train(
     detectors = [detector.to(device) for detector in detectors]
     palette_file, init = settings.objective.palette, settings.optimization.init
     palette = None if palette_file is None else read_palette(palette_file)
+    profile_file = settings.pattern.profile
+    profile = None if profile_file is None else read_profile(profile_file)
     trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
     is_search = settings.queries.black_box_queries is not None
     if is_search and (held is not None or world.size > 1):
         raise InputError("--black-box-queries: searches in one process, without --held-out")
+    pattern = make_pattern(settings, bodies, logo, palette, profile, device)
+    if is_search and pattern is not None:
+        raise InputError(
+            "--black-box-queries: searches free colours, without --colors-at-most, --pattern and --profile"
+        )
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
     start = None if init is None else read_start(Path(init), logo)
-    config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start)
+    config = run_config(
+        settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start, profile
+    )
     clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
     first = initial_colors(settings.optimization, clothing, settings.run.seed)
     first = first if start is None else torch.from_numpy(start).to(device)
@@ -128,14 +141,36 @@ def _train(
             loop = Search(settings, run, batcher, objective, first, centres, on_event)
         else:
             held_out = None if held is None else _held_out(settings, held, logo, objective, world)
-            rounds = settings.optimization.smooth
-            smoothing = Smoothing(logo.edges, len(logo), rounds, device) if rounds else None
-            optimizer = ColorOptimizer(settings.optimization, first, smoothing)
+            begun = first if pattern is None else pattern.begin(first)
+            optimizer = ColorOptimizer(settings.optimization, begun, pattern)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
+
+
+def make_pattern(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    palette: np.ndarray | None,
+    profile: Profile | None,
+    device: torch.device,
+) -> Pattern | None:
+    """What makes the faces' colours of free parameters; None where these are the colours."""
+    wanted, rounds, patch, inks = settings.pattern, settings.optimization.smooth, None, None
+    edges, count = logo.edges, len(logo)
+    if wanted.pattern == "camouflage":
+        patch = patch_of_face(bodies, logo, wanted.feature_cm / 100)
+        edges, count = patch[edges], int(patch.max()) + 1
+        edges = edges[edges[:, 0] != edges[:, 1]]
+    if wanted.colors_at_most is not None:
+        given = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
+        inks = Inks(wanted.colors_at_most, given)
+    smoothing = Smoothing(edges, count, rounds, device) if rounds else None
+    is_free = smoothing is patch is profile is inks is None
+    return None if is_free else Pattern(smoothing, patch, profile, inks, device)
 
 
 def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective: Objective, world: World) -> HeldOut:

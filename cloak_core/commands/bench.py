@@ -250,3 +250,26 @@ class Stability(Command):
             remark = f" ({row['remark']})" if "remark" in row else ""
             out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches{remark}")
         out.print(f"largest error of a depth {result['max_error_ulp']:.3g} units in the last place")
+
+
+@dataclass(kw_only=True)
+class Printing(Command):
+    """Try `cloak calibrate` on a synthetic printer and camera: chart, photographs, profile, and what it is worth."""
+
+    out: Path
+    """New folder to write."""
+    photographs: int = 1
+    """How many are taken of the chart, each from elsewhere."""
+    colors: Path | None = None
+    """Trained colours (.npy): what comes out of them is written, too, sent as they are (OUT/plain.npy) and as the
+    profile says (OUT/calibrated.npy), for `cloak evaluate RUN --colors`."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.printing import try_calibration
+
+        require_new(self.out)
+        return try_calibration(self.out, self.photographs, self.colors).record() | {"out": str(self.out)}
+
+    def show(self, result: dict) -> None:
+        for name, value in result.items():
+            out.print(f"{name:<16} {value}")

@@ -27,6 +27,9 @@ class Evaluate(Command):
     colors: str | None = None
     """Judge these colours on the run's logo instead: FILE.npy [faces, 3], a picture on the scene's UV map, another run,
     or zoo:NAME; written to RUN/evaluation-NAME."""
+    profile: Path | None = None
+    """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
+    --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
     out: Path | None = None
     """Folder for the evaluation (default: RUN/evaluation)."""
     over_time: bool = False
@@ -61,6 +64,7 @@ class Evaluate(Command):
                 self.backgrounds,
                 dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
                 colors=self.colors,
+                profile=self.profile,
                 out=self.out,
                 over_time=self.over_time,
                 angles=self.angles,

@@ -31,14 +31,21 @@ class Print(Command):
     """Replace colours that a four-colour printer cannot mix by the nearest that it can."""
     palette: Path | None = None
     """Palette file (as of `cloak train --palette`) of the colours there are; --project then leaves no others."""
+    profile: Path | None = None
+    """Profile of the printer and a camera (`cloak calibrate`): the sheets then have the colours to send so that the
+    run's come out."""
 
     def run(self) -> dict:
         from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.exchange.profiles import read_profile
         from cloak_core.output.printing import print_logo
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.logos.palette import read_palette
         from cloak_core.zoo.shelf import run_path
 
+        if self.palette is not None and self.profile is not None:
+            raise InputError("--palette and --profile: either tells which colours there are")
+        profile = None if self.profile is None else read_profile(self.profile)
         palette = None if self.palette is None else read_palette(self.palette)
         folder = run_path(self.run_folder)
         config = read_run(folder)
@@ -48,7 +55,7 @@ class Print(Command):
         bodies = load_scene(scene)
         ids = load_logo(bodies, folder / "logo.npy").face_ids
         colors = read_colors(folder / "colors.npy", len(ids))
-        how = {"title": folder.resolve().name, "palette": palette, "project": self.project}
+        how = {"title": folder.resolve().name, "palette": palette, "project": self.project, "profile": profile}
         report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 

@@ -14,6 +14,7 @@ from cloak_core.attack.settings import COMPONENTS, PRESETS, Preset, TrainSetting
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.pattern import PatternSettings
 from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
@@ -61,6 +62,7 @@ class Train(Command):
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]
     objective: Annotated[OmitArgPrefixes[LossSettings], arg(name="loss")]
+    pattern: Annotated[OmitArgPrefixes[PatternSettings], arg(name="colours and pattern")]
     surrogates: Annotated[OmitArgPrefixes[SurrogateSettings], arg(name="surrogates")]
     optimization: Annotated[OmitArgPrefixes[OptimizerSettings], arg(name="optimiser")]
     queries: Annotated[OmitArgPrefixes[QuerySettings], arg(name="black box")]

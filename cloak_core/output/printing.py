@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, Integer
+from jaxtyping import Bool, Float, Float32, Integer
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_bytes, write_json
 from cloak_core.output.baking import bake, dressed
@@ -15,7 +16,7 @@ from cloak_core.output.layout import Layout, lay_out
 from cloak_core.output.print_sheets import PAGES, write_sheets
 from cloak_core.output.printer_gamut import nearest_printable
 from cloak_core.output.textured import png, write_glb, write_obj
-from cloak_core.scene.logos.palette import nearest_in_palette
+from cloak_core.scene.logos.palette import TOLERANCE, nearest_in_palette
 
 DPI = (10, 1200)
 
@@ -30,25 +31,34 @@ def print_logo(
     project: bool = False,
     title: str = "cloak",
     palette: Float[np.ndarray, "P 3"] | None = None,
+    profile: Profile | None = None,
 ) -> dict:
     """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
     and print.json, the report that is also returned.
 
     colors: [L, 3] sRGB in [0, 1]; project: replace colours that a four-colour printer cannot mix by the nearest that it
     can (they are counted either way); palette: the colours there are, sRGB, instead of a four-colour printer's, and
-    `project` then leaves no others. Sizes are those of the first pose. The folder appears whole or not at all; raises
-    `InputError` where it exists, and for options out of range.
+    `project` then leaves no others; profile: of the printer and a camera (`cloak calibrate`): the sheets, and a picture
+    to-print.png, then have the colours to send so that these come out. Those that cannot come out (counted) get the
+    nearest that can, and body and cloak.png show what comes out.
+
+    Sizes are those of the first pose. The folder appears whole or not at all; raises `InputError` where it exists, and
+    for options out of range.
     """
     out = Path(out)
     _check(out, dpi, page, len(colors), len(face_ids))
-    near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
+    near, beyond, sent = _what_comes_out(colors, palette, profile)
     layout = lay_out(bodies, face_ids)
-    texture = bake(bodies, layout, dressed(bodies, face_ids, near.astype(np.float32) if project else colors), dpi)
+    shown = near if project or profile is not None else colors
+    texture = bake(bodies, layout, dressed(bodies, face_ids, shown), dpi)
+    sheets = texture if sent is None else bake(bodies, layout, dressed(bodies, face_ids, sent), dpi)
     with new_folder(out) as folder:
         write_bytes(folder / "cloak.png", png(texture.image))
+        if sent is not None:
+            write_bytes(folder / "to-print.png", png(sheets.image))
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
-        pages = write_sheets(folder / "sheets.pdf", bodies, layout, texture, page, title)
+        pages = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title)
         report = {
             "faces": len(face_ids),
             **_figures(layout),
@@ -57,11 +67,24 @@ def print_logo(
             "page": page,
             "pages": pages,
             "unprintable_colors": int(beyond.sum()),
-            "projected": bool(project),
+            "projected": bool(project or profile is not None),
+            "profile": profile is not None,
             "pose": bodies.names[0],
         }
         write_json(folder / "print.json", report)
     return report | {"out": str(out)}
+
+
+def _what_comes_out(
+    colors: Float32[np.ndarray, "L 3"], palette: Float[np.ndarray, "P 3"] | None, profile: Profile | None
+) -> tuple[Float32[np.ndarray, "L 3"], Bool[np.ndarray, " L"], Float32[np.ndarray, "L 3"] | None]:
+    """The colours that can come out, nearest to these; whether they are others; what to send, where a profile tells."""
+    if profile is None:
+        near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
+        return near.astype(np.float32), beyond, None
+    sent = profile.to_send(colors)
+    near = profile.photographed(sent)
+    return near, np.abs(near - colors).max(axis=1) > TOLERANCE, sent
 
 
 def _check(out: Path, dpi: int, page: str, colors: int, faces: int) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from cloak_core.attack.optimizing import ColorOptimizer
+from cloak_core.attack.pattern import Pattern
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.smoothing import Smoothing
 from tests.attack.fakes import box_bodies, front_logo
@@ -35,8 +36,8 @@ def test_its_gradient_is_that_of_the_product():
 def test_optimised_colours_are_smooth_and_in_bounds():
     spread = {}
     for rounds in (0, 10):
-        smoothing = Smoothing(LOGO.edges, len(LOGO), rounds) if rounds else None
-        optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((len(LOGO), 3), 0.5), smoothing)
+        pattern = Pattern(Smoothing(LOGO.edges, len(LOGO), rounds)) if rounds else None
+        optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((len(LOGO), 3), 0.5), pattern)
         generator = torch.Generator().manual_seed(0)
         for _ in range(20):
             optimizer.clear()

@@ -21,6 +21,7 @@ from typing import Literal
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.pattern import PatternSettings
 from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
@@ -41,6 +42,7 @@ class TrainSettings:
     views: ViewSettings = field(default_factory=ViewSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     objective: LossSettings = field(default_factory=LossSettings)
+    pattern: PatternSettings = field(default_factory=PatternSettings)
     surrogates: SurrogateSettings = field(default_factory=SurrogateSettings)
     optimization: OptimizerSettings = field(default_factory=OptimizerSettings)
     queries: QuerySettings = field(default_factory=QuerySettings)
@@ -73,6 +75,7 @@ COMPONENTS: dict[str, type] = {
     "views": ViewSettings,
     "augmentation": AugmentationSettings,
     "objective": LossSettings,
+    "pattern": PatternSettings,
     "surrogates": SurrogateSettings,
     "optimization": OptimizerSettings,
     "queries": QuerySettings,

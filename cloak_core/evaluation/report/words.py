@@ -102,6 +102,7 @@ def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
         ("scene", _join(scene.get("name"), _count(scene.get("poses"), "body", "bodies"))),
         ("logo", _join(_number(logo.get("faces"), "faces"), _of(scene.get("faces")))),
         ("backgrounds", _number(backgrounds.get("count"), "images")),
+        ("colours", _colors(config)),
         ("topology", str(config.get("topology", ""))),
         ("cloak", str(config.get("cloak", ""))),
     ]
@@ -111,6 +112,20 @@ def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
         if isinstance(detector, dict):
             rows.append(("trained against", f"{detector.get('spec', '')} (SHA-256 {detector.get('sha256', '')})"))
     return [(name, value) for name, value in rows if value]
+
+
+def _colors(config: dict) -> str:
+    """Which colours there may be, where they were not free: "at most 8 distinct, learnt; patches of at least 2 cm"."""
+    settings, palette, words = config.get("settings"), config.get("palette"), []
+    settings = settings if isinstance(settings, dict) else {}
+    if settings.get("colors_at_most"):
+        source = f"of a palette of {palette.get('colors')}" if isinstance(palette, dict) else "learnt"
+        words.append(f"at most {settings['colors_at_most']} distinct, {source}")
+    if settings.get("pattern") == "camouflage":
+        words.append(f"patches of at least {_value(settings.get('feature_cm'))} cm")
+    if config.get("profile"):
+        words.append("as they are printed and photographed")
+    return "; ".join(words)
 
 
 def measured_rows(summary: dict) -> list[tuple[str, str]]:
