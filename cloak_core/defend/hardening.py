@@ -88,6 +88,7 @@ class Hardening:
         on_event: OnEvent | None = None,
     ) -> None:
         self.settings, self.student, self.pool, self.folder = settings, student, pool, folder
+        student.detector.precision = settings.precision
         self.parameters = list(student.network.parameters())
         self.optimizer = torch.optim.AdamW(self.parameters, settings.lr, weight_decay=0.0)
         self.averaged = {name: value.clone() for name, value in student.network.state_dict().items()}

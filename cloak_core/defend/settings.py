@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cloak_core.attack.settings import check_settings
 from cloak_core.attack.settings.values import Within
@@ -37,6 +37,9 @@ class HardenSettings:
     """Decay of the running average of the weights, which is what gets written."""
     size: Annotated[int, Within(32, 4096)] = 416
     """Width and height of the rendered images, pixels."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Precision of the network while it learns and is attacked; what is written has float32 either way. bfloat16 takes
+    less than half the time on processors and devices that are made for it."""
     checkpoint_every: Annotated[int, Within(1, 10_000_000)] = 50
     """Steps between checkpoints."""
     seed: Annotated[int, Within(0, 2**63 - 1)] = 0

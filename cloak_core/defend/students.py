@@ -54,7 +54,8 @@ class Student:
     def maps(self, detector: DarknetDetector, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
         """What a detector's heads say of images, before any activation."""
         inputs, _ = fit(images, detector.network.input_size, detector.letterbox)
-        return detector.network(inputs.contiguous(memory_format=detector.memory_format))
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.detector.precision == "bfloat16"):
+            return detector.network(inputs.contiguous(memory_format=detector.memory_format))
 
     def distance(
         self,
@@ -99,6 +100,8 @@ def open_student(spec: str, device: str | torch.device = "cpu") -> Student:
         raise InputError(f"harden {spec}: cannot train {request.family!r} yet, only {known}")
     detector, teacher = load_detector(spec, device=device, fold=False), load_detector(spec, device=device)
     _usual_epsilon(detector.network)
+    detector.network.to(memory_format=torch.channels_last)  # twice as fast to learn, most of it in max pooling
+    detector.memory_format = torch.channels_last
     options = spec.rpartition("@")[2] if spec != f"{request.family}:{request.what}".rstrip(":") else ""
     options = f"@{options}" if options else ""
     if request.family == "builtin":
