@@ -112,8 +112,8 @@ class Hardening:
                 if self.step % self.settings.checkpoint_every == 0 or reason or self.step == steps:
                     self._save()
             reason = "" if self.step >= steps else reason
-            images = self.step * (2 * self.settings.batch + self.settings.pictures)
-            spec = self.student.write(self.averaged, self.folder.path, images)
+            shown = self.settings.batch + min(self.settings.clean, self.settings.batch) + self.settings.pictures
+            spec = self.student.write(self.averaged, self.folder.path, self.step * shown)
             self._tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
         finally:
             self.log.close()
@@ -131,12 +131,12 @@ class Hardening:
 
     def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor) -> dict[str, float]:
         """One update; returns the loss and its parts, each a mean over its own images."""
-        student, count = self.student, len(cloaked)
+        student, count, kept = self.student, len(cloaked), min(self.settings.clean, len(cloaked))
         with torch.no_grad():
             wanted = student.maps(student.teacher, torch.cat([clean, pictures]))
-        wanted = [torch.cat([maps[:count], maps]) for maps in wanted]
-        images = torch.cat([cloaked, clean, pictures])
-        surer = torch.arange(len(images), device=images.device) < 2 * count
+        wanted = [torch.cat([maps[:count], maps[:kept], maps[count:]]) for maps in wanted]
+        images = torch.cat([cloaked, clean[:kept], pictures])
+        surer = torch.arange(len(images), device=images.device) < len(images) - len(pictures)
         student.detector.requires_grad_(True)
         each = student.distance(images, wanted, surer, self.settings.sure)
         loss = each.mean()
@@ -148,7 +148,7 @@ class Hardening:
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.lr * rate(self.step, self.settings.steps)
         self.optimizer.step()
-        parts = each.detach().split([count, count, len(pictures)])
+        parts = each.detach().split([count, kept, len(pictures)])
         names = ("cloaked", "clean", "pictures")
         told = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
         return {"loss": float(loss.detach())} | told

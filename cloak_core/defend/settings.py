@@ -18,7 +18,9 @@ class HardenSettings:
     max_seconds: Annotated[float | None, Within(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
     batch: Annotated[int, Within(1, 4096)] = 8
-    """Rendered images per update; each is shown cloaked and in its own clothes, and photographs beside them."""
+    """Rendered images per update, in a cloak."""
+    clean: Annotated[int, Within(0, 4096)] = 4
+    """The first so many of them are shown in their own clothes, too."""
     pictures: Annotated[int, Within(0, 4096)] = 4
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     cloaks: Annotated[int, Within(1, 256)] = 8
