@@ -177,6 +177,35 @@ class TrainBuiltin(Command):
         )
 
 
+@dataclass(kw_only=True)
+class TrainSegmenter(Command):
+    """Train the patch segmenter of the defence `segment:SPEC` anew, on renders of the sample bodies."""
+
+    out: Path
+    """File of the weights, .safetensors."""
+    steps: int = 600
+    """Updates of the weights; some five minutes on two cores."""
+    seed: int = 0
+    """Every random draw derives from it."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.pretrain.segmenter_training import train_segmenter
+
+        prepare_process(self.compute)
+        require_new(self.out)
+        if self.steps < 1:
+            raise InputError(f"--steps {self.steps}: at least 1 is needed")
+        given = self.given("out", "compute")
+        return {"out": str(self.out)} | train_segmenter(self.out, on_event=show_event, **given)
+
+    def show(self, result: dict) -> None:
+        out.print(
+            f"wrote {result['out']}: masks {result['found']:.1%} of patches and {result['clean']:.2%} of all else, on "
+            "bodies and scenes that it never saw"
+        )
+
+
 def show_event(event: dict) -> None:
     """A line of a training's progress."""
     figures = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in event.items() if k != "type")

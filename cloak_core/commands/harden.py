@@ -43,6 +43,9 @@ class Harden(Command):
     """Folder of photographs with people, of whom the detector is to report what it reported; no labels."""
     cloak: UseAppendAction[tuple[str, ...]] = ()
     """Runs or zoo:NAME to be hardened against as well, on the bodies of --scene. Judge by others."""
+    assess: bool = True
+    """Then make the robustness cards of both, before and after, in --out/cards, by `cloak assess --quick`; what a
+    stopped call had of them is kept."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
@@ -67,10 +70,21 @@ class Harden(Command):
                 resume=self.resume,
                 on_event=progress,
             )
-        record = {"before": None, "after": None, "out": str(self.out), "spec": result.spec, "step": result.step}
-        record |= {"steps": result.steps, "seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
-        why = f"stopped at step {result.step}: {result.stopped}"
-        return record | ({"stopped": why} if result.stopped else {})
+        stopped = f"stopped at step {result.step}: {result.stopped}" if result.stopped else ""
+        skipped = stopped or ("" if self.assess else "--no-assess: nobody asked for them")
+        record = {"before": None, "after": None, "no_cards": skipped} if skipped else self._cards(result.spec)
+        record |= {"out": str(self.out), "spec": result.spec, "step": result.step, "steps": result.steps}
+        record |= {"seconds": round(result.seconds, 1), "judge": self._commands(result.spec)}
+        return record | ({"stopped": stopped} if stopped else {})
+
+    def _cards(self, spec: str) -> dict:
+        """The cards of the detector before and after, and the page that compares them."""
+        from cloak_core.commands.assess import Assess
+
+        specs = (self.spec, spec)
+        made = Assess(specs=specs, out=self.out / "cards", quick=True, compute=self.compute).run()
+        before, after = (made["cards"][one] for one in specs)
+        return {"before": before, "after": after, "files": made["files"]}
 
     @staticmethod
     def _given(bodies: Bodies, name: str) -> Given:
@@ -84,18 +98,22 @@ class Harden(Command):
         return Given(logo, read_colors(folder / "colors.npy", len(logo)))
 
     def _commands(self, spec: str) -> list[str]:
-        """What judges the result: a new cloak, trained against the hardened detector, on a logo it never saw."""
-        run, face_list = self.out / "adaptive", self.out / "chest_thighs.npy"
-        select = ["logo", "select", "--scene", "sample", "--region", "chest+thighs", "--out", str(face_list)]
-        train = ["train", "--scene", "sample:train", "--logo", str(face_list), "--detector", spec]
-        train += ["--angles", "-10:10:5", "--out", str(run)]
-        check = ["detectors", "check", spec, "--scene", "sample:unseen", "--backgrounds", "procedural:test"]
-        judge = ["evaluate", str(run), "--detector", spec, "--detector", self.spec]
+        """What judges the result by new cloaks, trained against it on logos that it never saw."""
+        both = ["--detector", self.spec, "--detector", spec]
+        proof = ["reproduce", "hardened", *both, "--out", str(self.out / "proof")]
         cards = ["assess", self.spec, spec, "--quick", "--out", str(self.out / "cards")]
-        return [shlex.join(["cloak", *words]) for words in (check, select, train, judge, cards)]
+        return [shlex.join(["cloak", *words]) for words in (proof, cards)]
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['spec']}: step {result['step']} of {result['steps']}, {result['seconds']:.0f} s")
+        if result["before"] is not None:
+            from cloak_core.evaluation.card.words import headline, lede
+
+            for name in ("before", "after"):
+                out.print(f"{name}: {headline(result[name])}")
+                out.print(f"  {lede(result[name])}")
+            for path in result["files"]:
+                out.print(f"wrote {path}")
         out.print("judge it by cloaks that are trained against it anew:")
         for line in result["judge"]:
             out.print(f"  {line}")

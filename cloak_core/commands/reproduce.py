@@ -26,7 +26,7 @@ class Reproduce(Command):
 
     name: Positional[str]
     """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, render-gap (needs
-    Blender), cost, white-box, defences, or all."""
+    Blender), cost, white-box, defences, hardened, or all."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
     scene: str = "sample"

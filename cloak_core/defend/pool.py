@@ -33,6 +33,9 @@ FRONT, AROUND = 4, 6
 """Azimuths of a cloak: so many within 15 degrees of the front, so many all around."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
+GIVEN, GOES_ON = 0.5, 0.75
+"""How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
+their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
 _LOGO, _VIEWS, _PICTURES = 1, 2, 3
 """Streams of random numbers."""
 
@@ -82,6 +85,8 @@ class Pool:
         self.bank = ViewBank(bodies, device=self.device, samples=SAMPLES)
         self.centres = face_centres(bodies)
         self.cloaks: dict[int, Cloak] = {}
+        self.skins: dict[int, Float[Tensor, "F 3"]] = {}
+        """By slot, the last colours that any of its cloaks had on each face."""
 
     def place(self, turn: int) -> tuple[int, int, int]:
         """(slot, generation, how often the slot has had its turn); one slot after the other gets its next cloak."""
@@ -94,6 +99,8 @@ class Pool:
         slot, generation, _ = self.place(turn)
         known = self.cloaks.get(slot)
         if known is None or known.generation != generation:
+            if known is not None:
+                self._remember(slot, known)
             self.cloaks[slot] = self._new(slot, generation)
         return self.cloaks[slot]
 
@@ -129,7 +136,8 @@ class Pool:
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint; which logo a cloak has follows from the turn."""
-        return {
+        skins = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
+        return skins | {
             f"cloak.{slot}.{name}": value
             for slot, cloak in self.cloaks.items()
             for name, value in cloak.optimizer.state().items()
@@ -137,6 +145,8 @@ class Pool:
 
     def load(self, turn: int, tensors: dict[str, Tensor]) -> None:
         """Go on before this turn, from `state()`."""
+        skins = {name.removeprefix("skin."): value for name, value in tensors.items() if name.startswith("skin.")}
+        self.skins = {int(slot): skin.to(self.device) for slot, skin in skins.items()}
         for earlier in range(max(0, turn - self.settings.cloaks), turn):
             slot = self.place(earlier)[0]
             mark = f"cloak.{slot}."
@@ -145,12 +155,14 @@ class Pool:
 
     def _new(self, slot: int, generation: int) -> Cloak:
         rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
-        if self.given and rng.random() < 0.5:
+        if self.given and rng.random() < GIVEN:
             chosen = self.given[rng.integers(len(self.given))]
             logo, colors = chosen.logo, chosen.colors
         else:
             logo = make_logo(self.bodies, draw_logo(self.bodies, rng))
             colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
+            if slot in self.skins and rng.random() < GOES_ON:
+                colors = self.skins[slot].cpu().numpy()[logo.face_ids]
         settings = self._train_settings(slot)
         poses, outfits = self.bodies.pose_count, self.bodies.outfit_count
         sampler = Sampler(settings, poses, outfits, len(self.backgrounds))
@@ -162,6 +174,11 @@ class Pool:
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
         )
+
+    @torch.no_grad()
+    def _remember(self, slot: int, cloak: Cloak) -> None:
+        skin = self.skins.setdefault(slot, torch.full((self.bodies.face_count, 3), 0.5, device=self.device))
+        skin[torch.from_numpy(cloak.logo.face_ids).to(self.device)] = cloak.optimizer.colors()
 
     def _train_settings(self, slot: int) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from cloak_core.attack.stopping import StopRequest
+from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
 from cloak_core.defend.hardening import HardenResult, harden
 from cloak_core.defend.logos import JUDGED, draw_colors, draw_logo
@@ -188,3 +189,26 @@ def test_first_colours_are_colours() -> None:
 def test_the_command_names_a_folder_that_is_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="exists already"):
         Harden(spec="builtin", out=tmp_path).run()
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_the_command_gives_the_cards_before_and_after_or_says_why_not(
+    asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = write_tiny(tmp_path)
+    monkeypatch.setattr("cloak_core.commands.harden.load_scene", lambda _: box_bodies())
+    made: list[tuple[str, ...]] = []
+
+    def assess(command: Assess) -> dict:
+        made.append(command.specs)
+        return {"cards": {one: {"spec": one} for one in command.specs}, "files": []}
+
+    monkeypatch.setattr(Assess, "run", assess)
+    few = HardenSettings(**(FEW | {"steps": 1}))
+    told = Harden(spec=spec, out=tmp_path / "out", backgrounds="procedural:train:2", assess=asked, settings=few).run()
+    if asked:
+        assert made == [(spec, told["spec"])]
+        assert (told["before"], told["after"]) == ({"spec": spec}, {"spec": told["spec"]})
+    else:
+        assert not made and (told["before"], told["after"]) == (None, None)
+        assert "--no-assess" in told["no_cards"]

@@ -1,10 +1,13 @@
 """Defences that look for a patch, and paint over it what stands around."""
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.detectors.defended.patch_segmenter import load_segmenter
 from cloak_core.detectors.defended.squeezing import Defence, straight_through
 
 BLOCK = 8
@@ -56,6 +59,22 @@ class EntropyMask(Masking):
         soft = F.avg_pool2d(soft, 3, 1, 1, count_include_pad=False)
         large = F.interpolate(soft, scale_factor=float(BLOCK), mode="nearest")
         return large[:, :, : images.shape[2], : images.shape[3]]
+
+
+class SegmenterMask(Masking):
+    """Paints over what a small network takes for a patch with at least this probability.
+
+    After SAC (Liu et al., CVPR 2022) and PAD (Jing et al., CVPR 2024), without their completion of shapes; the network
+    is our own, trained by `cloak detectors train-segmenter` on renders alone.
+    """
+
+    def __init__(self, probability: float) -> None:
+        super().__init__()
+        self.network, self.shift = load_segmenter(), math.log(probability / (1 - probability))
+
+    def evidence(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 H W"]:
+        logits = F.interpolate(self.network(images), images.shape[2:], mode="bilinear", align_corners=False)
+        return torch.sigmoid(logits - self.shift)
 
 
 def local_entropy(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 rows columns"]:

@@ -28,6 +28,7 @@ EXPERIMENTS = (
     "cost",
     "white-box",
     "defences",
+    "hardened",
 )
 """In the order in which `all` runs them; each is the module of its name."""
 
