@@ -88,7 +88,7 @@ def test_a_cancel_file_and_a_time_budget_end_it_in_order(student: Student, tmp_p
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({}, "exists already"), ({"resume": True, "lr": 0.1}, "begun with other --lr = 0.0005, not 0.1")],
+    [({}, "exists already"), ({"resume": True, "lr": 0.1}, "begun with other --lr = 0.001, not 0.1")],
 )
 def test_a_folder_that_is_there_is_not_taken_for_another(
     student: Student, tmp_path: Path, changes: dict, message: str
@@ -212,3 +212,19 @@ def test_the_command_gives_the_cards_before_and_after_or_says_why_not(
     else:
         assert not made and (told["before"], told["after"]) == (None, None)
         assert "--no-assess" in told["no_cards"]
+
+
+def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
+    student: Student, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.defend.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
+    monkeypatch.setattr("cloak_core.defend.pool.GOES_ON", 1.0)
+    pool = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
+    first = pool.cloak(0)
+    pool.attack(0)
+    ended, second = first.optimizer.colors().detach().clone(), pool.cloak(2)
+    assert second is not first
+    assert torch.equal(second.optimizer.colors(), ended)
+    again = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
+    again.load(3, pool.state())
+    assert torch.equal(again.skins[0], pool.skins[0])

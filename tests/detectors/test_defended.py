@@ -20,7 +20,7 @@ from cloak_core.evaluation.report.words import short_name
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, write_tiny
 
-HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
+HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask")
 
 
 class Brightest(Detector):
