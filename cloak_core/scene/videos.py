@@ -38,21 +38,24 @@ def require_av(path: Path) -> ModuleType:
 
 def read_frames(path: Path, every: int = 1, most: int | None = None) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     """Every `every`-th frame of a video, upright, RGB, at most so many. InputError: damaged, huge, or no video."""
-    av = require_av(path)
+    av, count = require_av(path), 0
     with open_regular(path, MAX_FILE_BYTES) as file:
         try:
             with av.open(file, "r") as container:
-                if not container.streams.video:
-                    raise InputError(f"{path}: no pictures in this video")
-                for frame in islice(container.decode(video=0), 0, None if most is None else every * most, every):
+                frames = container.decode(video=0) if container.streams.video else ()
+                for frame in islice(frames, 0, None if most is None else every * most, every):
                     if frame.width * frame.height > MAX_PIXELS:
                         raise InputError(f"{path}: {frame.width} x {frame.height} pixels, more than any picture here")
+                    count += 1
                     # Phones film lying and say so: degrees counter-clockwise that bring it upright.
                     yield np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90) % 4).copy()
+        except InputError:
+            raise
         except (av.error.FFmpegError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{path}: not a readable video ({first_line(error)})") from None
+            words = getattr(error, "strerror", None) or first_line(error)
+            raise InputError(f"{path}: not a readable video ({words})") from None
+    if not count:
+        raise InputError(f"{path}: no picture in this video")
 
 
 def save_film(path: Path, frames: Iterable[Image.Image], fps: float) -> None:

@@ -1,6 +1,7 @@
 """Films on tiny frames with a detector whose mind is known: paths, tracks, counts, pictures, files."""
 
 import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -207,6 +208,20 @@ def test_a_video_holds_what_was_put_in(tmp_path: Path) -> None:
     assert np.abs([frame.mean() for frame in found] - np.array(shades)).max() < 4
     assert len(list(read_frames(tmp_path / "film.mp4", every=2))) == 2
     assert len(list(read_frames(tmp_path / "film.mp4", every=1, most=3))) == 3
+
+
+def test_a_phone_that_filmed_lying_is_turned_upright(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    frame = Image.new("RGB", (64, 32))
+    frame.paste((255, 255, 255), (0, 0, 16, 16))
+    save_film(tmp_path / "film.mp4", [frame], fps=5.0)
+    data, one = (tmp_path / "film.mp4").read_bytes(), 1 << 16
+    matrix = lambda *rows: struct.pack(">9i", *rows, 0, 0, 1 << 30)
+    place = data.index(matrix(one, 0, 0, 0, one, 0), data.index(b"tkhd"))
+    turned = matrix(0, one, 0, -one, 0, 0)  # to the right becomes downwards: a quarter clockwise
+    (tmp_path / "film.mp4").write_bytes(data[:place] + turned + data[place + 36 :])
+    (upright,) = read_frames(tmp_path / "film.mp4")
+    assert upright.shape == (64, 32, 3) and upright[:12, -12:].mean() > 240 > 15 > upright[:12, :12].mean()
 
 
 def test_bad_films_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

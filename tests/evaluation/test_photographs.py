@@ -1,8 +1,10 @@
 """Photographs of painted people, judged by a detector that goes by their colour."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -17,6 +19,7 @@ from cloak_core.evaluation.photographs.listing import list_subjects
 from cloak_core.evaluation.photographs.planning import independent, plan
 from cloak_core.evaluation.photographs.settings import JudgeSettings
 from cloak_core.files.errors import InputError
+from cloak_core.scene import videos
 from cloak_core.scene.videos import save_film
 
 BLUE, GREEN, RED = (20, 20, 230), (20, 230, 20), (230, 20, 20)
@@ -129,10 +132,10 @@ def test_a_table_names_several_people_in_a_picture(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_controls_stand_beside_and_broken_files_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     for side, color in (("with", GREEN), ("without", BLUE), ("plain shirt", BLUE)):
-        paint(tmp_path / side / "ada/park/1.jpg", (color,))
+        paint(tmp_path / side / "<b>ada/park/1.jpg", (color,))
     paint(tmp_path / "nobody/hall.jpg", (BLUE,))
-    (tmp_path / "with/ada/park/2.jpg").write_bytes(b"\xff\xd8 no picture")
-    (tmp_path / "with/ada/park/3.heic").write_bytes(b"?")
+    (tmp_path / "with/<b>ada/park/2.jpg").write_bytes(b"\xff\xd8 no picture")
+    (tmp_path / "with/<b>ada/park/3.heic").write_bytes(b"?")
     (tmp_path / "with/notes.txt").write_text("?")
     told = see(tmp_path, out=tmp_path / "judge")
     assert told["controls"]["plain shirt"]["success"] == 0 and told["with"]["success"] == 1
@@ -143,7 +146,7 @@ def test_controls_stand_beside_and_broken_files_are_named(tmp_path: Path, caplog
     again = see(tmp_path, out=tmp_path / "judge")  # its own folder is no control
     assert set(again["controls"]) == {"plain shirt"}
     text = (tmp_path / "judge/report.html").read_text("utf-8")
-    assert "script" not in parse(text).tags
+    assert "script" not in parse(text).tags and "<b>ada" not in text
     for words in ("plain shirt", "2.jpg", "Reported where nobody is", "with the cloak", "is no success"):
         assert words in text
     assert json.loads((tmp_path / "judge/summary.json").read_text())["with"]["n"] == 1
@@ -231,3 +234,17 @@ def test_the_command_says_what_the_contract_promises(
     with pytest.raises(SystemExit) as end:
         main(["judge", str(tmp_path)])
     assert end.value.code == 2 and "--detector: none given" in capsys.readouterr().err
+
+
+def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for side, color in (("with", GREEN), ("without", BLUE)):
+        paint(tmp_path / side / "1.png", (color,))
+    (tmp_path / "with/2.mp4").write_bytes(b"?")
+
+    def broken(path: Path, every: int, most: int) -> Iterator[np.ndarray]:
+        yield np.zeros((60, 80, 3), np.uint8)
+        raise InputError(f"{path}: breaks off")
+
+    monkeypatch.setattr(videos, "read_frames", broken)
+    told = see(tmp_path)
+    assert told["skipped"] == ["with/2.mp4: breaks off"] and told["pictures"] == 2 and told["with"]["n_all"] == 1

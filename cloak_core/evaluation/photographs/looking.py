@@ -79,6 +79,7 @@ def look(
         by_file.setdefault(subject.file, []).append(subject)
     kept, pictures, place, scores, skipped = [], [], [], [], []
     for done, (file, people) in enumerate(by_file.items()):
+        before = len(kept), len(pictures)
         try:
             for number, (image, scale) in enumerate(read(folder / file, settings)):
                 found = {spec: detector(_tensor(image, detector)) for spec, detector in detectors.items()}
@@ -91,6 +92,7 @@ def look(
                     place.append(len(pictures) - 1)
                     scores.append([_score(found[spec], person, scale, settings.iou) for spec in detectors])
         except InputError as error:
+            del kept[before[0] :], place[before[0] :], scores[before[0] :], pictures[before[1] :]  # half a video
             skipped.append(str(error).removeprefix(f"{folder}/"))  # others need not know where it lay
             _log.warning("%s; skipped", error)
         if on_progress:
