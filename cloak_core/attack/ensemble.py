@@ -14,17 +14,17 @@ _MEMORY = 0.9
 """Weight of what was known of a detector when it is asked again."""
 _SHARPNESS = 5.0
 """Of an adaptive ensemble: a detector that sees surely weighs e^5 as much as one that sees nothing."""
+_EVEN = 0.5
+"""Share of an adaptive ensemble's draws that go to all detectors alike: what is never asked is never known better."""
 _STATE = "ensemble."
 
 
 class Ensemble:
-    """The detectors of a run by their number, 0 .. count - 1. InputError: weights or subsets that do not fit them."""
+    """The detectors of a run by their number, 0 .. count - 1. InputError: weights that do not fit them."""
 
     def __init__(self, settings: LossSettings, count: int, seed: int = 0) -> None:
         self.count, self.settings, self.seed = count, settings, seed
-        self.per_step = settings.detectors_per_step or count
-        if self.per_step > count:
-            raise InputError(f"--detectors-per-step: {self.per_step}, but the run has {count} --detector")
+        self.per_step = min(settings.detectors_per_step or count, count)
         weights = settings.detector_weights or (1.0,) * count
         if len(weights) != count:
             raise InputError(f"--detector-weights: {len(weights)} weights, but the run has {count} --detector")
@@ -37,10 +37,19 @@ class Ensemble:
         return self.settings.ensemble == "adaptive"
 
     @property
+    def is_subset(self) -> bool:
+        """Whether a step asks only some of the detectors."""
+        return self.per_step < self.count
+
+    @property
     def weights(self) -> Float[np.ndarray, " detectors"]:
-        """Each detector's weight now; they sum to 1."""
-        if not self.is_adaptive:
+        """Each detector's weight now; they sum to 1. An adaptive subset asks more often instead, and weighs alike."""
+        if not self.is_adaptive or self.is_subset:
             return self._weights
+        return self._standing()
+
+    def _standing(self) -> Float[np.ndarray, " detectors"]:
+        """By how surely each found a person lately; they sum to 1."""
         grown = np.exp(_SHARPNESS * (self._levels - self._levels.max()))
         return grown / grown.sum()
 
@@ -66,12 +75,13 @@ class Ensemble:
     def asked(self, step: int | None) -> list[list[int]]:
         """The detectors of a step (None: all), in groups whose losses need each other: alone but for the maximum.
 
-        A function of (seed, step), so that a resumed run and every process ask the same.
+        A function of (seed, step) and of what was observed, so that a resumed run and every process ask the same.
         """
         chosen = np.arange(self.count)
-        if step is not None and self.per_step < self.count:
+        if step is not None and self.is_subset:
             random = np.random.default_rng([self.seed, _STREAM, step])
-            chosen = np.sort(random.choice(self.count, self.per_step, replace=False))
+            often = _EVEN / self.count + (1 - _EVEN) * self._standing() if self.is_adaptive else None
+            chosen = np.sort(random.choice(self.count, self.per_step, replace=False, p=often))
         if self.settings.ensemble == "max":
             return [chosen.tolist()]
         return [[int(number)] for number in chosen]

@@ -3,7 +3,7 @@
 Gradients: "score" is the detector's own probability p, whose gradient through a sigmoid fades as p (1 - p), at both
 ends; a score under the detection threshold still has one. "log" is -log(1 - p), whose gradient with respect to the
 logit is p: full strength where the detector is sure, fading only where the person is already hidden. "margin" is the
-same, moved to the point at which the detector is run: full strength down to that score, fading only MARGIN below it.
+same, moved to the point at which the detector is run: full strength down to that score, fading only a margin below it.
 Where a detector's own arithmetic has rounded p to exactly 1, its gradient is 0 and no loss can bring it back.
 """
 
@@ -26,28 +26,35 @@ TOP = 10
 """Boxes that reduction "topk" averages."""
 SHARPNESS = 20.0
 """Of the soft maximum: boxes within 1 / SHARPNESS of the best one count."""
-MARGIN = 1.0
-"""Of loss "margin": how far below the operating point, in logits, half the gradient is left."""
 SURE = 1 - 2**-24
 """The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
 
 
 def disappearance(
-    detections: Detections, kind: Loss = "score", reduce: Reduce = "max", operating_point: float = THRESHOLD
+    detections: Detections,
+    kind: Loss = "score",
+    reduce: Reduce = "max",
+    operating_point: float = THRESHOLD,
+    margin: float = 1.0,
 ) -> Float[Tensor, ""]:
     """Batch mean of `evidence`."""
-    return evidence(detections, kind, reduce, operating_point).mean()
+    return evidence(detections, kind, reduce, operating_point, margin).mean()
 
 
 def evidence(
-    detections: Detections, kind: Loss = "score", reduce: Reduce = "max", operating_point: float = THRESHOLD
+    detections: Detections,
+    kind: Loss = "score",
+    reduce: Reduce = "max",
+    operating_point: float = THRESHOLD,
+    margin: float = 1.0,
 ) -> Float[Tensor, "B"]:
     """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for the others.
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
     without objectness), "log" or "margin", which alone asks for the `operating_point`, the score in (0, 1) at which the
-    detector reports a person; reduce, over the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0, but
-    for "margin" the little that a score of 0 does.
+    detector reports a person, and the `margin`, how far below it, in logits, half the gradient is left; reduce, over
+    the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0, but for "margin" the little that a score of 0
+    does.
     """
     if kind == "objectness":
         best = max_objectness(detections) if reduce == "max" else _reduce(_person_objectness(detections), reduce)
@@ -56,7 +63,7 @@ def evidence(
     if kind == "log":
         best = -torch.log1p(-best.clamp(max=SURE))
     if kind == "margin":
-        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + MARGIN)
+        best = F.softplus(torch.logit(best.clamp(1 - SURE, SURE)) - _logit(operating_point) + margin)
     return best
 
 

@@ -102,7 +102,7 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        loss = evidence(detections, settings.loss, settings.reduce, point)
+        loss = evidence(detections, settings.loss, settings.reduce, point, settings.margin)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:

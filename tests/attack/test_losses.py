@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.attack.losses import MARGIN, disappearance, non_printability, total_variation
+from cloak_core.attack.losses import disappearance, non_printability, total_variation
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
@@ -70,6 +70,8 @@ def slope(kind, score, **more):
 @pytest.mark.parametrize("point", [0.05, 0.25, 0.6, 0.9])
 def test_the_margin_pulls_down_to_the_operating_point_and_beyond(point):
     at, below = (slope("margin", p, operating_point=point) for p in (point, point / (1 + point)))
+    odds = point / (1 - point) * math.exp(-4)
+    assert slope("margin", odds / (1 + odds), operating_point=point, margin=4.0) == pytest.approx(0.5, abs=1e-4)
     assert 0.7 < at < 0.75  # sigmoid(1), whatever the point is
     assert slope("margin", 0.999, operating_point=point) > 0.95
     assert 0 < below < at
@@ -78,7 +80,7 @@ def test_the_margin_pulls_down_to_the_operating_point_and_beyond(point):
 
 
 def test_the_margin_at_even_odds_less_its_width_is_the_log():
-    point = 1 / (1 + math.exp(-MARGIN))
+    point = 1 / (1 + math.exp(-1.0))
     found = detections([[0.3]])
     assert disappearance(found, "margin", operating_point=point) == pytest.approx(disappearance(found, "log").item())
     for saturated in (0.0, 1.0):

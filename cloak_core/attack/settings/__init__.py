@@ -105,7 +105,8 @@ PRESETS: dict[str, dict[str, object]] = {
         "schedule": "cosine",
     },
     "transfer": {
-        "steps": 600,
+        "steps": 1500,
+        "batch": 4,
         "angles": "0..360",
         "elevation": "0:30",
         "distance": "1.4:6",
@@ -119,6 +120,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "jpeg": "50:95",
         "loss": "margin",
         "ensemble": "adaptive",
+        "detectors_per_step": 1,
         "shake": 0.3,
         "activation_noise": 0.1,
         "optimizer": "adam",

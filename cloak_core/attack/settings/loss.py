@@ -20,6 +20,9 @@ class LossSettings:
     """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), the log of
     the score, -log(1 - score), which keeps its gradient where the score saturates, or the margin above each detector's
     own operating point, which keeps it down to there."""
+    margin: NotNegative = 1.0
+    """For loss margin: how far below the operating point, in logits, half the gradient is left. Further down, other
+    detectors are hidden from more often."""
     reduce: Reduce = "max"
     """From an image's boxes to one number: the largest, the mean of the ten best (topk), or a soft maximum."""
     rpn_weight: NotNegative = 0.0
@@ -27,11 +30,12 @@ class LossSettings:
     what lowers it kills the proposal itself."""
     ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
     """Of several detectors' losses for an image: the mean, the largest (the detector that sees most), weighted, or
-    weighted by how surely each still found a person lately, beside its own operating point (adaptive)."""
+    weighted by how surely each still found a person lately, beside its own operating point (adaptive; where a step asks
+    only some, those are then asked more often)."""
     detector_weights: Weights | None = None
     """For a weighted ensemble: one weight for each detector, A,B,C; only their ratios count."""
     detectors_per_step: Annotated[int | None, Within(1, 4096)] = None
-    """Ask only so many of the detectors in each step, drawn anew; None asks all."""
+    """Ask at most so many of the detectors in each step, drawn anew; None asks all."""
     tv_weight: NotNegative = 2.5
     """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
     nps_weight: NotNegative = 0.0
