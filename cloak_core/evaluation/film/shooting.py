@@ -26,6 +26,8 @@ from cloak_core.scene.logos.logo import Logo
 
 CONTROLS = (LOGO, CLOTHING)
 """What is filmed side by side."""
+VIEW_BYTES = 1 << 30
+"""Of views kept between measuring a film and drawing it."""
 LEAST_PIXELS = 8
 """A body whose box is narrower or lower than this is counted as not in the picture."""
 
@@ -85,7 +87,8 @@ def make_stage(
     viewpoint = Camera(field_of_view=settings.field_of_view, width=settings.size, height=settings.size)
     if not settings.follow:
         viewpoint = replace(viewpoint, pivot=middle_of(bodies))
-    bank = ViewBank(bodies, samples=settings.samples, device=device)  # a film's views are of no use to anything else
+    # A film's views are of no use to anything else: none is written to files.
+    bank = ViewBank(bodies, samples=settings.samples, device=device, memory_bytes=VIEW_BYTES)
     return Stage(colors, logo, bodies, backgrounds, trials, viewpoint, bank)
 
 

@@ -17,7 +17,7 @@ from cloak_core.scene.videos import save_gif
 FRAMES, LEAST = 24, 8
 SHARE = 8
 """At most one image for so many of the evaluation's own."""
-SIDE = 192
+SIDE = 256
 """Width and height of each of the two pictures, pixels, at most."""
 FPS = 8.0
 
