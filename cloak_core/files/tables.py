@@ -21,6 +21,8 @@ def read_table(path: str | os.PathLike, known: Sequence[str], needed: Sequence[s
     cells than the head.
     """
     text = read_text(path, MAX_TEXT_BYTES).removeprefix("\ufeff")  # spreadsheets write a mark of byte order
+    if "\0" in text:
+        raise InputError(f"{path}: not a readable CSV file (a null character)")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         lines = [(reader.line_num, line) for line in reader]

@@ -16,7 +16,7 @@ from PIL import Image, ImageOps
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.evaluation.inference import OnProgress, max_score_on
-from cloak_core.evaluation.photographs.listing import Subject
+from cloak_core.evaluation.photographs.listing import WITH, WITHOUT, Subject
 from cloak_core.evaluation.photographs.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 from cloak_core.scene import videos
@@ -72,7 +72,7 @@ def look(
 ) -> Looks:
     """Read every file once and show it. A file that cannot be read is named in a warning and left out.
 
-    InputError: none can be read.
+    InputError: none with or without the cloak can be read.
     """
     by_file: dict[str, list[Subject]] = {}
     for subject in subjects:
@@ -97,8 +97,9 @@ def look(
             _log.warning("%s; skipped", error)
         if on_progress:
             on_progress(done + 1, len(by_file))
-    if not kept:
-        raise InputError(f"{folder}: none of its {len(by_file)} pictures can be read")
+    if not any(one.garment in (WITH, WITHOUT) for one in kept):
+        worn = {one.file for one in subjects if one.garment in (WITH, WITHOUT)}
+        raise InputError(f"{folder}: none of its {len(worn)} pictures with or without the cloak can be read")
     own = tuple(float(detector.operating_point) for detector in detectors.values())
     score = np.array(scores, np.float32).T.reshape(len(detectors), len(kept))
     return Looks(tuple(detectors), own, kept, pictures, place, score, skipped)

@@ -8,6 +8,7 @@ from tests.commands.malformed.geometry import face_lists, meshes, scenes
 from tests.commands.malformed.inputs import detectors, pictures, settings, special_files
 from tests.commands.malformed.making import CHECK, RESUME, TRAIN, Case, sound
 from tests.commands.malformed.run_folders import runs
+from tests.commands.malformed.tables import tables
 
 __all__ = ["Case", "cases", "sound"]
 
@@ -57,6 +58,7 @@ def damage(name: str, seed: int) -> Callable[[Path], None]:
 def cases(damaged: int) -> list[Case]:
     """All by hand, and `damaged` of each target."""
     by_hand = [*face_lists(), *scenes(), *meshes(), *detectors(), *pictures(), *settings(), *runs(), *special_files()]
+    by_hand += tables()
     seeded = [
         Case(f"{name}, damaged by seed {seed}", damage(name, seed), line, True)
         for name, line in TARGETS.items()
