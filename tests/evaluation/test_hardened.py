@@ -6,7 +6,13 @@ from cloak_core.evaluation.experiments.numbers import Numbers
 
 def row(attack: str, success: float, steps: int = 400, logo: str = CHEST, made_on: str = "builtin") -> dict:
     interval = {"low": success - 0.05, "high": success + 0.05, "n": 330, "success_own": success}
-    clean = {"clean_recall": 0.98, "clean_ap50": 0.9, "false_alarms": 0.01}
+    clean = {
+        "clean_recall": 0.98,
+        "clean_recall_own": 0.99,
+        "clean_ap50": 0.9,
+        "false_alarms": 0.01,
+        "false_alarms_own": 0.02,
+    }
     label = {"detector": "builtin", "logo": logo, "attack": attack, "trained_on": made_on, "steps": steps}
     return label | {"success": success} | interval | clean
 
@@ -19,7 +25,7 @@ def numbers(short: float, searched: float) -> Numbers:
 
 def test_words_give_the_longest_attack_and_the_curve_in_order_of_its_length() -> None:
     words = tell(numbers(0.12, 0.05))[1]
-    assert "chest + thighs hides 25 %" in words and "shirt + trousers 40 %" in words
+    assert "on chest + thighs 25 %" in words and "on shirt + trousers 40 %" in words
     assert "steps: 12 % (100), 25 % (400)." in words
     assert "transferred from darknet b, 400 steps: 10 %" in words
     assert "too kind" not in words
