@@ -7,31 +7,34 @@ Errors, against `bench.reference`:
 image_rms: root mean square over the body's pixels of the image (smooth colours, default light, black background);
 coverage_rms: the same of the coverage; gradient_smooth, gradient_white: relative L2 error of the colour gradient for
 a smooth and for a white-noise upstream gradient; starved: share of the faces with more than 0.02 px^2 visible that
-receive no gradient.
+receive no gradient. From visibility alone, with the same light on both sides, none but the surface's own colour:
+image_visibility and gradient_visibility (smooth), and hidden: the share of all weight that goes to faces of which
+nothing is seen in that pixel. given_up: pixels that show too many pieces to be exact.
 """
 
 from __future__ import annotations
 
 import inspect
 import os
+import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
 from cloak_core.bench.peers.bank import PeerBank, available, usable
-from cloak_core.bench.reference import Reference, matrix_of, reference
+from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, machine, timed, torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.render.area import CrowdedPixels
 from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.meshes.subdivision import subdivide
 
 VISIBLE = 0.02
 """Pixels of visible area from which a face counts as starved without a gradient."""
@@ -47,29 +50,12 @@ COLUMNS = {
     "gradient_smooth": "gradient, smooth",
     "gradient_white": "gradient, white",
     "starved": "starved",
+    "image_visibility": "image RMS, visibility alone",
+    "gradient_visibility": "gradient, visibility alone",
+    "hidden": "hidden weight",
+    "given_up": "given up, pixels",
 }
-SCENES = ("bench", "distant", "close-up", "million")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A body and the camera that makes it hard."""
-
-    bodies: Bodies
-    camera: Camera
-
-
-def make_scene(name: str, bodies: Bodies) -> Scene:
-    """The scene itself, far away, close up and cut by the near plane, or with about a million triangles."""
-    first = bodies.select_poses([0])
-    if name == "million":
-        while first.triangle_count < 800_000:
-            first, _ = subdivide(first)
-    cameras = {
-        "distant": Camera(azimuth=-10.0, distance=8.0),
-        "close-up": Camera(azimuth=-10.0, distance=1.0, near=0.85),
-    }
-    return Scene(first, cameras.get(name, Camera(azimuth=-10.0)))
+FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 
 
 def default_name() -> str:
@@ -115,24 +101,24 @@ def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> 
     exact = reference(scene.bodies, scene.camera, light)
     judge = Judge(scene, exact)
     points = []
-    for name, bank, times in _banks(scene, light, repeats, threads, peers):
-        points.append({"name": name} | times() | judge.errors(bank))
+    for name, banks, times in _banks(scene, light, repeats, threads, peers):
+        points.append({"name": name} | times() | judge.errors(*banks))
     record = {"triangles": scene.bodies.triangle_count, "reference": exact.how}
     return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
 
 
 def _banks(
     scene: Scene, light: Light, repeats: int, threads: int, peers: dict[str, str]
-) -> Iterator[tuple[str, ViewBank, Callable[[], dict]]]:
-    """Everything to measure: its name, its views, and what times it."""
+) -> Iterator[tuple[str, tuple[ViewBank, ViewBank], Callable[[], dict]]]:
+    """Everything to measure: its name, its views, in the light and in none, and what times it."""
     for samples in (*GRIDS, None):
-        bank = ViewBank(scene.bodies, light, samples)
-        yield _name(samples), bank, lambda b=bank: _times(b, scene.camera, repeats)
+        banks = tuple(ViewBank(scene.bodies, kind, samples) for kind in (light, FLAT))
+        yield _name(samples), banks, lambda b=banks[0]: _times(b, scene.camera, repeats)
     for kind in usable(peers):
         peer = kind(scene.bodies.triangles.astype(np.int64), threads)
         for samples in PEER_SAMPLES:
-            bank = PeerBank(scene.bodies, light, samples, peer)
-            yield f"{kind.module}-{samples}", bank, lambda b=bank: _peer_times(b, scene.camera, repeats)
+            banks = tuple(PeerBank(scene.bodies, shine, samples, peer) for shine in (light, FLAT))
+            yield f"{kind.module}-{samples}", banks, lambda b=banks[0]: _peer_times(b, scene.camera, repeats)
 
 
 def _times(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float | None]:
@@ -164,7 +150,7 @@ class Judge:
     """The errors of a view against the reference."""
 
     def __init__(self, scene: Scene, exact: Reference) -> None:
-        self.camera, self.exact = scene.camera, exact.matrix
+        self.camera, self.exact, self.areas = scene.camera, exact.matrix, exact.areas
         self.colors = smooth_colors(scene.bodies)
         self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)
@@ -175,21 +161,39 @@ class Judge:
         self.smooth = smooth[0].permute(1, 2, 0).reshape(-1, 3)
         self.visible = exact.visible > VISIBLE
 
-    def errors(self, bank: ViewBank) -> dict[str, float]:
-        ours = matrix_of(bank.build([(0, self.camera)])[0], self.exact.face_count)
-        body = (self.exact.coverage > 0) | (ours.coverage > 0)
-
-        def rms(a: Tensor, b: Tensor) -> float:
-            return float((a - b)[body].double().pow(2).mean().sqrt())
-
+    def errors(self, bank: ViewBank, flat: ViewBank) -> dict[str, float]:
+        """flat: the same without light."""
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", CrowdedPixels)
+            ours = matrix_of(bank.build([(0, self.camera)])[0], self.exact.face_count)
+        given_up = sum(warning.message.pixels for warning in caught if warning.category is CrowdedPixels)
+        areas = matrix_of(flat.build([(0, self.camera)])[0], self.exact.face_count)
         seen = torch.zeros(ours.face_count).double().index_add_(0, ours.face, ours.weight.double()) > 0
         return {
-            "image_rms": rms(ours.image(self.colors, self.black), self.exact.image(self.colors, self.black)),
-            "coverage_rms": rms(ours.coverage, self.exact.coverage),
+            "image_rms": self._image_rms(ours, self.exact),
+            "coverage_rms": self._rms(ours, ours.coverage - self.exact.coverage),
             "gradient_smooth": _relative(ours.gradient(self.smooth), self.exact.gradient(self.smooth)),
             "gradient_white": _relative(ours.gradient(self.white), self.exact.gradient(self.white)),
             "starved": float((self.visible & ~seen).sum() / self.visible.sum().clamp(min=1)),
+            "image_visibility": self._image_rms(areas, self.areas),
+            "gradient_visibility": _relative(areas.gradient(self.smooth), self.areas.gradient(self.smooth)),
+            "hidden": self._hidden(areas),
+            "given_up": float(given_up),
         }
+
+    def _image_rms(self, ours: Matrix, exact: Matrix) -> float:
+        return self._rms(ours, ours.image(self.colors, self.black) - exact.image(self.colors, self.black))
+
+    def _rms(self, ours: Matrix, difference: Tensor) -> float:
+        """Over the pixels of the body."""
+        body = (self.exact.coverage > 0) | (ours.coverage > 0)
+        return float(difference[body].double().pow(2).mean().sqrt())
+
+    def _hidden(self, areas: Matrix) -> float:
+        """Share of the weight that lies where nothing of its face is seen."""
+        entries, truth = (m.pixel * m.face_count + m.face for m in (areas, self.areas))
+        weight = areas.weight.double()
+        return float(weight[~torch.isin(entries, truth)].sum() / weight.sum().clamp(min=1e-30))
 
 
 def _relative(ours: Tensor, exact: Tensor) -> float:

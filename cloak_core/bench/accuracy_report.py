@@ -22,7 +22,7 @@ def write_report(result: dict, folder: Path) -> dict:
     file cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], SCENES)}
+    result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], tuple(SCENES))}
     write_json(folder / "accuracy.json", result)
     (folder / "accuracy.md").write_text(tables(result), encoding="utf-8")
     plot(result, folder / "accuracy.png")

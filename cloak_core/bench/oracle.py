@@ -16,7 +16,7 @@ from torch import Tensor
 
 from cloak_core.render.clipping import clip
 from cloak_core.render.projection import GRID, Screen
-from cloak_core.render.rasterizer import DEPTH_BITS
+from cloak_core.render.visibility.keys import DEPTH_BITS
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The reference that views are judged by.
+"""The reference that views are judged by, with its light and without.
 
 Exact areas wherever they are in reach: what is seen of each triangle in each pixel, hidden parts clipped away in
 float64 (`bench.exact`), with the light over it, integrated by the light's float64 twin (`bench.lighting`). Where too
@@ -72,6 +72,8 @@ class Reference:
     """A view as it should be."""
 
     matrix: Matrix
+    areas: Matrix
+    """Without light: weights are shares of pixels, and there is no highlight."""
     visible: Float64[Tensor, " F"]
     """Pixels of each face that are seen."""
     how: str
@@ -102,7 +104,8 @@ def exact(bodies: Bodies, camera: Camera, light: Light, pose: int = 0, parts: in
     pixel, area = _coarse(fine, parts)[seen.pixel], seen.area * share
     coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
     matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
-    return Reference(matrix, _sums(face, area, bodies.face_count), EXACT)
+    areas = replace(matrix, weight=area, specular=torch.zeros_like(coverage))
+    return Reference(matrix, areas, _sums(face, area, bodies.face_count), EXACT)
 
 
 def _coarse(large: Camera, factor: int) -> Int64[Tensor, " pixels"]:
@@ -149,7 +152,7 @@ def sampled(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Refe
     edge length for every edge that crosses it."""
     matrix = _sampled(bodies, camera, light, pose)
     areas = _sampled(bodies, camera, Light(ambient=1.0, diffuse=0.0, specular=0.0), pose)
-    return Reference(matrix, _sums(areas.face, areas.weight, bodies.face_count), SAMPLED)
+    return Reference(matrix, areas, _sums(areas.face, areas.weight, bodies.face_count), SAMPLED)
 
 
 def _sampled(bodies: Bodies, camera: Camera, light: Light, pose: int) -> Matrix:

@@ -183,7 +183,8 @@ class Accuracy(Command):
     scene: str
     """Scene folder, .npz, or sample."""
     only: UseAppendAction[tuple[str, ...]] = ()
-    """Some of bench, distant, close-up, million (default: all)."""
+    """Some of bench, distant, close-up, million, shell-5mm, shell-1mm, shell-0.1mm, garment, hair, cards, soup
+    (default: all)."""
     threads: int = 2
     """Threads torch and the peers may use."""
     repeats: int = 10

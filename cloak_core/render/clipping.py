@@ -6,15 +6,27 @@ towards the outer one, so two triangles that share an edge cut it in the very sa
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int32, Int64
 from torch import Tensor
 
-from cloak_core.render.candidates import Soup
 from cloak_core.render.projection import GRID, GUARD, snap
 
 _CORNERS = 8
 """A triangle cut by five planes has at most this many."""
+
+
+@dataclass(frozen=True)
+class Soup:
+    """N snapped triangles, corner by corner."""
+
+    x: Int32[Tensor, "3 N"]
+    y: Int32[Tensor, "3 N"]
+    corner: Int64[Tensor, "3 N"]
+    """Where each corner's nearness stands in `nearness`."""
+    nearness: Float64[Tensor, " K"]
 
 
 def clip(

@@ -20,16 +20,22 @@ except ImportError:  # a Python that there is no numba for (yet): torch's operat
     numba = None
 
 
-def loop(function: Callable) -> Callable:
+def loop(function: Callable, **options: object) -> Callable:
     """Decorator of functions of arrays and numbers; they release the interpreter, so that threads run side by side."""
     if numba is None:
         return function
     # Under pytest, functions come wrapped in a check of types, which cannot be compiled.
     function = inspect.unwrap(function)
     try:
-        return numba.njit(function, cache=True, **_OPTIONS)
+        return numba.njit(function, cache=True, **_OPTIONS, **options)
     except RuntimeError:  # neither the installation nor a cache folder of the user can be written to
-        return numba.njit(function, **_OPTIONS)
+        return numba.njit(function, **_OPTIONS, **options)
+
+
+def inner(function: Callable) -> Callable:
+    """`loop` for what loops call again and again: makes no arrays, and so need not count who still looks at which, two
+    atomic operations for each array and call."""
+    return loop(function, _nrt=False)
 
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}

@@ -1,4 +1,5 @@
-"""Triangles to the nearest triangle at every sample, as loops for the CPU; covering.py says how and why it is exact.
+"""Triangles to the nearest triangle at every sample, as loops for the CPU; samples.py does
+the same in torch.
 
 Edge functions are evaluated in int64 throughout: within the guard band nothing overflows.
 """
@@ -8,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import loop
-from cloak_core.render.covering import DEPTH_BITS, ID_BITS
+from cloak_core.render.visibility.keys import DEPTH_BITS, EMPTY, ID_BITS, LIMIT
 
-LIMIT = (1 << DEPTH_BITS) - 1
-EMPTY = np.iinfo(np.int64).max
 _SCALE = float(1 << DEPTH_BITS)
 _SHORT = 4
 """Rows of up to so many samples are tried one by one; beyond, a division for each edge is quicker."""

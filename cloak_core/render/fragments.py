@@ -16,9 +16,10 @@ from torch import Tensor
 from cloak_core.render import fragments_loops
 from cloak_core.render.compiled import arrays, use_loops
 from cloak_core.render.projection import Screen
-from cloak_core.render.rasterizer import EMPTY, ID_BITS, Visibility, triangle_ids
+from cloak_core.render.rasterizer import Visibility
 from cloak_core.render.shading import Light, shade
 from cloak_core.render.texture import texture_coordinates
+from cloak_core.render.visibility.keys import EMPTY, ID_BITS, triangle_ids
 
 
 @dataclass(frozen=True)

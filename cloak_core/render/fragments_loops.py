@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import loop
-from cloak_core.render.covering import ID_BITS
-from cloak_core.render.covering_loops import EMPTY
+from cloak_core.render.visibility.keys import EMPTY, ID_BITS
 
 _ID = (1 << ID_BITS) - 1
 

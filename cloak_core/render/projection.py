@@ -26,6 +26,17 @@ GRID = 1 << 16
 GUARD = 8192 * GRID
 """Guard band: snapped coordinates stay within [-GUARD, GUARD], so that edge functions fit into int64."""
 
+
+@dataclass(frozen=True)
+class Window:
+    """A part of the image, in pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+
 Coordinates = tuple[Tensor, Tensor, Tensor]
 """x, y and z of points, float64, all of one shape."""
 

@@ -20,11 +20,10 @@ from cloak_core.files.caching import DiskCache, MemoryCache
 from cloak_core.files.errors import InputError
 from cloak_core.render.area import area_fragments
 from cloak_core.render.assembly import Lit, assemble, view_by_loops
-from cloak_core.render.candidates import Window
 from cloak_core.render.compiled import use_loops
 from cloak_core.render.dressing import DressedView, View, dress
 from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
-from cloak_core.render.projection import Screen, project
+from cloak_core.render.projection import Screen, Window, project
 from cloak_core.render.rasterizer import Visibility, bounding_window, rasterize, row_bands
 from cloak_core.render.shading import Light, NormalOperator
 from cloak_core.render.threads import even, one_thread, spread, workers
@@ -39,9 +38,7 @@ AREA_SAMPLES = 64
 BATCH_NUMBERS = {"cpu": 1 << 21, "cuda": 1 << 25}
 """Numbers of 8 bytes held at once while views are built; more on the CPU leave its caches and take longer."""
 PIECE_COST = 16
-"""Numbers held for each triangle where coverage is measured by area."""
-MOST_BANDS = 4
-"""Parts that one view is cut into for the sake of memory, so that time does not grow with the square of triangles."""
+"""Numbers held for each triangle where coverage is measured by area (areas keep to bands of their own)."""
 
 
 class ViewBank:
@@ -49,7 +46,7 @@ class ViewBank:
 
     bodies: the scene; light: see `Light`; memory_bytes: for kept views. samples: where absent, coverage is measured by
     exact area (see area.py), the best there is for its time (docs/accuracy.md); 1, 4, 16 or 64 count samples instead.
-    files: where views are kept between runs (see stored.py), None: nowhere.
+    files: where views are kept between runs (see view_files.py), None: nowhere.
     Raises `InputError` for another number of samples, and for a pose or an outfit that the scene does not have.
     """
 
@@ -222,8 +219,8 @@ class ViewBank:
         if len(screen.x) > 1 or not height:
             return [window]
         rows = max(1, self._batch_numbers * height // max(1, self._cost(height * (window.x1 - window.x0))))
-        if self.by_area:  # every band looks at every triangle
-            rows = max(rows, -(-height // MOST_BANDS))
+        if self.by_area:  # those are cut further by what triangles touch
+            rows = height
         cut = lambda band: [replace(band, y0=y, y1=min(y + rows, band.y1)) for y in range(band.y0, band.y1, rows)]
         return [part for band in row_bands(screen, window, count) for part in cut(band)]
 

@@ -1,5 +1,6 @@
 """The accuracy run: its record and report, and that the default is where the README says it is."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -7,11 +8,14 @@ import numpy as np
 import pytest
 
 from cloak_core.bench import accuracy
+from cloak_core.bench.accuracy import FLAT
 from cloak_core.bench.accuracy_report import pareto, write_report
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers.bank import PEERS
-from cloak_core.bench.reference import EXACT
+from cloak_core.bench.reference import EXACT, reference
 from cloak_core.files.errors import InputError
+from cloak_core.render.shading import Light
+from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 
 
@@ -62,3 +66,20 @@ def test_front_holds_what_nothing_beats() -> None:
 def test_unknown_scene_is_named() -> None:
     with pytest.raises(InputError, match="'moon'"):
         accuracy.run_bench_accuracy(sphere(100), only=("moon",))
+
+
+@pytest.mark.parametrize("name", ["shell-1mm", "garment", "cards"])
+def test_scenes_of_overlapping_surfaces_are_exact_by_area_and_leak_by_samples(name: str) -> None:
+    scene = accuracy.make_scene(name, sphere(300, 0.9))
+    camera = dataclasses.replace(scene.camera, width=24, height=24)
+    scene = accuracy.Scene(scene.bodies, camera)
+    judge = accuracy.Judge(scene, reference(scene.bodies, camera, Light()))
+    ours, four = (judge.errors(*(ViewBank(scene.bodies, kind, n) for kind in (Light(), FLAT))) for n in (None, 4))
+    assert max(ours["coverage_rms"], ours["hidden"]) < 1e-6 and ours["starved"] == ours["given_up"] == 0
+    assert max(ours["image_visibility"], ours["gradient_visibility"]) < 2e-5 < four["image_visibility"]
+
+
+@pytest.mark.parametrize("name", [name for name in accuracy.SCENES if name != "million"])
+def test_every_scene_is_made(name: str) -> None:
+    made = accuracy.make_scene(name, sphere(100)).bodies
+    assert made.triangle_count >= 96 and np.isfinite(made.vertices).all()

@@ -1,59 +1,148 @@
-"""Coverage by exact area: the clipping formula against a polygon clipper, whole views against many samples."""
+"""Coverage by exact area: against exact fractions, discs and many samples, also where surfaces overlap."""
 
+import contextlib
+import warnings
 from dataclasses import replace
 
+import fraction_oracle
 import numpy as np
 import pytest
 import torch
 from bodies_made import sphere
 
+from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import matrix_of, reference
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.area import overlaps
+from cloak_core.render.area import CrowdedPixels, area_fragments
+from cloak_core.render.compiled import torch_alone
+from cloak_core.render.flat import flatten
+from cloak_core.render.projection import GRID, Window
 from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.visibility import area_loops, areas, layer_loops, overlap_loops, samples
 from cloak_core.scene.cameras import Camera
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 CAMERA = Camera(distance=4.0, width=48, height=40)
+SIZE = 2
+Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""x and y in grid units, nearness, triangles."""
 
 
-def polygon_area_in_square(triangle: np.ndarray) -> float:
-    """Sutherland-Hodgman against the unit square, then the shoelace formula."""
-    polygon = list(triangle)
-    for axis, bound, sign in ((0, 0, 1), (0, 1, -1), (1, 0, 1), (1, 1, -1)):
-        clipped = []
-        for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-            da, db = sign * (a[axis] - bound), sign * (b[axis] - bound)
-            if da >= 0:
-                clipped.append(a)
-            if (da >= 0) != (db >= 0):
-                clipped.append(a + (b - a) * da / (da - db))
-        polygon = clipped
-    if len(polygon) < 3:
-        return 0.0
-    x, y = np.array(polygon).T
-    return abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) / 2
+def soup(rng: np.random.Generator, count: int = 9) -> Case:
+    """Triangles that hide and pierce each other."""
+    x, y = rng.integers(-GRID, (SIZE + 1) * GRID, (2, 3 * count))
+    return x, y, rng.uniform(0.1, 1, 3 * count), np.arange(3 * count).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("spread", [0.3, 1.0, 5.0, 200.0])
-def test_overlaps_equal_a_polygon_clipper(spread: float) -> None:
-    rng = np.random.default_rng(int(spread * 10))
-    corners = rng.normal(0.5, spread, (400, 3, 2))
-    corners[:60] = np.round(corners[:60] * 2) / 2  # corners and edges on the square's own
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    back = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0
-    corners[back] = corners[back][:, ::-1]
-    x, y = (list(torch.from_numpy(corners[..., axis].T.copy())) for axis in (0, 1))
-    width, height = (torch.from_numpy(rng.integers(1, 4, 400)) for _ in range(2))
-    ours = np.zeros((400, 3, 3))
-    for owner, row, column, area in overlaps(x, y, width, height):
-        ours[owner, row, column] = area
-    for index, triangle in enumerate(corners):
-        for row, column in np.ndindex(int(height[index]), int(width[index])):
-            expected = polygon_area_in_square(triangle - [column, row])
-            assert abs(ours[index, row, column] - expected) < 1e-9
-    assert ours.max() > 0.05 and ((ours[:, 1:, 1:] > 0.05).any() or spread < 1)
+def level(rng: np.random.Generator) -> Case:
+    """Level triangles at few depths: equal ones go to the lower id."""
+    x, y, _, triangles = soup(rng)
+    return x, y, np.repeat(rng.choice([0.25, 0.5, 0.75], len(triangles)), 3), triangles
+
+
+def aligned(rng: np.random.Generator) -> Case:
+    """Layers of rectangles on quarters of pixels: they overlap just as much as they leave open, or miss each other."""
+    x, y, triangles = [], [], []
+    for _ in range(9):
+        left, top = rng.integers(0, 7, 2) * (GRID // 4)
+        right, bottom = left + GRID // 2, top + GRID // 2
+        triangles += [[len(x), len(x) + 1, len(x) + 2], [len(x), len(x) + 2, len(x) + 3]]
+        x += [left, right, right, left]
+        y += [top, top, bottom, bottom]
+    return np.array(x), np.array(y), np.repeat(rng.uniform(0.1, 1, 9), 4), np.array(triangles)
+
+
+def same_again(rng: np.random.Generator) -> Case:
+    """The left half of a pixel four times over, and two quarters across a corner twice: areas that add up to whole
+    pixels, and in part their moments, too, where half of the pixel is empty."""
+    half = [(0, 0, 2, 4)] * 4
+    quarters = [(4, 4, 6, 6), (6, 6, 8, 8)] * 2
+    x, y, near, triangles = [], [], [], []
+    for left, top, right, bottom in half + quarters:
+        triangles += [[len(x), len(x) + 1, len(x) + 2], [len(x), len(x) + 2, len(x) + 3]]
+        x += [left, right, right, left]
+        y += [top, top, bottom, bottom]
+        near += [rng.uniform(0.1, 1)] * 4
+    return np.array(x) * (GRID // 4), np.array(y) * (GRID // 4), np.array(near), np.array(triangles)
+
+
+def slivers(rng: np.random.Generator) -> Case:
+    """Strips of a hundredth of a pixel and thinner before a surface: too thin for any sample."""
+    x, y, near, triangles = [-GRID, 9 * GRID, -GRID], [-GRID, -GRID, 9 * GRID], [0.1] * 3, [[0, 1, 2]]
+    for _ in range(6):
+        (x0, y0), (x1, y1) = rng.integers(0, SIZE * GRID, (2, 2))
+        width = int(rng.choice([3, 40, 600]))
+        triangles.append([len(x), len(x) + 1, len(x) + 2])
+        x, y, near = [*x, x0, x1, x1 + width], [*y, y0, y1, y1 + width], [*near, *rng.uniform(0.2, 1, 3)]
+    return np.array(x), np.array(y), np.array(near), np.array(triangles)
+
+
+def shares(case: Case, size: int = SIZE) -> dict[tuple[int, int], float]:
+    x, y, nearness, triangles = case
+    rows = torch.from_numpy(triangles.T.astype(np.int64)).contiguous()
+    found = area_fragments(screen_of(x, y, nearness, size, size), rows, None, Window(0, 0, size, size))
+    return {
+        key: share
+        for *key, share in zip(found.pixel.tolist(), found.triangle.tolist(), found.area.tolist(), strict=True)
+        for key in [tuple(key)]
+    }
+
+
+@pytest.mark.parametrize("path", ["loops", "torch"])
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("make", [soup, level, aligned, same_again, slivers])
+def test_areas_are_those_of_exact_fractions(make: object, seed: int, path: str) -> None:
+    case = make(np.random.default_rng(seed))
+    exact = fraction_oracle.seen(*case, SIZE, SIZE, GRID)
+    with torch_alone() if path == "torch" else contextlib.nullcontext():
+        ours = shares(case)
+    assert max(abs(ours.get(key, 0.0) - float(exact.get(key, 0))) for key in {*ours, *exact}) < 1e-6
+    assert sum(exact.values()) > 0.5 and min(exact.values()) < 0.2
+
+
+def test_crowded_pixels_are_cut_into_cells_and_stay_exact(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = soup(np.random.default_rng(7), 70)
+    with torch_alone():
+        expected = shares(case)
+    ours = shares(case)
+    assert len(case[3]) > layer_loops.CROWD
+    assert max(abs(ours.get(key, 0.0) - expected.get(key, 0.0)) for key in {*ours, *expected}) < 1e-6
+
+
+def test_pixels_that_are_given_up_are_counted_and_never_overfull() -> None:
+    """Needles across one another: thousands of parts in the one pixel."""
+    rng = np.random.default_rng(3)
+    start, end = rng.integers(0, GRID, (2, 2, 900))
+    x, y = (np.stack([start[i], end[i], end[i] + 900], -1).ravel() for i in range(2))
+    case = x, y, rng.uniform(0.1, 1, 2700), np.arange(2700).reshape(-1, 3)
+    with pytest.warns(CrowdedPixels, match="1 pixels"):
+        found = shares(case, 1)
+    assert 0.1 < sum(found.values()) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("path", ["loops", "torch"])
+def test_small_bands_change_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = soup(np.random.default_rng(5))
+    with torch_alone() if path == "torch" else contextlib.nullcontext():
+        whole = shares(case)
+        monkeypatch.setattr(area_loops, "MOST_PAIRS", 2)
+        monkeypatch.setattr(samples, "CHUNK", 7)
+        assert shares(case) == whole
+
+
+def test_a_thin_shell_hides_all_that_is_within() -> None:
+    """A tenth of a millimetre around a sphere of 1 m, far away: nothing of the inner one is seen."""
+    inner = sphere(20, 30)
+    vertices = np.concatenate([inner.vertices[0], inner.vertices[0] * 1.0001])
+    bodies = Bodies(
+        vertices=vertices[None], triangles=np.concatenate([inner.triangles, inner.triangles + inner.vertex_count])
+    )
+    for camera in (CAMERA, replace(CAMERA, distance=12.0), replace(CAMERA, distance=50.0)):
+        view = matrix_of(ViewBank(bodies, FLAT).view(0, camera), bodies.face_count)
+        hidden = view.weight[view.face < inner.triangle_count].double().sum()
+        assert float(hidden / view.weight.double().sum()) < 1e-6
+        assert view.coverage.max() < 1 + 1e-6 and view.coverage.sum() > 1
 
 
 def test_a_disc_has_its_area_and_inner_pixels_are_full() -> None:
@@ -67,40 +156,68 @@ def test_a_disc_has_its_area_and_inner_pixels_are_full() -> None:
     assert view.coverage.max() < 1 + 1e-6
 
 
-@pytest.mark.parametrize("distance", [2.0, 4.0, 12.0])
-def test_views_equal_very_many_samples(distance: float) -> None:
-    """Nothing hides anything on a sphere, so every face's share is exact: the reference's own error is what is left."""
-    bodies, camera = sphere(14, 20), replace(CAMERA, distance=distance)
-    ours = matrix_of(ViewBank(bodies, FLAT).view(0, camera), bodies.face_count)
-    exact = reference(bodies, camera, FLAT).matrix
-    share = lambda m: torch.zeros(bodies.face_count).double().index_add_(0, m.face, m.weight.double())
-    np.testing.assert_allclose(share(ours), share(exact), rtol=2e-3, atol=0.02)
-    assert (ours.coverage - exact.coverage).abs().max() < 0.02
-    seen = share(exact) > 0.02
-    assert (share(ours)[seen] > 0).all() and seen.any()
-
-
-def test_what_is_hidden_is_judged_by_samples() -> None:
-    """A near square before a far one, at uneven places: shares by area up to the resolution of the samples."""
+def two_squares() -> Bodies:
+    """A near square before a far one, at uneven places."""
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     near = np.concatenate([square * 0.3 + 0.037, np.full((4, 1), 0.5)], 1)
     far = np.concatenate([square, np.full((4, 1), -0.5)], 1)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
-    bodies = Bodies(vertices=np.concatenate([near, far])[None], triangles=triangles)
-    ours = matrix_of(ViewBank(bodies, FLAT).view(0, CAMERA), 4)
-    exact = reference(bodies, CAMERA, FLAT).matrix
-    assert (ours.coverage - exact.coverage).abs().max() < 0.02
-    dense = lambda m: torch.zeros(len(m.coverage) * 4).double().index_add_(0, m.pixel * 4 + m.face, m.weight.double())
-    assert (dense(ours) - dense(exact)).abs().max() < 0.1
-    assert (dense(ours) - dense(exact)).pow(2).mean().sqrt() < 0.005
+    return Bodies(vertices=np.concatenate([near, far])[None], triangles=triangles)
 
 
-def test_bodies_cut_by_the_near_plane_and_empty_views() -> None:
-    bodies = sphere(14, 20)
-    camera = replace(CAMERA, distance=1.2, near=0.5)
+@pytest.mark.parametrize(
+    ("bodies", "camera"),
+    [
+        (sphere(14, 20), replace(CAMERA, distance=2.0)),
+        (sphere(14, 20), replace(CAMERA, distance=12.0)),
+        (sphere(14, 20), replace(CAMERA, distance=1.2, near=0.5)),
+        (two_squares(), CAMERA),
+    ],
+    ids=["near", "far", "cut open", "squares"],
+)
+def test_views_are_those_of_the_reference(bodies: Bodies, camera: Camera) -> None:
     ours = matrix_of(ViewBank(bodies, FLAT).view(0, camera), bodies.face_count)
     exact = reference(bodies, camera, FLAT).matrix
-    assert (ours.coverage - exact.coverage).abs().mean() < 0.002
-    assert float(exact.coverage.sum()) > 500
-    away = replace(CAMERA, pivot=(90.0, 0.0, 0.0))
-    assert len(ViewBank(bodies, FLAT).view(0, away).pixels) == 0
+    dense = lambda m: (
+        torch.zeros(len(m.coverage), m.face_count)
+        .double()
+        .index_put_((m.pixel, m.face), m.weight.double(), accumulate=True)
+    )
+    assert (ours.coverage - exact.coverage).abs().max() < 1e-6
+    assert (dense(ours) - dense(exact)).abs().max() < 1e-6 and exact.coverage.sum() > 20
+
+
+def test_light_is_that_of_what_is_seen() -> None:
+    """One light for each piece, at the centroid of what is seen of it, is close to the light's integral."""
+    bodies, camera, light = sphere(20, 30), replace(CAMERA, distance=3.0), Light(position=(1.0, 2.0, 3.0))
+    ours = matrix_of(ViewBank(bodies, light).view(0, camera), bodies.face_count)
+    exact = reference(bodies, camera, light).matrix
+    colors, black = torch.rand(bodies.face_count, 3), torch.zeros(48 * 40, 3)
+    assert (ours.image(colors, black) - exact.image(colors, black)).square().mean().sqrt() < 5e-4
+
+
+def test_nothing_seen_is_an_empty_view() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        away = replace(CAMERA, pivot=(90.0, 0.0, 0.0))
+        assert len(ViewBank(sphere(14, 20), FLAT).view(0, away).pixels) == 0
+
+
+@pytest.mark.parametrize("path", ["loops", "torch"])
+def test_triangles_that_fill_the_screen_are_dropped_before_they_are_stored(path: str) -> None:
+    """Of 200 level layers over all of the image, in any order, hardly more than one is ever held."""
+    count, size = 200, 24
+    x, y = (np.tile(np.array(corners) * size * GRID, count) for corners in ([-1, 3, -1], [-1, -1, 3]))
+    depth = np.repeat(np.random.default_rng(0).permutation(count) / 250 + 0.1, 3)
+    screen, window = screen_of(x, y, depth, size, size), Window(0, 0, size, size)
+    triangles = torch.arange(3 * count).view(-1, 3).T.contiguous()
+    flat = flatten(screen, triangles, 0)
+    if path == "loops":
+        arrays = flat.arrays()
+        candidates = overlap_loops.find_candidates(arrays[0], arrays[1], arrays[3], False, 0, size, 0, size)
+        held = len(overlap_loops.find_pieces(*arrays[:4], candidates, 0, size, 0, size)[0])
+    else:
+        held = sum(len(part[0]) for part in areas.seen_areas(flat, False, window, size))
+    found = area_fragments(screen, triangles, None, window)
+    assert held <= 2 * size * size
+    assert (found.triangle == int(depth[::3].argmax())).all() and found.area.sum() == size * size

@@ -6,9 +6,11 @@ import torch
 
 from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.files.errors import InputError
-from cloak_core.render import covering
-from cloak_core.render.projection import GRID, GUARD, project
-from cloak_core.render.rasterizer import Window, inverse_depth, rasterize
+from cloak_core.render.compiled import torch_alone
+from cloak_core.render.projection import GRID, GUARD, Window, project
+from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.visibility import samples
+from cloak_core.render.visibility.keys import inverse_depth
 from cloak_core.scene.cameras import Camera
 
 HALF = GRID // 2
@@ -112,8 +114,9 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
     corner = np.array([[0, 0], [8, 0], [0, 8]]) * GRID
     screen = screen_of(corner[:, 0], corner[:, 1], np.full(3, 0.5), 4, 4)
     triangles = triangles_of([[0, 1, 2]] * 50)
-    monkeypatch.setattr(covering, "CHUNK", 7)
-    assert (rasterize(screen, triangles, 4).triangles() == 0).all()
+    monkeypatch.setattr(samples, "CHUNK", 7)
+    with torch_alone():
+        assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
 
 def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,8 +124,9 @@ def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = random_screen(rng, 60, 20, 12, GRID)
     triangles = triangles_of(rng.integers(0, 60, (200, 3)))
     whole = rasterize(screen, triangles, 4).keys
-    monkeypatch.setattr(covering, "CHUNK", 64)
-    assert torch.equal(rasterize(screen, triangles, 4).keys, whole)
+    monkeypatch.setattr(samples, "CHUNK", 64)
+    with torch_alone():
+        assert torch.equal(rasterize(screen, triangles, 4).keys, whole)
 
 
 def test_a_window_is_a_part_of_the_image() -> None:
