@@ -6,10 +6,10 @@ import sys
 import pytest
 from numba.core import caching
 
+from cloak_core.bench.growth import sphere
 from cloak_core.render.compiled import loop, torch_alone
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.people.samples import sample_bodies
 
 CAMERA = Camera(width=48, height=64)
 
@@ -31,13 +31,13 @@ def test_without_numba_torch_does_it_all() -> None:
     code = """
 import sys
 sys.modules["numba"] = None
+from cloak_core.bench.growth import sphere
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.people.samples import sample_bodies
-print(float(ViewBank(sample_bodies()).view(0, Camera(width=48, height=64)).weight.sum()))
+print(float(ViewBank(sphere(600)).view(0, Camera(width=48, height=64)).weight.sum()))
 """
     without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
     with torch_alone():
-        torch_own = float(ViewBank(sample_bodies()).view(0, CAMERA).weight.sum())
+        torch_own = float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum())
     assert without == torch_own
-    assert abs(float(ViewBank(sample_bodies()).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
+    assert abs(float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without

@@ -6,8 +6,8 @@ import numpy as np
 
 from cloak_core.render.compiled import loop
 from cloak_core.render.projection import Window
-from cloak_core.render.visibility.layer_loops import settle
 from cloak_core.render.visibility.overlap_loops import NOTHING, by_place, find_candidates, find_pieces
+from cloak_core.render.visibility.settle_loops import settle
 
 MOST_PAIRS = 1 << 20
 """Pairs of triangle and pixel at most in one band, or those of a single row."""

@@ -1,12 +1,15 @@
 """Which pixels each triangle touches, and how much of each, as loops for the CPU.
 
 Pieces are overlaps of a triangle with a pixel; places are flat indices into the pixels of a band, rows of the window.
-Every piece comes out of the triangle's own corners, so that it does not depend on the band.
+Areas come from edges alone, as font rasterizers have it: what lies to the right of each edge, with the edge's sign,
+summed up along each row of pixels; so do first moments, for the centroid. Edges are walked from the top down,
+whichever way a triangle lists them, so that two triangles that share one split a pixel without gap or overlap.
 
-Two notes are kept for each place. `open_edges`: the sum of a number for every edge that crosses the pixel, whose sign
-turns with the edge. Where it is 0 every edge is shared by two triangles on either side of it, so each point of the
-pixel lies in equally many: where the areas also add up to 1, nothing overlaps and nothing is left out. `front`: the
-least nearness of the nearest triangle that fills the pixel; what lies behind is dropped before it is stored.
+Notes are kept for each place. `open_edges`: the sum of a number for every edge that crosses the pixel, whose sign says
+on which side the triangle lies. Where it is 0 every edge has a triangle on either side, so each point of the pixel lies
+in equally many: where the areas also add up to 1, nothing overlaps and nothing is left out. `front`: the least nearness
+of the nearest surface that fills the pixel; what lies behind is dropped before it is stored. Triangles that face the
+camera come first, so that most that show their backs are.
 """
 
 from __future__ import annotations
@@ -19,18 +22,23 @@ from cloak_core.render.projection import GRID
 
 NOTHING = 1e-9
 """Share of a pixel below which a piece is dropped."""
+WHOLE = 1e-6
+"""Shares that add up to 1 within this fill the pixel once where every edge is closed: else they add up to 0 or 2."""
 PIXEL = GRID.bit_length() - 1
 _MARGIN = 2.0**-36
 """Nearness by which a piece must lie behind to be dropped unseen; depths themselves are told apart by 2^-42."""
 _MIX = 0x2545F4914F6CDD1D
 _OTHER = 0x1B873593CC9E2D51
+_START = 0x5851F42D4C957F2D
+"""With this no place inside the guard band is 0, of which nothing can be told."""
+_FAR = 1 << 30
 
 
 @loop
 def find_candidates(x, y, corner, cull, x0, x1, y0, y1):
-    """Triangles that touch the window and have area, by index, each with its doubled area and its first and last row;
-    and for every row of the window how many pixels at most they touch there."""
-    count, most = 0, corner.shape[1]
+    """Triangles that touch the window and have area, those that face the camera first: index and doubled area, first
+    and last row; and for every row of the window how many pixels at most they touch there."""
+    most, count, backs = corner.shape[1], 0, 0
     index, area = np.empty(most, np.int32), np.empty(most, np.int64)
     first, last = np.empty(most, np.int32), np.empty(most, np.int32)
     load = np.zeros(y1 - y0 + 1, np.int64)
@@ -43,13 +51,21 @@ def find_candidates(x, y, corner, cull, x0, x1, y0, y1):
         c0, c1 = touched(x[a], x[b], x[c], x0, x1)
         if (c0 > c1) | (r0 > r1):
             continue
-        index[count], area[count], first[count], last[count] = t, twice, r0, r1
-        count += 1
+        at = count if twice < 0 else most - 1 - backs
+        count, backs = count + (twice < 0), backs + (twice > 0)
+        index[at], area[at], first[at], last[at] = t, twice, r0, r1
         load[r0 - y0] += c1 - c0 + 1
         load[r1 + 1 - y0] -= c1 - c0 + 1
     for row in range(1, len(load)):
         load[row] += load[row - 1]
-    return index[:count].copy(), area[:count].copy(), first[:count].copy(), last[:count].copy(), load[:-1]
+    fronts = count, backs
+    return _joined(index, fronts), _joined(area, fronts), _joined(first, fronts), _joined(last, fronts), load[:-1]
+
+
+@loop
+def _joined(values, counts):
+    """The first so many values, then the last so many, from the end."""
+    return np.concatenate((values[: counts[0]], values[len(values) - counts[1] :][::-1]))
 
 
 @inner
@@ -63,45 +79,156 @@ def touched(a, b, c, start, stop):
 def find_pieces(x, y, nearness, corner, candidates, x0, x1, y0, y1):
     """All pieces of a band: place, triangle (its index), area, and the centroid within the pixel; and `open_edges`."""
     index, areas, first, last, _ = candidates
-    width, count = x1 - x0, 0
-    open_edges, front = np.zeros(width * (y1 - y0), np.int64), np.zeros(width * (y1 - y0), np.float64)
+    width, count, backs = x1 - x0, 0, False
+    places = width * (y1 - y0)
+    open_edges, front, total, least = (
+        np.zeros(places, np.int64),
+        np.zeros(places),
+        np.zeros(places),
+        np.full(places, 2.0),
+    )
     place, owner, share = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty((3, 1024), np.float32)
-    shapes = np.empty((5, 8, 2))
-    _fill_front(front, x, y, nearness, corner, candidates, shapes, x0, x1, y0, y1)
+    edges, signs, sums = np.empty((3, 6)), np.empty(3, np.int64), np.zeros((width + 1, 5))
+    _fill_front(front, x, y, nearness, corner, candidates, x0, x1, y0, y1)
     for k in range(len(index)):
+        t, twice = index[k], areas[k]
+        if (twice > 0) & (not backs):
+            backs = True
+            _close(front, total, least, open_edges)
         if (last[k] < y0) | (first[k] >= y1):
             continue
-        t, twice = index[k], areas[k]
         a, b, c = corner[0, t], corner[1, t], corner[2, t]
         c0, c1 = touched(x[a], x[b], x[c], x0, x1)
         r0, r1 = max(first[k], y0), min(last[k], y1 - 1)
         most = (c1 - c0 + 1) * (r1 - r0 + 1)
-        near = max(nearness[a], nearness[b], nearness[c]) + _MARGIN
-        if most == 1:
-            at = (r0 - y0) * width + c0 - x0
-            hidden = near < front[at]
-            most = 0 if hidden else most
-            open_edges[at] += edges_in(x, y, a, b, c, (c0, r0, PIXEL))
         if count + most > len(place):
             more = max(count + most, 2 * len(place))
-            place, owner, share = longer(place, more), longer(owner, more), _longer_rows(share, more)
+            place, owner, share = longer(place, more), longer(owner, more), longer_rows(share, more)
+        near, far = max(nearness[a], nearness[b], nearness[c]), min(nearness[a], nearness[b], nearness[c])
         if (most == 1) & within(x[a], x[b], x[c], c0, PIXEL) & within(y[a], y[b], y[c], r0, PIXEL):
-            size = abs(twice) * (0.5 / (GRID * GRID))
-            if size > NOTHING:
+            at, size = (r0 - y0) * width + c0 - x0, abs(twice) * (0.5 / (GRID * GRID))
+            open_edges[at] += edges_in(x, y, a, b, c, twice, (c0, r0, PIXEL))
+            if (size > NOTHING) & (near + _MARGIN >= front[at]):
+                total[at] += size
+                least[at] = min(least[at], far)
                 place[count], owner[count], share[0, count] = at, t, size
-                share[1, count] = _middle(x[a], x[b], x[c], c0)
-                share[2, count] = _middle(y[a], y[b], y[c], r0)
+                share[1, count], share[2, count] = _middle(x[a], x[b], x[c], c0), _middle(y[a], y[b], y[c], r0)
                 count += 1
             continue
-        if most == 0:
-            continue
-        if most > 1:
-            _note_edges(open_edges, x, y, a, b, c, c0, c1, r0, r1, x0, y0, width)
-        corners = a, b, c, twice
-        count = _cut_up(
-            place, owner, share, count, t, corners, x, y, nearness, near, front, shapes, c0, c1, r0, r1, x0, y0, width
-        )  # fmt: skip
+        _prepare(edges, signs, x, y, a, b, c, twice)
+        # Small triangles have no need of their plane: their corners say enough.
+        small = (c1 - c0 < 3) & (r1 - r0 < 3)
+        plane = (a, 0.0, 0.0) if small else slopes(x, y, nearness, a, b, c, twice)
+        for row in range(r0, r1 + 1):
+            level, base = (near, far) if small else _level(x, y, nearness, plane, row), (row - y0) * width
+            touched_here = _walk_row(edges, signs, sums, open_edges, row, x0, x1, base)
+            count = _add_row(
+                place, owner, share, count, t, touched_here, sums, front, total, least, level, plane, x, near, far,
+                c0, c1, x0, base,
+            )  # fmt: skip
     return place[:count], owner[:count], share[:, :count], open_edges
+
+
+@inner
+def _add_row(
+    place, owner, share, count, t, touched_here, sums, front, total, least, level, plane, x, near, far, c0, c1, x0, base
+):  # fmt: skip
+    """Add the pieces of a triangle in a row of pixels, from what its edges add up to; how many there are now."""
+    begin, end, carry, moment = touched_here
+    for column in range(max(begin, c0), max(c1, end) + 1):
+        own, at = sums[column - x0], base + column - x0
+        area, mx, my = own[0] + carry, own[1] + carry / 2, own[2] + moment
+        carry, moment = carry + own[3], moment + own[4]
+        if column <= end:
+            own[0] = own[1] = own[2] = own[3] = own[4] = 0.0
+        elif area < NOTHING:
+            break
+        high, low = _bounds(level, plane, x, column, near, far)
+        if (area > NOTHING) & (high + _MARGIN >= front[at]):
+            total[at] += area
+            least[at] = min(least[at], low)
+            place[count], owner[count], share[0, count] = at, t, area
+            share[1, count], share[2, count] = min(max(mx / area, 0.0), 1.0), min(max(my / area, 0.0), 1.0)
+            count += 1
+    return count
+
+
+@inner
+def _close(front, total, least, open_edges):
+    """`front` from pieces that fill a pixel together."""
+    for at in range(len(front)):
+        if (open_edges[at] == 0) & (abs(total[at] - 1) <= WHOLE):
+            front[at] = max(front[at], least[at] - _MARGIN)
+
+
+@inner
+def _prepare(edges, signs, x, y, a, b, c, twice):
+    """A triangle's edges, each from its upper end (of two the left one): x, y, x, y, pixels; change of x with y; 1
+    where the triangle lies on its right, -1 on its left. And the numbers that `open_edges` adds up."""
+    for k in range(3):
+        p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
+        if twice > 0:
+            p, q = q, p
+        # Now the triangle is counter-clockwise on the screen: it lies to the right of what goes down.
+        signs[k] = edge_number(x, y, p, q)
+        down = (y[p] < y[q]) | ((y[p] == y[q]) & (x[p] < x[q]))
+        u, v = (p, q) if down else (q, p)
+        edges[k, 0], edges[k, 1] = x[u] / GRID, y[u] / GRID
+        edges[k, 2], edges[k, 3] = x[v] / GRID, y[v] / GRID
+        height = edges[k, 3] - edges[k, 1]
+        edges[k, 4] = (edges[k, 2] - edges[k, 0]) / height if height > 0 else 0.0
+        edges[k, 5] = 1.0 if down else -1.0
+
+
+@inner
+def _walk_row(edges, signs, sums, open_edges, row, x0, x1, base):
+    """What the edges add in a row of pixels, to `sums` [width + 1, 5]: area and moments right of them within the pixel,
+    area and moment in y for every pixel to the right. Returns the first and last column they touch, and area and moment
+    that come in from the left."""
+    begin, end, carry, moment = np.int64(x1), np.int64(x0), 0.0, 0.0
+    for k in range(3):
+        xt, yt, xb, yb, slope, side = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3], edges[k, 4], edges[k, 5]
+        if (yb <= row) | (yt >= row + 1):
+            continue
+        v0, v1, u0, u1 = yt - row, yb - row, xt, xb
+        low, high = min(xt, xb), max(xt, xb)
+        if v0 < 0:
+            v0, u0 = 0.0, min(max(xt + (row - yt) * slope, low), high)
+        if v1 > 1:
+            v1, u1 = 1.0, min(max(xt + (row + 1 - yt) * slope, low), high)
+        if u1 < u0:  # from left to right
+            u0, v0, u1, v1 = u1, v1, u0, v0
+        column, stop = np.int64(np.floor(u0)), np.int64(np.ceil(u1)) - 1
+        slant = (v1 - v0) / (u1 - u0) if u1 > u0 else 0.0
+        if column < x0:
+            beyond = v1 if u1 <= x0 else v0 + (x0 - u0) * slant
+            part = side * abs(beyond - v0)
+            carry, moment = carry + part, moment + part * (v0 + beyond) / 2
+            if u1 <= x0:
+                begin = np.int64(x0)
+                continue
+            u0, v0, column = float(x0), beyond, np.int64(x0)
+        begin, end = min(begin, column), max(end, min(max(stop, column), x1 - 1))
+        while column < x1:
+            u, v = (u1, v1) if column >= stop else (column + 1.0, v0 + (column + 1 - u0) * slant)
+            _add_edge(sums, column - x0, u0 - column, v0, u - column, v, side)
+            if (u0 > column) | (u > column):
+                open_edges[base + column - x0] += signs[k]
+            if column >= stop:
+                break
+            u0, v0, column = u, v, column + 1
+    return begin, end, carry, moment
+
+
+@inner
+def _add_edge(sums, at, u0, v0, u1, v1, side):
+    """A part of an edge within one pixel."""
+    part, middle = side * abs(v1 - v0), (v0 + v1) / 2
+    sums[at, 0] += part * (1 - (u0 + u1) / 2)
+    sums[at, 1] += part * (1 - (u0 * u0 + u0 * u1 + u1 * u1) / 3) / 2
+    sums[at, 2] += part * (middle - (2 * u0 * v0 + u0 * v1 + u1 * v0 + 2 * u1 * v1) / 6)
+    sums[at, 3] += part
+    sums[at, 4] += part * middle
 
 
 @loop
@@ -112,7 +239,7 @@ def longer(values, more):
 
 
 @loop
-def _longer_rows(values, more):
+def longer_rows(values, more):
     result = np.empty((values.shape[0], more), values.dtype)
     result[:, : values.shape[1]] = values
     return result
@@ -130,30 +257,31 @@ def _middle(a, b, c, pixel):
 
 
 @inner
-def _note_edges(open_edges, x, y, a, b, c, c0, c1, r0, r1, x0, y0, width):
-    for row in range(r0, r1 + 1):
-        for column in range(c0, c1 + 1):
-            open_edges[(row - y0) * width + column - x0] += edges_in(x, y, a, b, c, (column, row, PIXEL))
-
-
-@inner
-def edges_in(x, y, a, b, c, at):
-    """The sum over a triangle's edges that may cross the inside of a cell (its column, row and size as a shift). Of two
-    triangles that share an edge, one
-    adds what the other takes away, as both ask the same of the edge alone."""
-    return _edge(x, y, a, b, at) + _edge(x, y, b, c, at) + _edge(x, y, c, a, at)
+def edges_in(x, y, a, b, c, twice, at):
+    """The sum over a triangle's edges that may cross the inside of a cell (its column, row and size as a shift)."""
+    turn = -1 if twice > 0 else 1
+    return turn * (_edge(x, y, a, b, at) + _edge(x, y, b, c, at) + _edge(x, y, c, a, at))
 
 
 @inner
 def _edge(x, y, a, b, at):
+    return edge_number(x, y, a, b) if may_cross(x, y, a, b, at) else np.int64(0)
+
+
+@inner
+def may_cross(x, y, a, b, at):
+    """Whether the box of an edge reaches into a cell."""
     column, row, shift = at
     left, top, side = column << shift, row << shift, 1 << shift
-    apart = (max(x[a], x[b]) <= left) | (min(x[a], x[b]) >= left + side)
-    apart |= (max(y[a], y[b]) <= top) | (min(y[a], y[b]) >= top + side)
-    if apart:
-        return np.int64(0)
-    # By where the corners are, not by which they are: seams of a mesh are closed, too.
-    one, other = (np.int64(y[a]) << 32) ^ x[a], (np.int64(y[b]) << 32) ^ x[b]
+    across = (max(x[a], x[b]) > left) & (min(x[a], x[b]) < left + side)
+    return across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
+
+
+@inner
+def edge_number(x, y, a, b):
+    """Of two triangles on either side of an edge one gets the negative of what the other gets, as both ask the same of
+    the edge alone. By where its ends are, not by which corners they are: seams of a mesh are closed, too."""
+    one, other = _START ^ (np.int64(y[a]) << 32) ^ x[a], _START ^ (np.int64(y[b]) << 32) ^ x[b]
     return _first(one) * _second(other) - _first(other) * _second(one)
 
 
@@ -170,82 +298,6 @@ def _second(key):
 
 
 @inner
-def load_triangle(shapes, x, y, a, b, c, twice, column, row):
-    """A triangle's corners, clockwise, from a pixel's top left corner, into the first scratch polygon; exact."""
-    if twice < 0:
-        b, c = c, b
-    shapes[0, 0, 0], shapes[0, 0, 1] = _from(x[a], column), _from(y[a], row)
-    shapes[0, 1, 0], shapes[0, 1, 1] = _from(x[b], column), _from(y[b], row)
-    shapes[0, 2, 0], shapes[0, 2, 1] = _from(x[c], column), _from(y[c], row)
-
-
-@inner
-def _from(position, pixel):
-    return (np.int64(position) - (pixel << PIXEL)) * (1.0 / GRID)
-
-
-@inner
-def _row_of(shapes, top, bottom, row):
-    """The triangle in scratch 0 (rows `top` to `bottom`), cut to the row, counted from its own box. Returns where it
-    is and how many corners it has."""
-    source, count = 0, 3
-    if row > top:
-        count = halve(shapes, 0, 3, 1, float(row), 2, 1)[1]
-        source = 1
-    if row < bottom:
-        count = halve(shapes, source, count, 1, row + 1.0, 2, 3)[0]
-        source = 2
-    return source, count
-
-
-@inner
-def halve(shapes, source, count, axis, level, low, high):
-    """Cut a convex polygon into what lies below a level of x (axis 0) or y (1), to slot `low`, and what lies above, to
-    slot `high`; their sizes."""
-    lows, highs, beside = 0, 0, 1 - axis
-    along, across = shapes[source, 0, axis] - level, shapes[source, 0, beside]
-    for k in range(count):
-        after = k + 1 if k + 1 < count else 0
-        here, there = along, across
-        along, across = shapes[source, after, axis] - level, shapes[source, after, beside]
-        if here <= 0:
-            shapes[low, lows, axis], shapes[low, lows, beside] = shapes[source, k, axis], there
-            lows += 1
-        if here >= 0:
-            shapes[high, highs, axis], shapes[high, highs, beside] = shapes[source, k, axis], there
-            highs += 1
-        if here * along < 0:
-            other = there + here / (here - along) * (across - there)
-            shapes[low, lows, axis] = shapes[high, highs, axis] = level
-            shapes[low, lows, beside] = shapes[high, highs, beside] = other
-            lows, highs = lows + 1, highs + 1
-    return lows, highs
-
-
-@inner
-def _full_run(shapes, slot, count, row):
-    """First and last column (from a box's own left) of the pixels of a row that lie wholly inside its part."""
-    left, right = -np.inf, np.inf
-    for level in (float(row), row + 1.0):
-        low, high = np.inf, -np.inf
-        for k in range(count):
-            if shapes[slot, k, 1] == level:
-                low, high = min(low, shapes[slot, k, 0]), max(high, shapes[slot, k, 0])
-        left, right = max(left, low), min(right, high)
-    if left >= right:
-        return np.int64(0), np.int64(-1)
-    return np.int64(np.ceil(left)), np.int64(np.floor(right)) - 1
-
-
-@inner
-def _extent(shapes, slot, count):
-    low = high = shapes[slot, 0, 0]
-    for k in range(1, count):
-        low, high = min(low, shapes[slot, k, 0]), max(high, shapes[slot, k, 0])
-    return low, high
-
-
-@inner
 def slopes(x, y, nearness, a, b, c, twice):
     """A triangle's nearness as a plane: its first corner in canonical order, what nearness changes by from a grid unit
     to the next, right and down."""
@@ -258,7 +310,24 @@ def slopes(x, y, nearness, a, b, c, twice):
 
 
 @inner
-def _fill_front(front, x, y, nearness, corner, candidates, shapes, x0, x1, y0, y1):
+def _level(x, y, nearness, plane, row):
+    """Nearness of a plane in a row of pixels, at its first corner's x: the greatest and the least."""
+    p0, _, down = plane
+    top = nearness[p0] + ((row << PIXEL) - np.int64(y[p0])) * down
+    return top + max(down * GRID, 0.0), top + min(down * GRID, 0.0)
+
+
+@inner
+def _bounds(level, plane, x, column, near, far):
+    """The greatest and least nearness that a triangle may have in a pixel."""
+    high, low = level
+    p0, across, _ = plane
+    left = ((column << PIXEL) - np.int64(x[p0])) * across
+    return min(near, high + left + max(across * GRID, 0.0)), max(far, low + left + min(across * GRID, 0.0))
+
+
+@inner
+def _fill_front(front, x, y, nearness, corner, candidates, x0, x1, y0, y1):
     """`front` from all triangles that fill pixels of the band."""
     index, areas, first, last, _ = candidates
     width = x1 - x0
@@ -267,93 +336,34 @@ def _fill_front(front, x, y, nearness, corner, candidates, shapes, x0, x1, y0, y
             continue
         t, twice = index[k], areas[k]
         a, b, c = corner[0, t], corner[1, t], corner[2, t]
-        left, right = touched(x[a], x[b], x[c], -(1 << 30), 1 << 30)
+        left, right = touched(x[a], x[b], x[c], -_FAR, _FAR)
         if right - left < 2:
             continue
-        top, bottom = touched(y[a], y[b], y[c], -(1 << 30), 1 << 30)
-        load_triangle(shapes, x, y, a, b, c, twice, left, top)
-        p0, across, down = slopes(x, y, nearness, a, b, c, twice)
-        least = min(nearness[a], nearness[b], nearness[c])
+        plane = slopes(x, y, nearness, a, b, c, twice)
+        far = min(nearness[a], nearness[b], nearness[c])
         for row in range(max(first[k], y0), min(last[k], y1 - 1) + 1):
-            source, count = _row_of(shapes, 0, bottom - top, row - top)
-            begin, end = _full_run(shapes, source, count, row - top)
-            below = (row << PIXEL) - np.int64(y[p0]) + (GRID if down < 0 else 0)
-            start = nearness[p0] + below * down - _MARGIN
-            for column in range(max(begin + left, x0), min(end + left, x1 - 1) + 1):
-                beside = (column << PIXEL) - np.int64(x[p0]) + (GRID if across < 0 else 0)
-                at = (row - y0) * width + column - x0
-                front[at] = max(front[at], max(start + beside * across, least - _MARGIN))
-
-
-@inner
-def _cut_up(
-    place, owner, share, count, t, corners, x, y, nearness, near, front, shapes, c0, c1, r0, r1, x0, y0, width
-):  # fmt: skip
-    """Add the pieces of a triangle in the pixels of its box; returns how many there are now."""
-    a, b, c, twice = corners
-    left, _ = touched(x[a], x[b], x[c], -(1 << 30), 1 << 30)
-    top, bottom = touched(y[a], y[b], y[c], -(1 << 30), 1 << 30)
-    load_triangle(shapes, x, y, a, b, c, twice, left, top)
-    p0, across, down = slopes(x, y, nearness, a, b, c, twice)
-    for row in range(r0, r1 + 1):
-        source, size = _row_of(shapes, 0, bottom - top, row - top)
-        if size < 3:
-            continue
-        low, high = _extent(shapes, source, size)
-        begin = end = np.int64(-1)
-        if high - low > 1:
-            begin, end = _full_run(shapes, source, size, row - top)
-        column, stop = max(np.int64(np.floor(low)) + left, c0), min(np.int64(np.ceil(high)) - 1 + left, c1)
-        below = (row << PIXEL) - np.int64(y[p0]) + (GRID if down > 0 else 0)
-        start = nearness[p0] + below * down + _MARGIN
-        rest, hold = source, 1 if source != 1 else 2
-        if low < column - left:
-            size = halve(shapes, source, size, 0, float(column - left), 3, 4)[1]
-            rest = 4
-        while column <= stop:
-            beside = (column << PIXEL) - np.int64(x[p0]) + (GRID if across > 0 else 0)
-            at = (row - y0) * width + column - x0
-            seen = min(near, start + beside * across) >= front[at]
-            if (column - left >= begin) & (column - left <= end):
-                if seen:
-                    place[count], owner[count], share[0, count] = at, t, 1.0
-                    share[1, count] = share[2, count] = 0.5
-                    count += 1
-                column += 1
-                if (column - left > end) & (column <= stop):
-                    into = 3 if rest == 4 else 4
-                    size = halve(shapes, rest, size, 0, float(column - left), hold, into)[1]
-                    rest = into
+            above, below = _span(x, y, a, b, c, row << PIXEL), _span(x, y, a, b, c, (row + 1) << PIXEL)
+            begin = np.int64(np.ceil(max(above[0], below[0]) + 1e-6))
+            end = np.int64(np.floor(min(above[1], below[1]) - 1e-6)) - 1
+            if begin > end:
                 continue
-            part, parts = rest, size
-            if column < stop or high > column - left + 1:
-                into = 3 if rest == 4 else 4
-                parts, size = halve(shapes, rest, size, 0, column - left + 1.0, hold, into)
-                part, rest = hold, into
-            if seen & (parts > 2):
-                area, mx, my = moments(shapes, part, parts)
-                if area > NOTHING:
-                    place[count], owner[count], share[0, count] = at, t, area
-                    share[1, count] = min(max(mx / area - (column - left), 0.0), 1.0)
-                    share[2, count] = min(max(my / area - (row - top), 0.0), 1.0)
-                    count += 1
-            column += 1
-    return count
+            level = _level(x, y, nearness, plane, row)
+            for column in range(max(begin, x0), min(end, x1 - 1) + 1):
+                low = _bounds(level, plane, x, column, 2.0, far)[1]
+                at = (row - y0) * width + column - x0
+                front[at] = max(front[at], low - _MARGIN)
 
 
 @inner
-def moments(shapes, slot, count):
-    """Area and first moments of a convex polygon, clockwise on a screen with y down."""
-    area = across = down = 0.0
-    x0, y0 = shapes[slot, 0, 0], shapes[slot, 0, 1]
-    for k in range(1, count - 1):
-        x1, y1 = shapes[slot, k, 0] - x0, shapes[slot, k, 1] - y0
-        x2, y2 = shapes[slot, k + 1, 0] - x0, shapes[slot, k + 1, 1] - y0
-        twice = x1 * y2 - y1 * x2
-        area += twice
-        across += twice * (x1 + x2)
-        down += twice * (y1 + y2)
-    return area / 2, across / 6 + area / 2 * x0, down / 6 + area / 2 * y0
+def _span(x, y, a, b, c, level):
+    """From where to where, pixels, a triangle reaches at a level of y (grid units); nowhere: from right to left."""
+    low, high = np.inf, -np.inf
+    for k in range(3):
+        p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
+        if (min(y[p], y[q]) <= level) & (max(y[p], y[q]) >= level) & (y[p] != y[q]):
+            at = (x[p] + (level - np.int64(y[p])) / (np.int64(y[q]) - y[p]) * (np.int64(x[q]) - x[p])) / GRID
+            low, high = min(low, at), max(high, at)
+    return low, high
 
 
 @loop
