@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ BATCH = 8
 
 def run_bench_views(
     scene: str | os.PathLike | Bodies,
-    samples: int = 1,
+    samples: int | Literal["area"] | None = None,
     threads: int = 2,
     repeats: int = 20,
     device: str = "cpu",
@@ -43,25 +44,29 @@ def run_bench_views(
     stored is reading the view that an earlier run built; cached is a render of a chest-and-thighs logo onto a ready
     background together with its gradient. Under by_samples, visibility and new view for every number of samples and for
     coverage by area, and how many times as long `BATCH` views at once take (medians of a quarter of the runs).
+    samples: the only way to be timed; None: all of them, 1 in full.
     """
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
     with torch_threads(threads):
-        bank = ViewBank(bodies, samples=samples, device=device)
-        key = [(0, camera)]
+        bank, key = _bank(bodies, samples or 1, device), [(0, camera)]
         result = {
-            "visibility_ms": timed(lambda: bank.visibility(key, bank.screen(key)), repeats, device),
+            "visibility_ms": timed(lambda: bank.visible(key), repeats, device),
             "new_view_ms": timed(lambda: bank.build(key), repeats, device),
             "stored_ms": _reading(bank, camera, repeats),
             "cached_ms": timed(cached_render(bank, camera), repeats, device),
             "by_samples": {
-                str(number or "area"): _one_and_many(ViewBank(bodies, samples=number, device=device), camera, repeats)
-                for number in (*GRIDS, None)
+                str(way): _one_and_many(_bank(bodies, way, device), camera, repeats)
+                for way in ((*GRIDS, "area") if samples is None else (samples,))
             },
         }
-    return result | {"samples": samples, "threads": threads, "machine": machine(device)}
+    return result | {"samples": samples or 1, "threads": threads, "machine": machine(device)}
+
+
+def _bank(bodies: Bodies, way: int | Literal["area"], device: str) -> ViewBank:
+    return ViewBank(bodies, samples=None if way == "area" else way, device=device)
 
 
 def _one_and_many(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:

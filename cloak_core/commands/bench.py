@@ -21,8 +21,8 @@ class Views(Command):
 
     scene: Path
     """Scene folder or .npz."""
-    samples: Literal[1, 4, 16, 64] = 1
-    """Samples per pixel."""
+    samples: Literal[1, 4, 16, 64, "area"] | None = None
+    """Samples per pixel, or coverage by area: this alone is timed (default: 1, and all of them in short)."""
     threads: int = 2
     """Threads torch may use."""
     repeats: int = 20
@@ -36,7 +36,8 @@ class Views(Command):
         return run_bench_views(**self.given())
 
     def show(self, result: dict) -> None:
-        out.print(f"{result['samples']} sample(s) per pixel, {result['threads']} threads; ms per view")
+        way = "by area" if result["samples"] == "area" else f"{result['samples']} sample(s) per pixel"
+        out.print(f"{way}, {result['threads']} threads; ms per view")
         names = ("visibility", "new view", "stored", "cached")
         for key, name in ((f"{name.replace(' ', '_')}_ms", name) for name in names):
             out.print(f"{name:<12} median {result[key]['median']:8.3f}   min {result[key]['min']:8.3f}")

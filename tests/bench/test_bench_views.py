@@ -2,16 +2,24 @@
 
 import pytest
 
+from cloak_core.bench.growth import sphere
 from cloak_core.bench.views import run_bench_views
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.people.samples import sample_bodies
 
 
+@pytest.mark.parametrize("way", [4, "area"])
+def test_one_way_is_timed_alone(way: object) -> None:
+    result = run_bench_views(sphere(80), samples=way, threads=1, repeats=1, camera=Camera(width=24, height=24))
+    assert result["samples"] == way and set(result["by_samples"]) == {str(way)}
+    assert min(result[name]["min"] for name in ("visibility_ms", "new_view_ms", "stored_ms", "cached_ms")) > 0
+
+
 @pytest.mark.long
 def test_every_number_of_samples_is_timed() -> None:
     camera = Camera(width=48, height=64)
-    result = run_bench_views(sample_bodies(), samples=4, threads=1, repeats=1, camera=camera)
-    assert result["samples"] == 4
+    result = run_bench_views(sample_bodies(), threads=1, repeats=1, camera=camera)
+    assert result["samples"] == 1
     for name in ("visibility_ms", "new_view_ms", "stored_ms", "cached_ms"):
         assert 0 < result[name]["min"] <= result[name]["median"]
     assert set(result["by_samples"]) == {"1", "4", "16", "64", "area"}
