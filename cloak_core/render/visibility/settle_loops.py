@@ -13,7 +13,7 @@ from cloak_core.render.visibility.polygon_loops import SIZE, SLOT, hold, measure
 
 MOST_PARTS = 4096
 """Slots for the parts of one cell beyond which it is given up: it keeps what it has, and is counted."""
-CROWD = 192
+CROWD = 96
 """Pieces from which a pixel is cut into cells."""
 _FINEST = PIXEL - 5
 
