@@ -228,3 +228,11 @@ def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
     again = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
     again.load(3, pool.state())
     assert torch.equal(again.skins[0], pool.skins[0])
+
+
+def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_path: Path) -> None:
+    result = hardened(student, tmp_path / "out", steps=1, precision="bfloat16")
+    again = load_detector(result.spec)
+    assert again.precision == "float32"
+    assert all(p.dtype == torch.float32 and bool(p.isfinite().all()) for p in again.parameters())
+    assert not torch.equal(again(images(1)).scores, load_detector(student.spec)(images(1)).scores)
