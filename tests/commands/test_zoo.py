@@ -13,6 +13,7 @@ from cloak_core.cli import main
 from cloak_core.evaluation.foreign import colors_of
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list
+from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
@@ -162,3 +163,8 @@ def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
     assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
     assert rates["logo"]["mean_score"] > own["detectors"]["builtin"]["logo"]["mean_score"]
     assert (folder / "evaluation").exists() and (folder / "evaluation-plain").exists()
+    # A printer that knows grey alone.
+    write_profile(tmp_path / "p.npz", Profile(np.full((2, 2, 2, 3), 0.5, np.float32)))
+    rates = library.evaluate(folder, bodies, profile=tmp_path / "p.npz", **how)["detectors"]["builtin"]
+    assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
+    assert (folder / "evaluation-printed").exists()

@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.output.baking import Texture, bake, dressed
 from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
@@ -228,3 +229,21 @@ def test_projecting_on_a_palette_leaves_only_its_colours(body: Bodies, tmp_path:
     assert report["unprintable_colors"] == 2
     picture = np.asarray(Image.open(tmp_path / "p" / "cloak.png").convert("RGB")).reshape(-1, 3)
     assert {(0, 0, 0), (255, 128, 0)} <= set(map(tuple, picture.tolist()))
+
+
+@pytest.mark.slow
+def test_with_a_profile_the_sheets_have_what_is_to_be_sent(body: Bodies, tmp_path: Path) -> None:
+    steps = np.linspace(0, 1, 3)
+    sent = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1)
+    profile = Profile((0.2 + 0.6 * sent).astype(np.float32))
+    ids = select_region(body, "chest")[:4]
+    colors = np.float32([[0.5, 0.3, 0.2], [0.8, 0.8, 0.2], [0.0, 0.5, 1.0], [0.5, 0.3, 0.2]])
+    report = print_logo(body, ids, colors, tmp_path / "p", dpi=50, profile=profile)
+    assert report["unprintable_colors"] == 1 and report["profile"]
+    with Image.open(tmp_path / "p" / "cloak.png") as shown, Image.open(tmp_path / "p" / "to-print.png") as to_print:
+        shown, to_print = (np.asarray(picture.convert("RGB")).reshape(-1, 3) / 255 for picture in (shown, to_print))
+    differ = (shown != to_print).any(axis=1)
+    assert differ.any() and np.abs(profile.photographed(to_print[differ]) - shown[differ]).max() < 2 / 255
+    wanted = np.float32([[0.5, 0.3, 0.2], [0.8, 0.8, 0.2], [0.2, 0.5, 0.8]])
+    apart = np.abs(shown[differ][:, None] - wanted).max(axis=2)
+    assert (apart.min(axis=0) < 2 / 255).all()
