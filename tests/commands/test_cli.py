@@ -106,8 +106,8 @@ def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
 def test_help_has_headings_and_choices(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     shown = help_of("train", capsys)
-    parts = ["the run", "views", "augmentation", "loss", "surrogates", "optimiser", "black box", "computing"]
-    assert list(shown) == ["options", "detectors", *parts]
+    parts = ["the run", "views", "augmentation", "loss", "colours and pattern", "surrogates", "optimiser", "black box"]
+    assert list(shown) == ["options", "detectors", *parts, "computing"]
     assert "--preset {paper,reference,best,transfer}" in shown["options"]
     assert {"--outfits {random,first}", "--samples {None,1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["views"])
     assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["loss"])
