@@ -109,26 +109,21 @@ def _train(
 ) -> RunResult:
     device = local_device(settings.compute.device)
     detectors = [detector.to(device) for detector in detectors]
-    palette_file, init = settings.objective.palette, settings.optimization.init
+    palette_file, profile_file, init = settings.objective.palette, settings.pattern.profile, settings.optimization.init
     palette = None if palette_file is None else read_palette(palette_file)
-    profile_file = settings.pattern.profile
     profile = None if profile_file is None else read_profile(profile_file)
+    start = None if init is None else read_start(Path(init), logo)
     trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
     is_search = settings.queries.black_box_queries is not None
     if is_search and (held is not None or world.size > 1):
         raise InputError("--black-box-queries: searches in one process, without --held-out")
-    pattern = make_pattern(settings, bodies, logo, palette, profile, device)
-    if is_search and pattern is not None:
-        raise InputError(
-            "--black-box-queries: searches free colours, without --colors-at-most, --pattern and --profile"
-        )
+    if is_search and settings.pattern.on:
+        raise InputError("--black-box-queries: free colours alone, without --colors-at-most, --pattern and --profile")
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
-    start = None if init is None else read_start(Path(init), logo)
-    config = run_config(
-        settings, bodies, logo, detectors, backgrounds, inputs or {}, world.size, palette, held, start, profile
-    )
+    given = (world.size, palette, held, start, profile)
+    config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, *given)
     clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
     first = initial_colors(settings.optimization, clothing, settings.run.seed)
     first = first if start is None else torch.from_numpy(start).to(device)
@@ -141,6 +136,7 @@ def _train(
             loop = Search(settings, run, batcher, objective, first, centres, on_event)
         else:
             held_out = None if held is None else _held_out(settings, held, logo, objective, world)
+            pattern = make_pattern(settings, bodies, logo, palette, profile, device)
             begun = first if pattern is None else pattern.begin(first)
             optimizer = ColorOptimizer(settings.optimization, begun, pattern)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)

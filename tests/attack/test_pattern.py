@@ -133,7 +133,8 @@ def test_colours_are_those_that_are_photographed_and_their_gradient_is_right():
 def test_a_run_ends_with_few_colours_and_goes_on_to_the_same_bits(tmp_path, preset):
     scheme = PRESETS[preset] | {
         "steps": 8,
-        "batch": 3,
+        "batch": 8,
+        "angles": "0",
         "samples": 1,
         "colors_at_most": 3,
         "pattern": "camouflage",
@@ -148,7 +149,7 @@ def test_a_run_ends_with_few_colours_and_goes_on_to_the_same_bits(tmp_path, pres
     rest = run(tmp_path / "part", resume=True, **scheme)
     assert rest.stopped == "" and np.array_equal(whole.colors, rest.colors)
     measured = [event for event in read_events(tmp_path / "whole" / "events.jsonl") if event["type"] == "held_out"]
-    assert len(measured) == 2
+    assert len(measured) == 3
     with pytest.raises(InputError, match=r"settings\.colors_at_most = 3, not 4"):
         run(tmp_path / "part", resume=True, **(scheme | {"colors_at_most": 4}))
 
@@ -170,7 +171,7 @@ def test_a_run_through_a_profile_keeps_what_is_photographed(tmp_path):
 
 @pytest.mark.parametrize("change", [{"colors_at_most": 3}, {"pattern": "camouflage"}])
 def test_a_search_for_answers_alone_refuses_patterns(tmp_path, change):
-    with pytest.raises(InputError, match="--black-box-queries: searches free colours"):
+    with pytest.raises(InputError, match="--black-box-queries: free colours alone"):
         run(tmp_path / "run", black_box_queries=64, **change)
 
 

@@ -23,3 +23,8 @@ class PatternSettings:
     profile: str | None = None
     """Profile of a printer and a camera (`cloak calibrate`): training then sees, and keeps, the colours that come out
     of them; `cloak print --profile` writes those to send."""
+
+    @property
+    def on(self) -> bool:
+        """Whether any of it is asked for."""
+        return self.colors_at_most is not None or self.pattern != "free" or self.profile is not None
