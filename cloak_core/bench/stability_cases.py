@@ -19,13 +19,17 @@ HALF = GRID // 2
 
 @dataclass(frozen=True)
 class Case:
-    """Triangles on a screen, and how many triangles must cover each sample (None: any number)."""
+    """Triangles on a screen, and how many triangles must cover each sample (None: any number).
+
+    areas: whether areas are compared although triangles overlap.
+    """
 
     screen: Screen
     triangles: Tensor
     cover: int | None = None
     front_only: bool = False
     cull: bool = False
+    areas: bool = False
 
 
 def rows(array: object) -> Tensor:
@@ -151,6 +155,44 @@ def _one_pixel(rng: np.random.Generator) -> Case:
     return _snapped(x, y, rng.uniform(0.1, 1, 3000), np.arange(3000).reshape(-1, 3), (4, 4))
 
 
+def _sheets(rng: np.random.Generator) -> Case:
+    """Large triangles through one another."""
+    x, y = rng.integers(-2 * GRID, 7 * GRID, (2, 42))
+    return _snapped(x, y, rng.uniform(0.1, 1, 42), np.arange(42).reshape(-1, 3), (5, 4), areas=True)
+
+
+def _layers(rng: np.random.Generator) -> Case:
+    """Level rectangles on quarters of pixels, some at equal depths: they overlap just as much as they leave open."""
+    left, top = rng.integers(0, 14, (2, 16, 1)) * (GRID // 4)
+    x, y = left + np.array([0, 2, 2, 0]) * (GRID // 2), top + np.array([0, 0, 2, 2]) * (GRID // 2)
+    corners = 4 * np.arange(16)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])
+    depth = np.repeat(rng.choice([0.25, 0.5, 0.75], 16), 4)
+    return _snapped(x.ravel(), y.ravel(), depth, corners, (5, 5), areas=True)
+
+
+def _shell(rng: np.random.Generator, cull: bool = True) -> Case:
+    """A convex body a ten-thousandth within another."""
+    points, triangles = ball(rng)
+    both = np.concatenate([points, points * 1.0001])
+    screen = project(
+        torch.from_numpy(both.T.copy()).unsqueeze(0), [Camera(distance=5.0, width=9, height=9)], [(0.0,) * 3]
+    )
+    return Case(screen, rows(np.concatenate([triangles, triangles + len(points)])), cull=cull, areas=True)
+
+
+def _hostile(rng: np.random.Generator) -> Case:
+    """Strips of a few grid units, twins, folds, corners of pixels and triangles of thousands of pixels, all at once."""
+    x, y = rng.integers(0, 4, (2, 60)) * GRID
+    thin = slice(0, 20)
+    x[thin], y[thin] = rng.integers(0, 4 * GRID, (2, 20))
+    x[20:40], y[20:40] = x[thin] + rng.integers(-3, 4, 20), y[thin] + rng.integers(-3, 4, 20)
+    x[40:46], y[40:46] = rng.integers(-GUARD // 4, GUARD // 4, (2, 6))
+    strips = np.stack([np.arange(20), np.roll(np.arange(20), 1), np.arange(20, 40)], 1)
+    others = rng.integers(40, 60, (12, 3))
+    triangles = np.concatenate([strips, others, others[:4, [1, 0, 2]], others[4:6]])
+    return _snapped(x, y, rng.uniform(0.1, 1, 60), triangles, (4, 4), areas=True)
+
+
 _AROUND = Camera(distance=1.0, width=8, height=6, field_of_view=70.0, near=0.05)
 _SMALL = Camera(width=16, height=12)
 
@@ -173,6 +215,11 @@ CASES: dict[str, Callable[[np.random.Generator], Case]] = {
     "scale 1e-6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e-6, width=16, height=12), scale=1e-6),
     "scale 1e6": lambda rng: _space(rng, 0.5, Camera(distance=2.2e6, width=16, height=12), scale=1e6),
     "a thousand triangles in a pixel": _one_pixel,
+    "overlap: through one another": _sheets,
+    "overlap: aligned layers": _layers,
+    "overlap: a thin shell": _shell,
+    "overlap: a thin shell, both sides": lambda rng: _shell(rng, cull=False),
+    "hostile: strips, twins, folds, giants": _hostile,
     "image 1 x 1": lambda rng: _random(rng, (1, 1)),
     "image 13 x 2": lambda rng: _random(rng, (13, 2)),
     "empty mesh": lambda rng: _snapped([], [], [], [], (3, 2)),
