@@ -9,12 +9,13 @@ import pytest
 CORE = Path(__file__).parents[1] / "cloak_core"
 MAY_IMPORT = {
     "files": set(),
+    "jobs": {"files"},
     "exchange": {"files"},
     "zoo": {"files", "exchange"},
     "scene": {"files", "exchange"},
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},
-    "attack": {"files", "exchange", "zoo", "scene", "render", "detectors"},
+    "attack": {"files", "jobs", "exchange", "zoo", "scene", "render", "detectors"},
     "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
     "output": {"files", "exchange", "scene", "render", "detectors"},
     "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},

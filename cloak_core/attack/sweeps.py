@@ -1,11 +1,11 @@
-"""Sweeps: a training for every combination of a grid of settings, resumable, shared out among processes.
+"""Sweeps: a training for every combination of a grid of settings, resumable, done here or by a cluster.
 
     DIR/runs/NAME/          run folders, named by what the grid gives them and a hash of everything that was asked for
     DIR/results/NAME.json   what came of each; written when it is done, so that it is not done again
     DIR/sweep.json, .md     all results so far
 
-Processes that are given the same grid and folder (torchrun's, or any others) each take the next run that nobody holds;
-a run whose process died is free again and goes on from its checkpoint.
+One process hands the runs out (`jobs`): to itself, one after the other, or to Ray. A run whose process died goes on
+from its checkpoint.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.writing import write_json, write_text, written
+from cloak_core.jobs.job import Executor, InOrder, Job
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import load_scene
@@ -47,7 +48,6 @@ CONTENT = ("topology", "scene", "logo", "detectors", "backgrounds")
 """Of a run's configuration: what the files named in a grid may have changed in, and the grid does not show."""
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
-WAIT_SECONDS = 0.5
 _log = logging.getLogger("cloak")
 Tell = Callable[[str], None]
 Prepare = Callable[[ComputeSettings], object]
@@ -150,7 +150,7 @@ def _text(value: object) -> str:
 
 
 class _Opened:
-    """What runs are made of, opened once."""
+    """What runs are made of, opened once in a process."""
 
     def __init__(self) -> None:
         self._scene, self._background_set, self._detector = (
@@ -167,41 +167,50 @@ class _Opened:
         return bodies, logo, detectors, self._background_set(run.backgrounds)
 
 
+_opened = cache(_Opened)
+
+
+def train_run(run: SweepRun, folder: Path, prepare: Prepare | None, on_event: OnEvent | None = None) -> dict:
+    """Train one, or go on with it; returns what is recorded of it, or `{"stopped": why}`."""
+    if prepare:
+        prepare(run.settings.compute)
+    inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
+    how = {"resume": True, "on_event": on_event, "inputs": inputs, "alone": True}
+    result = train(run.settings, *_opened().open(run), folder, **how)
+    if result.stopped and result.stopped != "time budget":  # which is a run's own
+        return {"stopped": f"stopped in run {run.label}, at step {result.step}: {result.stopped}"}
+    return result.record() | {"out": f"runs/{run.name}"} | _figures(folder)
+
+
 class Sweep:
     """The runs of a grid in a folder. `run` does what is left of them."""
 
     def __init__(self, runs: Sequence[SweepRun], out: str | Path) -> None:
         self.runs, self.out = tuple(runs), Path(out)
-        self._opened = _Opened()
-        self._failed_before: dict[str, int] = {}
 
-    def run(self, tell: Tell = _log.info, on_event: OnEvent | None = None, prepare: Prepare | None = None) -> str:
+    def run(
+        self,
+        tell: Tell = _log.info,
+        on_event: OnEvent | None = None,
+        prepare: Prepare | None = None,
+        executor: Executor | None = None,
+        gpus: float = 1.0,
+    ) -> str:
         """Train what has no result yet; returns why it stopped early, "" when every run has ended.
 
         A run that fails (bad input, a loss that is not finite) is recorded with its message, and the others go on; the
-        next sweep tries it again. `prepare` is called before each of them. InputError before anything is trained:
-        something in the grid cannot be opened, or is not what runs that are done were made of.
+        next sweep tries it again. `prepare` is called where a run is trained, before it; `on_event` hears runs that are
+        trained here. `executor`: who trains (None: this process, in order); `gpus`: of one, or a share of one, for each
+        run on a GPU. InputError before anything is trained: something in the grid cannot be opened, is not what runs
+        that are done were made of, or somebody else is at this folder.
         """
+        executor = executor or InOrder()
         self._check_inputs()
         with written(self.out):
             for folder in ("runs", "results"):
                 (self.out / folder).mkdir(parents=True, exist_ok=True)
-        self._failed_before = {
-            run.name: path.stat().st_mtime_ns for run in self.runs if (path := self._result_path(run)).exists()
-        }
-        while left := [run for run in self.runs if not self._is_settled(run)]:
-            for run in left:
-                with self._held(run) as held:
-                    if held and not self._is_settled(run):
-                        if prepare:
-                            prepare(run.settings.compute)
-                        stopped = self._train(run, tell, on_event)
-                        if stopped:
-                            return stopped
-                        break
-            else:
-                time.sleep(WAIT_SECONDS)  # other processes are at all of them
-        return ""
+        with self._held():
+            return self._hand_out(executor, tell, on_event if executor.is_here else None, prepare, gpus)
 
     def results(self) -> list[dict]:
         """What came of the runs that have ended, in the grid's order; those without an end are missing."""
@@ -210,64 +219,65 @@ class Sweep:
 
     def write_results(self) -> dict:
         """Write sweep.json and sweep.md; returns the former."""
-        with written(self.out), lock(self.out / ".lock", wait=True):
+        with written(self.out):
             results = self.results()
             record = {"runs": len(self.runs), "done": sum("error" not in r for r in results), "results": results}
             write_json(self.out / "sweep.json", record)
             write_text(self.out / "sweep.md", "\n".join(table(results)) + "\n")
         return record
 
-    def _train(self, run: SweepRun, tell: Tell, on_event: OnEvent | None) -> str:
-        tell(f"run {self.runs.index(run) + 1} of {len(self.runs)}: {run.label}")
-        folder = self.out / "runs" / run.name
-        record = {"name": run.name, "varied": run.varied}
-        try:
-            opened = self._opened.open(run)
-            inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
-            how = {"resume": True, "on_event": on_event, "inputs": inputs, "alone": True}
-            result = train(run.settings, *opened, folder, **how)
-        except InputError as error:
-            tell(f"failed: {error}")
-            record["error"] = str(error)
-        else:
-            if result.stopped and result.stopped != "time budget":  # which is a run's own
-                return f"stopped in run {run.label}, at step {result.step}: {result.stopped}"
-            record |= result.record() | {"out": f"runs/{run.name}"} | _figures(folder)
-        write_json(self._result_path(run), record)
-        self.write_results()
+    def _hand_out(
+        self, executor: Executor, tell: Tell, on_event: OnEvent | None, prepare: Prepare | None, gpus: float
+    ) -> str:
+        left = [run for run in self.runs if not self._is_done(run)]
+        jobs = {self._job(run, on_event, prepare, gpus): run for run in left}
+        started = time.perf_counter()
+        # Closed at the end whatever happens: what is still trained elsewhere then ends in order.
+        with contextlib.closing(executor.run(list(jobs))) as outcomes:
+            for count, outcome in enumerate(outcomes, 1):
+                run, record = jobs[outcome.job], outcome.result or {"error": outcome.error}
+                if "stopped" in record:
+                    return record["stopped"]
+                write_json(self._result_path(run), {"name": run.name, "varied": run.varied} | record)
+                self.write_results()
+                said = f"failed: {outcome.error}" if outcome.error else f"{record['seconds']:.0f} s"
+                minutes = (time.perf_counter() - started) / 60 * (len(left) / count - 1)
+                rest = f", about {minutes:.0f} min left" if count < len(left) else ""
+                tell(f"run {count} of {len(left)}: {run.label}: {said}{rest}")
         return ""
+
+    def _job(self, run: SweepRun, on_event: OnEvent | None, prepare: Prepare | None, gpus: float) -> Job:
+        arguments = {"run": run, "folder": self.out / "runs" / run.name, "prepare": prepare, "on_event": on_event}
+        compute = run.settings.compute
+        resources = {"cores": compute.threads or 1, "gpus": 0.0 if compute.device == "cpu" else gpus}
+        return Job(run.label, train_run, arguments, **resources)
 
     def _check_inputs(self) -> None:
         """InputError: some input cannot be opened, or a run is done whose inputs held something else."""
         known: dict[tuple, dict] = {}
         for run in self.runs:
-            opened, inputs = self._opened.open(run), (run.scene, run.logo, run.backgrounds, run.detectors)
+            opened, inputs = _opened().open(run), (run.scene, run.logo, run.backgrounds, run.detectors)
             config = self.out / "runs" / run.name / "config.json"
             if self._result_path(run).exists() and config.exists():
                 if inputs not in known:
                     known[inputs] = run_config(run.settings, *opened, {})
                 check_same(read_json(config), known[inputs], config.parent, CONTENT)
 
-    def _is_settled(self, run: SweepRun) -> bool:
-        """Done, or failed since this sweep began."""
+    def _is_done(self, run: SweepRun) -> bool:
         path = self._result_path(run)
-        if not path.exists():
-            return False
-        return "error" not in read_json(path) or path.stat().st_mtime_ns != self._failed_before.get(run.name)
+        return path.exists() and "error" not in read_json(path)
 
     def _result_path(self, run: SweepRun) -> Path:
         return self.out / "results" / f"{run.name}.json"
 
     @contextlib.contextmanager
-    def _held(self, run: SweepRun) -> Iterator[bool]:
-        """Whether this process may train it."""
+    def _held(self) -> Iterator[None]:
         with contextlib.ExitStack() as stack:
             try:
-                stack.enter_context(lock(self.out / "results" / f".{run.name}.lock"))
+                stack.enter_context(lock(self.out / ".lock"))
             except BlockingIOError:
-                yield False
-                return
-            yield True
+                raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
+            yield
 
 
 def _figures(folder: Path) -> dict:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from tyro.conf import Positional
 
-from cloak_core.commands.base import RANK, Command, Stopped, err, out
+from cloak_core.commands.base import Command, Stopped, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.progress import TrainingProgress
+from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 
@@ -18,8 +20,9 @@ class Sweep(Command):
     """Train every combination of a grid of settings; what is done already is skipped.
 
     The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies; names
-    are those of `cloak train` (scene, logo, detector, backgrounds, preset and every setting). Under torchrun each
-    process takes runs of its own. Figures are of training, the mean over a run's last tenth: evaluate what looks good.
+    are those of `cloak train` (scene, logo, detector, backgrounds, preset and every setting). --ray shares the runs out
+    among many processes or machines. Figures are of training, the mean over a run's last tenth: evaluate what looks
+    good.
     """
 
     grid: Positional[Path]
@@ -27,6 +30,12 @@ class Sweep(Command):
     out: Path
     """Folder for the runs and their table; the same one goes on with what is left."""
 
+    ray: str | None = None
+    """Train on a Ray cluster (extra ray): local for this machine's cores and GPUs, or the address of one that runs
+    (auto, HOST:6379, ray://HOST:10001), whose machines see the same files; a run takes --threads cores (default: in
+    order, here)."""
+    gpus_per_run: float = 1.0
+    """With --ray, of runs on a GPU: how many GPUs, or what share of one, each takes."""
     device: str | None = None
     """Torch device of every run (default: what the grid says, else cpu)."""
     threads: int | None = None
@@ -37,11 +46,19 @@ class Sweep(Command):
     def run(self) -> dict:
         from cloak_core.attack import sweeps
 
+        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+            raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")
+        executor = None
+        if self.ray is not None:
+            from cloak_core.jobs.ray_cluster import RayCluster
+
+            executor = RayCluster(self.ray)
         given = {"device": self.device, "threads": self.threads, "seed": self.seed}
         changes = {name: value for name, value in given.items() if value is not None}
         sweep = sweeps.Sweep(sweeps.read_grid(self.grid, changes), self.out)
-        with TrainingProgress(silent=bool(RANK)) as progress:
-            stopped = sweep.run(tell=err.print, on_event=progress, prepare=prepare_process)
+        with TrainingProgress() as progress:
+            how = {"prepare": prepare_process, "executor": executor, "gpus": self.gpus_per_run}
+            stopped = sweep.run(tell=err.print, on_event=progress, **how)
         result = {"out": str(self.out)} | sweep.write_results()
         failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]
         if failed:
@@ -49,8 +66,7 @@ class Sweep(Command):
         return result | ({"stopped": stopped} if stopped else {})
 
     def show(self, result: dict) -> None:
-        if not RANK:
-            out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES))
-            out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done")
+        out.print(read_text(self.out / "sweep.md", MAX_TEXT_BYTES))
+        out.print(f"wrote {self.out / 'sweep.md'}: {result['done']} of {result['runs']} runs done")
         if result.get("stopped"):
             raise Stopped(result["stopped"])

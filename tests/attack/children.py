@@ -68,16 +68,6 @@ def tiny_material(self: object, run: object) -> tuple:
     return bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds()
 
 
-def sweep_and_tell(pipe: object, folder: str, out: str) -> None:
-    torch.set_num_threads(1)
-    Path(folder, str(os.getpid())).mkdir()
-    with mock.patch.object(sweeps._Opened, "open", tiny_material):
-        sweeps.Sweep(tiny_runs(Path(folder, str(os.getpid()))), out).run(
-            on_event=lambda event: pipe.send(event["step"])
-        )
-    pipe.send(-1)
-
-
 def nothing(pipe: object) -> None:
     pass
 

@@ -12,6 +12,7 @@ from cloak_core.attack.events import read_events
 from cloak_core.attack.sweeps import Sweep, read_grid, table
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
 from tests.attack import children
 from tests.attack.fakes import BrokenDetector
 from tests.attack.test_training import run as train_alone
@@ -88,7 +89,8 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     record = sweep.write_results()
     assert (record["runs"], record["done"]) == (4, 4)
     assert [r["varied"] for r in record["results"]] == [run.varied for run in runs]
-    assert said[0] == "run 1 of 4: lr=0.02, seed=0" and len(said) == 4
+    assert said[0].startswith("run 1 of 4: lr=0.02, seed=0: ") and said[0].endswith(" min left") and len(said) == 4
+    assert said[-1].startswith("run 4 of 4: ") and "left" not in said[-1]
     for run, result in zip(runs, record["results"], strict=True):
         alone = train_alone(tmp_path / "alone" / run.name, steps=4, **run.varied)
         assert np.array_equal(read_colors(tmp_path / "out" / result["out"] / "colors.npy"), alone.colors)
@@ -151,22 +153,17 @@ def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, 
     assert "error" in sweep.results()[1]
 
 
-@pytest.mark.long
-def test_two_processes_share_the_runs_and_outlive_each_other(tmp_path):
-    """One of three is killed; every run is done all the same, and none twice."""
-    out = tmp_path / "out"
-    workers = [children.start(children.sweep_and_tell, str(tmp_path), str(out)) for _ in range(3)]
-    assert workers[0][1].recv() >= 0  # it is at work
-    workers[0][0].kill()
-    told = [children.drain(pipe) for _, pipe in workers[1:]]
-    for process, _ in workers:
-        process.join()
-    record = json.loads((out / "sweep.json").read_text())
-    assert record["done"] == record["runs"] == 4
-    assert all(said[-1] == -1 for said in told)
-    for result in record["results"]:
-        steps = [e["step"] for e in read_events(out / result["out"] / "events.jsonl") if e["type"] == "step"]
-        assert steps == [1, 2, 3, 4]
+def test_a_folder_has_one_sweep_at_a_time(tmp_path, runs):
+    (tmp_path / "out").mkdir()
+    with lock(tmp_path / "out" / ".lock"), pytest.raises(InputError, match="another sweep is at it"):
+        Sweep(runs, tmp_path / "out").run()
+
+
+def test_what_a_run_takes(tmp_path, runs):
+    sweep = Sweep(runs, tmp_path / "out")
+    assert (sweep._job(runs[0], None, None, 0.5).cores, sweep._job(runs[0], None, None, 0.5).gpus) == (1, 0)
+    large = dataclasses.replace(runs[0], settings=runs[0].settings.changed(threads=4, device="cuda:0"))
+    assert (sweep._job(large, None, None, 0.5).cores, sweep._job(large, None, None, 0.5).gpus) == (4, 0.5)
 
 
 def test_a_grid_that_cannot_be_opened_is_refused_before_anything_is_trained(tmp_path):

@@ -1,0 +1,117 @@
+"""Jobs on a Ray cluster (the extra `ray`): this machine's own, or one that runs already.
+
+Ray places, retries and streams back; nothing of that is ours. All machines have Cloak installed and see the folders
+that the jobs name, and the working folder, by the same names (a shared disk). A job whose machine goes away is begun
+again elsewhere, from what it left in its folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import itertools
+import os
+import socket
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+
+from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import Job, Outcome, done
+
+LOCAL = "local"
+RETRIES = 5
+"""Of a job whose process or machine died."""
+AHEAD = 1000
+"""Jobs handed to Ray at a time: its scheduler holds each in memory."""
+CONNECT_SECONDS = 10
+ORDERLY_SECONDS = 120
+"""What jobs may take that were asked to stop."""
+
+
+class RayCluster:
+    """`address`: of a running cluster ("auto": this machine's, "HOST:6379", "ray://HOST:10001"), or "local"."""
+
+    is_here = False
+
+    def __init__(self, address: str = LOCAL) -> None:
+        """InputError: Ray is not installed."""
+        if importlib.util.find_spec("ray") is None:
+            raise InputError("--ray needs the package ray: pip install 'cloak-core[ray]'")
+        self.address = address
+
+    def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
+        """As `Executor` says. InputError: no cluster there, or none of its machines is large enough for a job."""
+        import ray
+
+        with self._connected(ray):
+            self._require_room(ray, jobs)
+            left, asked = iter(jobs), {}
+            try:
+                while True:
+                    for job in itertools.islice(left, AHEAD - len(asked)):
+                        asked[_submit(ray, job)] = job
+                    if not asked:
+                        return
+                    ready, _ = ray.wait(list(asked), num_returns=1)
+                    for reference in ready:
+                        result, error = ray.get(reference)
+                        yield Outcome(asked.pop(reference), result, error)
+            finally:
+                _stop(ray, list(asked))
+
+    @contextlib.contextmanager
+    def _connected(self, ray: ModuleType) -> Iterator[None]:
+        mine = not ray.is_initialized()
+        if mine:
+            _require_answer(self.address)
+            local = {"include_dashboard": False} if self.address == LOCAL else {}
+            try:
+                ray.init(self.address, log_to_driver=False, logging_level="error", **local)
+            except (ConnectionError, ValueError, RuntimeError) as error:
+                raise InputError(f"--ray {self.address}: {str(error).splitlines()[0]}") from None
+        try:
+            yield
+        finally:
+            if mine:
+                ray.shutdown()
+
+    def _require_room(self, ray: ModuleType, jobs: Sequence[Job]) -> None:
+        machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        for cores, gpus in {(job.cores, job.gpus) for job in jobs}:
+            if not any(cores <= has.get("CPU", 0) and gpus <= has.get("GPU", 0) for has in machines):
+                raise InputError(
+                    f"--ray {self.address}: a run asks for {cores:g} cores and {gpus:g} GPUs, and no machine has them"
+                )
+
+
+def _require_answer(address: str) -> None:
+    """InputError: nobody listens at HOST:PORT. Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        return
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
+    except OSError as error:
+        raise InputError(f"--ray {address}: nobody answers there ({error.strerror or error})") from None
+
+
+def _submit(ray: ModuleType, job: Job) -> object:
+    # Relative names of files mean there what they mean here.
+    remote = ray.remote(_answer).options(
+        num_cpus=job.cores, num_gpus=job.gpus, max_retries=RETRIES, name=job.name, scheduling_strategy="SPREAD"
+    )
+    return remote.remote(job, os.getcwd())
+
+
+def _answer(job: Job, folder: str) -> tuple[object, str]:
+    os.chdir(folder)
+    outcome = done(job)
+    return outcome.result, outcome.error
+
+
+def _stop(ray: ModuleType, references: list) -> None:
+    """Take back what waits, and interrupt what is being done: a training then ends in order, with its checkpoint."""
+    for reference in references:
+        ray.cancel(reference, force=False)
+    if references:
+        ray.wait(references, num_returns=len(references), timeout=ORDERLY_SECONDS)

@@ -1,0 +1,34 @@
+"""Jobs done here, one after the other."""
+
+import pytest
+
+from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import InOrder, Job
+
+DONE = []
+
+
+def square(number: int) -> int:
+    if number < 0:
+        raise InputError(f"{number}: negative")
+    DONE.append(number)
+    return number * number
+
+
+def test_outcomes_come_in_order_and_bad_input_is_one_of_them():
+    outcomes = list(InOrder().run([Job(str(n), square, {"number": n}) for n in (3, -1, 2)]))
+    assert [outcome.result for outcome in outcomes] == [9, None, 4]
+    assert [outcome.error for outcome in outcomes] == ["", "-1: negative", ""]
+
+
+def test_who_stops_listening_stops_the_rest():
+    DONE.clear()
+    outcomes = InOrder().run([Job(str(n), square, {"number": n}) for n in range(5)])
+    assert next(outcomes).result == 0
+    outcomes.close()
+    assert DONE == [0]
+
+
+def test_a_defect_is_raised():
+    with pytest.raises(TypeError):
+        list(InOrder().run([Job("none", square, {"number": None})]))

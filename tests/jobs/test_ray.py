@@ -1,0 +1,126 @@
+"""Sweeps on a real Ray cluster of this machine: the same bits as in order, also when a node dies in the middle."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ray
+from ray.cluster_utils import Cluster
+
+from cloak_core.attack.events import read_events
+from cloak_core.attack.sweeps import Sweep, read_grid
+from cloak_core.commands.compute import prepare_process
+from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.face_lists import write_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.jobs.job import Job
+from cloak_core.jobs.ray_cluster import RayCluster
+from cloak_core.scene.opening import load_scene
+from tests.jobs.work import refuse
+
+pytestmark = pytest.mark.long
+GRID = """[base]
+scene = 'sample:unseen[0:1]'
+backgrounds = 'procedural:train:2'
+logo = 'chest.npy'
+steps = {steps}
+batch = 2
+size = 64
+translation = 5
+samples = 1
+angles = '0'
+threads = 1
+checkpoint_every = 2
+preview_every = 0
+[grid]
+seed = [0, 1]
+lr = [0.02, 0.05]
+"""
+
+
+def grid(folder: Path, steps: int) -> list:
+    folder.mkdir()
+    bodies = load_scene("sample:unseen[0:1]")
+    write_face_list(folder / "chest.npy", np.flatnonzero(bodies.regions["chest"]), bodies.topology)
+    path = folder / "grid.toml"
+    path.write_text(GRID.format(steps=steps).replace("chest.npy", str(folder / "chest.npy")))
+    return read_grid(path)
+
+
+@pytest.fixture
+def cluster():
+    """A head that does no work, and two nodes of one core each."""
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    try:
+        yield cluster, nodes
+    finally:
+        if ray.is_initialized():
+            ray.shutdown()
+        cluster.shutdown()
+
+
+def steps_done(out: Path) -> int:
+    found = [read_events(path) for path in out.glob("runs/*/events.jsonl")]
+    return sum(event.get("type") == "step" for events in found for event in events)
+
+
+def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster):
+    cluster, nodes = cluster
+    runs = grid(tmp_path / "grid", steps=40)
+    here, there = Sweep(runs, tmp_path / "here"), Sweep(runs, tmp_path / "there")
+    here.run(prepare=prepare_process)
+
+    def lose_a_node() -> None:
+        while steps_done(tmp_path / "there") < 8:
+            time.sleep(0.1)
+        cluster.remove_node(nodes[0], allow_graceful=False)
+
+    killer = threading.Thread(target=lose_a_node)
+    killer.start()
+    said: list[str] = []
+    assert there.run(said.append, prepare=prepare_process, executor=RayCluster(cluster.address)) == ""
+    killer.join()
+    record = there.write_results()
+    assert record["done"] == record["runs"] == len(said) == 4
+    assert len(cluster.list_all_nodes()) == 2
+    for run in runs:
+        colors = [read_colors(tmp_path / name / "runs" / run.name / "colors.npy") for name in ("here", "there")]
+        assert np.array_equal(*colors)
+    resumed = [e for path in (tmp_path / "there").glob("runs/*/events.jsonl") for e in read_events(path)]
+    assert any(event["type"] == "resume" for event in resumed)
+
+
+def test_outcomes_errors_and_what_no_machine_has(cluster):
+    executor = RayCluster(cluster[0].address)
+    outcomes = list(executor.run([Job(str(n), refuse, {"number": n}) for n in range(3)]))
+    assert sorted((outcome.job.name, outcome.result, outcome.error) for outcome in outcomes) == [
+        ("0", 0, ""), ("1", None, "one: refused"), ("2", 2, ""),
+    ]  # fmt: skip
+    with pytest.raises(InputError, match="a run asks for 64 cores"):
+        list(executor.run([Job("large", refuse, {"number": 0}, cores=64)]))
+
+
+def test_no_cluster_there_is_one_line():
+    with pytest.raises(InputError, match=r"--ray 127\.0\.0\.1:1"):
+        list(RayCluster("127.0.0.1:1").run([Job("a", refuse, {"number": 0})]))
+
+
+def test_control_c_ends_runs_in_order(tmp_path):
+    grid(tmp_path / "grid", steps=5000)
+    command = [sys.executable, "-m", "cloak_core", "sweep", str(tmp_path / "grid" / "grid.toml")]
+    command += ["--out", str(tmp_path / "out"), "--ray", "local"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    while steps_done(tmp_path / "out") < 4:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=200)[1]
+    assert process.returncode == 3, said
+    ends = [read_events(path)[-1] for path in (tmp_path / "out").glob("runs/*/events.jsonl")]
+    assert ends and all(end["type"] == "end" and end["outcome"] == "stopped" for end in ends)
