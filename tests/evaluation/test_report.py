@@ -9,8 +9,9 @@ import pytest
 from made_evaluation import make_measurement, write_run
 from PIL import Image
 
+from cloak_core.evaluation.report.history import History
 from cloak_core.evaluation.report.page import make_report
-from cloak_core.evaluation.report.words import duration, interval, percent, short_name
+from cloak_core.evaluation.report.words import duration, fact_rows, interval, percent, short_name
 from cloak_core.files.errors import InputError
 
 HOSTILE = '<script>alert("1")</script>&'
@@ -181,3 +182,15 @@ def test_a_turntable_in_the_run_or_the_evaluation_turns_in_the_report(tmp_path: 
     (run / "evaluation/pictures/turntable.gif").unlink()
     Image.new("RGB", (5, 5), "blue").save(run / "turntable.gif")  # the user's own stands for it
     assert "data:image/gif;base64," in make_report(run).read_text("utf-8")
+
+
+def test_the_report_says_which_colours_there_may_be():
+    settings = {"colors_at_most": 8, "pattern": "camouflage", "feature_cm": 2.0}
+    config = {"settings": settings, "palette": None, "profile": {"sha256": "0"}}
+    rows = dict(fact_rows(config, History()))
+    assert (
+        rows["colours"] == "at most 8 distinct, learnt; patches of at least 2 cm; as they are printed and photographed"
+    )
+    config = {"settings": {"colors_at_most": 3, "pattern": "free"}, "palette": {"colors": 12}}
+    assert dict(fact_rows(config, History()))["colours"] == "at most 3 distinct, of a palette of 12"
+    assert "colours" not in dict(fact_rows({"settings": {"pattern": "free"}}, History()))
