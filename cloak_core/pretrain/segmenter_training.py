@@ -36,7 +36,7 @@ _PATCHES, _OUTFITS = 11, 12
 
 @dataclass(frozen=True, kw_only=True)
 class SegmenterSettings:
-    """How to train the patch segmenter. The weights that come with Cloak are those of the defaults."""
+    """How to train the patch segmenter. The weights that come with Cloak are those of 320 steps."""
 
     steps: int = 600
     """Updates."""

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from cloak_core.detectors.defended.detector import DefendedDetector, defend
-from cloak_core.detectors.defended.masking import EntropyMask, local_entropy, surroundings
+from cloak_core.detectors.defended.masking import EntropyMask, SegmenterMask, local_entropy, surroundings
 from cloak_core.detectors.defended.squeezing import Bits, Blur, Jpeg, Median, ResizePad
 from cloak_core.detectors.defended.table import DEFENCES, list_defences
 from cloak_core.detectors.families import list_families
@@ -20,7 +20,7 @@ from cloak_core.evaluation.report.words import short_name
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import images, write_tiny
 
-HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask")
+HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
 
 
 class Brightest(Detector):
@@ -221,3 +221,15 @@ def test_the_table_is_told_with_the_families() -> None:
 
 def test_short_names_say_the_defence() -> None:
     assert short_name("jpeg=75:blur=1:darknet:/dir/a.cfg:/dir/a.weights@224") == "jpeg=75 blur=1 darknet a @224"
+
+
+def test_the_segmenter_masks_a_patch_of_noise_and_leaves_a_plain_wall() -> None:
+    picture = torch.full((1, 3, 208, 208), 0.6)
+    cells = torch.rand(1, 3, 10, 10, generator=torch.Generator().manual_seed(2))
+    picture[:, :, 70:130, 60:120] = torch.nn.functional.interpolate(cells, (60, 60))
+    evidence = SegmenterMask(0.5).evidence(picture)[0, 0]
+    assert float(evidence[75:125, 65:115].mean()) > 0.5
+    evidence[62:138, 52:128] = 0
+    assert float(evidence.mean()) < 0.05
+    lenient, strict = (SegmenterMask(p).evidence(picture).mean() for p in (0.1, 0.9))
+    assert float(lenient) > float(strict)

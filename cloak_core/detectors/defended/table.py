@@ -85,6 +85,14 @@ DEFENCES = {
         made_by="masking:EntropyMask",
         what="paints over what has too much entropy, after Jedi; attacked through its soft decision",
     ),
+    "segment": Kind(
+        value="probability",
+        least=0.01,
+        most=0.99,
+        usual=0.5,
+        made_by="masking:SegmenterMask",
+        what="paints over what our own small network takes for a patch; attacked through its soft decision",
+    ),
 }
 
 

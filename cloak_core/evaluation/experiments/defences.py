@@ -22,7 +22,7 @@ from cloak_core.evaluation.rates import average_precision
 from cloak_core.evaluation.report.words import percent, said, short_name
 
 TITLE = "Defences, attacked by cloaks that know them and by others"
-DEFENCES = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask")
+DEFENCES = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
 NONE = "none"
 NAIVE, ADAPTIVE, TRANSFERRED, SEARCH = "naive", "adaptive", "transferred", "random search"
 ATTACKS = {
