@@ -115,12 +115,17 @@ def test_control_c_ends_runs_in_order(tmp_path):
     grid(tmp_path / "grid", steps=5000)
     command = [sys.executable, "-m", "cloak_core", "sweep", str(tmp_path / "grid" / "grid.toml")]
     command += ["--out", str(tmp_path / "out"), "--ray", "local"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    while steps_done(tmp_path / "out") < 4:
-        assert process.poll() is None, process.stderr.read()
-        time.sleep(0.2)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=200)[1]
+    # Whoever runs the tests in the background may have had SIGINT ignored, which children inherit.
+    heed = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
+    try:
+        while steps_done(tmp_path / "out") < 4:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=200)[1]
+    finally:
+        process.kill()
     assert process.returncode == 3, said
     ends = [read_events(path)[-1] for path in (tmp_path / "out").glob("runs/*/events.jsonl")]
     assert ends and all(end["type"] == "end" and end["outcome"] == "stopped" for end in ends)
