@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.protocol import Detector
@@ -58,7 +59,7 @@ def _cloaks(lab: Lab, mine: Lab, spec: str, defended: str) -> dict[str, Sequence
     """By attack, what was trained; the search shows the detector as many images as a training does."""
     faces, settings = chest_thighs(lab.materials.bodies), lab.train_settings(specs=[spec], angles=MULTI)
     length = {"angles": MULTI, "steps": lab.steps([spec], angles=MULTI)}
-    queries = length["steps"] * settings.run.batch
+    queries = max(length["steps"] * settings.run.batch, queries_after(1, settings.run.batch))
     others = [other for other in lab.specs if other != spec]
     found = {NAIVE: mine.repeat(faces, [spec], **length), ADAPTIVE: mine.repeat(faces, [defended], **length)}
     found |= {TRANSFERRED: mine.repeat(faces, others, **length)} if others else {}

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from matplotlib.figure import Figure
 
+from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.experiments.drawing import band, look
@@ -38,7 +39,8 @@ def measure(lab: Lab) -> Numbers:
     steps = {spec: lab.steps([spec], angles=MULTI) for spec in lab.specs}
     for k, spec in enumerate(lab.specs):
         reference = k == 0 and len(lab.specs) > 1
-        queries = steps[spec] * lab.train_settings(specs=[spec], angles=MULTI).run.batch
+        batch = lab.train_settings(specs=[spec], angles=MULTI).run.batch
+        queries = max(steps[spec] * batch, queries_after(1, batch))
         wanted = [(CHEST, ADAPTIVE, spec, {"steps": steps[spec]})]
         others = [other for other in lab.specs if other != spec]
         wanted += [(CHEST, TRANSFERRED, other, {"steps": steps[other]}) for other in others]
