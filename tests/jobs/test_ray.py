@@ -18,6 +18,7 @@ from cloak_core.commands.compute import prepare_process
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
 from cloak_core.jobs.job import Job
 from cloak_core.jobs.ray_cluster import RayCluster
 from cloak_core.scene.opening import load_scene
@@ -65,27 +66,36 @@ def cluster():
         cluster.shutdown()
 
 
-def steps_done(out: Path) -> int:
+def steps_done(out: Path) -> list[int]:
+    """Of each run that has begun."""
     found = [read_events(path) for path in out.glob("runs/*/events.jsonl")]
-    return sum(event.get("type") == "step" for events in found for event in events)
+    return [sum(event.get("type") == "step" for event in events) for events in found]
+
+
+@pytest.fixture(autouse=True)
+def alone(tmp_path_factory):
+    """Clusters of several test processes would share two cores."""
+    with lock(tmp_path_factory.getbasetemp().parent / "ray.lock", wait=True):
+        yield
 
 
 def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster):
     cluster, nodes = cluster
-    runs = grid(tmp_path / "grid", steps=40)
+    runs = grid(tmp_path / "grid", steps=100)
     here, there = Sweep(runs, tmp_path / "here"), Sweep(runs, tmp_path / "there")
     here.run(prepare=prepare_process)
 
     def lose_a_node() -> None:
-        while steps_done(tmp_path / "there") < 8:
+        # Two runs under way, each past a checkpoint: a node has one core, so each has one of them.
+        while len([steps for steps in steps_done(tmp_path / "there") if 4 <= steps < 100]) < 2:
             time.sleep(0.1)
         cluster.remove_node(nodes[0], allow_graceful=False)
 
-    killer = threading.Thread(target=lose_a_node)
+    killer = threading.Thread(target=lose_a_node, daemon=True)
     killer.start()
     said: list[str] = []
     assert there.run(said.append, prepare=prepare_process, executor=RayCluster(cluster.address)) == ""
-    killer.join()
+    killer.join(timeout=5)
     record = there.write_results()
     assert record["done"] == record["runs"] == len(said) == 4
     assert len(cluster.list_all_nodes()) == 2
@@ -119,7 +129,7 @@ def test_control_c_ends_runs_in_order(tmp_path):
     heed = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
     try:
-        while steps_done(tmp_path / "out") < 4:
+        while sum(steps_done(tmp_path / "out")) < 4:
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.2)
         process.send_signal(signal.SIGINT)
