@@ -187,8 +187,8 @@ class Search:
         self._square.lerp_(estimate.square().mean(), 1 - second)
         done = self.step + 1
         scale = (self._square / (1 - second**done)).sqrt().clamp_min(torch.finfo(estimate.dtype).tiny)
-        length = self.settings.queries.query_lr * (1 - self.step / self.steps)
-        self.colors = (self.colors - length * self._mean / (1 - first**done) / scale).clamp(0, 1)
+        move = self.settings.queries.query_lr * self._mean / (1 - first**done) / scale
+        self.colors = (self.colors - move).clamp(0, 1)
 
     @property
     def seconds(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -144,6 +145,16 @@ class List(Command):
             out.print(f"{defence['spec']}: {defence['what']}")
 
 
+def _trained(command: TrainBuiltin | TrainSegmenter, train: Callable[..., dict]) -> dict:
+    """Train a network of our own with the command's options, into a new file. InputError: it is there already."""
+    prepare_process(command.compute)
+    require_new(command.out)
+    if command.steps < 1:
+        raise InputError(f"--steps {command.steps}: at least 1 is needed")
+    given = command.given("out", "compute")
+    return {"out": str(command.out)} | train(command.out, on_event=show_event, **given)
+
+
 @dataclass(kw_only=True)
 class TrainBuiltin(Command):
     """Train the built-in person detector anew, on renders of the sample bodies."""
@@ -163,12 +174,7 @@ class TrainBuiltin(Command):
     def run(self) -> dict:
         from cloak_core.pretrain.builtin_training import train_builtin
 
-        prepare_process(self.compute)
-        require_new(self.out)
-        if self.steps < 1:
-            raise InputError(f"--steps {self.steps}: at least 1 is needed")
-        given = self.given("out", "compute")
-        return {"out": str(self.out)} | train_builtin(self.out, on_event=show_event, **given)
+        return _trained(self, train_builtin)
 
     def show(self, result: dict) -> None:
         out.print(
@@ -192,12 +198,7 @@ class TrainSegmenter(Command):
     def run(self) -> dict:
         from cloak_core.pretrain.segmenter_training import train_segmenter
 
-        prepare_process(self.compute)
-        require_new(self.out)
-        if self.steps < 1:
-            raise InputError(f"--steps {self.steps}: at least 1 is needed")
-        given = self.given("out", "compute")
-        return {"out": str(self.out)} | train_segmenter(self.out, on_event=show_event, **given)
+        return _trained(self, train_segmenter)
 
     def show(self, result: dict) -> None:
         out.print(
