@@ -3,7 +3,7 @@ BIN := .venv/bin
 # A process for every core (up to eight: each takes a gigabyte), each with one thread.
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
-.PHONY: demo check test test-all lint extension
+.PHONY: demo check test test-all lint extension dist
 
 demo: .venv/.installed
 	$(BIN)/cloak demo --out runs/demo
@@ -25,6 +25,11 @@ lint: .venv/.installed-test
 
 extension: .venv/.installed-test .venv-blender/.installed
 	.venv-blender/bin/python tools/build_extension.py
+
+# What is uploaded: the wheel and the sources, checked.
+dist: .venv/.installed-test
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
 
 .venv/.installed: pyproject.toml tools/setup.sh
 	tools/setup.sh

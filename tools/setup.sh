@@ -24,11 +24,21 @@ PYTHON=${PYTHON:-$(command -v python3.11 || command -v python3)}
 if [ ! -x .venv/bin/python ]; then
     "$PYTHON" -c 'import ensurepip' 2>/dev/null || need "a virtual environment" python3-venv
     "$PYTHON" -m venv .venv
+    # A torch that this Python has already spares the download, whether it is for CUDA or for the CPU alone.
+    if packages=$("$PYTHON" tools/find_torch.py); then
+        echo "using the torch in $packages" >&2
+        echo "$packages" >"$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/torch.pth"
+    else
+        echo "torch from the registry brings CUDA: about 5 GB, a few minutes (activate an environment that has torch" \
+            "and torchvision, or name its PYTHON, to use that one instead)" >&2
+    fi
 fi
 # What OpenCV is linked against, which ultralytics brings.
 [ "${1:-}" != test ] || need "the tests of ultralytics" libgl1 libglib2.0-0
 extras=${1:+"[$1]"}
-echo "installing cloak$extras into .venv (torch is large: a few minutes the first time)" >&2
-.venv/bin/python -m pip install -q --disable-pip-version-check -e ".$extras"
+echo "installing cloak$extras into .venv" >&2
+# Progress where somebody looks on, silence in a log.
+quiet=-q; [ ! -t 1 ] || quiet=
+.venv/bin/python -m pip install $quiet --disable-pip-version-check -e ".$extras"
 # The public SMPL code, to check ours against; its own list of needs would bring chumpy and more, none of it needed.
 [ "${1:-}" != test ] || .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps smplx

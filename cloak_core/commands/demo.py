@@ -66,7 +66,10 @@ class Demo(Command):
         """Through Blender where there is one, which also pictures the result; directly otherwise, and says so."""
         blender = find_bpy() if SCRIPT.exists() else None
         if blender is None:
-            warn("no Blender here (tools/setup_blender.sh brings one): training without, and no picture from it")
+            warn(
+                "no Blender here (tools/setup_blender.sh brings one, CLOAK_BLENDER names a Python with bpy): "
+                "training without, and no picture from it"
+            )
         started_directly = self.out.exists() and not self.out.with_name(f"{self.out.name}.input").exists()
         if blender is None or started_directly:
             changes = HARDER | {"steps": self.steps, "seed": self.seed, "angles": ANGLES} | vars(self.compute)

@@ -48,7 +48,10 @@ def require_blender() -> str:
     """A Python with Blender; NoBlender says in one line how to come by one."""
     python = find_bpy() if (ADD_ON / SCRIPT).exists() else None
     if python is None:
-        raise NoBlender("render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11)")
+        raise NoBlender(
+            "render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
+            "or name a Python that has it in CLOAK_BLENDER"
+        )
     return python
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import logging
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -16,8 +17,11 @@ import torch
 
 try:
     import numba
+    from numba.core import event
 except ImportError:  # a Python that there is no numba for (yet): torch's operations do everything
     numba = None
+
+_log = logging.getLogger("cloak")
 
 
 def loop(function: Callable, **options: object) -> Callable:
@@ -36,6 +40,28 @@ def inner(function: Callable) -> Callable:
     """`loop` for what loops call again and again: makes no arrays, and so need not count who still looks at which, two
     atomic operations for each array and call."""
     return loop(function, _nrt=False)
+
+
+if numba is not None:
+
+    class _Saying(event.Listener):
+        """Says that loops are being compiled, before the first of a process: it takes most of a minute, in silence."""
+
+        said = False
+
+        def on_start(self, event: event.Event) -> None:
+            dispatcher = event.data["dispatcher"]
+            if self.said or not dispatcher.py_func.__module__.startswith("cloak_core."):
+                return
+            self.said = True
+            kept = hasattr(dispatcher.stats, "cache_path") and dispatcher.stats.cache_path
+            often = "once after installation" if kept else "at every start: no folder to keep them in can be written to"
+            _log.warning("compiling the loops that draw, %s: about a minute", often)
+
+        def on_end(self, event: event.Event) -> None:
+            pass
+
+    event.register("numba:compile", _Saying())
 
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}

@@ -21,7 +21,7 @@ def find_blender() -> list[str] | None:
     named = os.environ.get("CLOAK_BLENDER")
     if named and Path(named).name.startswith("blender"):
         return [named, *IN_BACKGROUND]
-    python = named if named and _has_bpy(named) else find_bpy()
+    python = find_bpy()
     if python:
         return [python]
     blender = shutil.which("blender")
@@ -29,8 +29,10 @@ def find_blender() -> list[str] | None:
 
 
 def find_bpy() -> str | None:
-    """A Python that has the bpy package; None where there is none."""
-    places = [sys.executable] if importlib.util.find_spec("bpy") else []
+    """A Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
+    named = os.environ.get("CLOAK_BLENDER")
+    places = [named] if named and not Path(named).name.startswith("blender") else []
+    places += [sys.executable] if importlib.util.find_spec("bpy") else []
     places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
     return next(filter(_has_bpy, places), None)
 
