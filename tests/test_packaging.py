@@ -1,4 +1,4 @@
-"""What is uploaded: the wheel works alone, in an environment outside the checkout; the sources hold all of the project."""
+"""What is uploaded: the wheel works alone, in an environment outside the checkout; the sources hold the project."""
 
 import json
 import os
@@ -66,7 +66,7 @@ def test_the_wheel_holds_every_file_of_the_packages_and_nothing_else(built: Path
         for package in packages
         for folder, _, files in os.walk(package, followlinks=True)
         for name in files
-        if not Path(folder).name == "__pycache__"
+        if Path(folder).name != "__pycache__"
     }
     assert names == there
 
@@ -100,8 +100,8 @@ def test_the_wheel_does_the_main_job_and_says_once_that_it_compiles(python: Path
     cloak("logo select --scene sample --region chest+thighs --out chest.npy")
     small = "--size 96 --samples 1 --threads 1"
     trained = cloak(
-        "train --scene sample:train[0:2] --logo chest.npy --detector builtin --backgrounds procedural:train:4 --angles 0 "
-        f"--steps 2 --batch 2 --translation 4 {small} --out run"
+        "train --scene sample:train[0:2] --logo chest.npy --detector builtin --backgrounds procedural:train:4 "
+        f"--angles 0 --steps 2 --batch 2 --translation 4 {small} --out run"
     )
     assert trained.stderr.count("compiling the loops that draw, once after installation") == 1
     judged = cloak(
