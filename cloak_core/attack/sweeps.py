@@ -18,7 +18,6 @@ import json
 import logging
 import math
 import re
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -36,7 +35,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.writing import write_json, write_text, written
-from cloak_core.jobs.job import Executor, InOrder, Job
+from cloak_core.jobs.handing_out import Tell, hand_out
+from cloak_core.jobs.job import Executor, InOrder, Job, Outcome
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import load_scene
@@ -49,7 +49,6 @@ CONTENT = ("topology", "scene", "logo", "detectors", "backgrounds")
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
 _log = logging.getLogger("cloak")
-Tell = Callable[[str], None]
 Prepare = Callable[[ComputeSettings], object]
 
 
@@ -231,19 +230,13 @@ class Sweep:
     ) -> str:
         left = [run for run in self.runs if not self._is_done(run)]
         jobs = {self._job(run, on_event, prepare, gpus): run for run in left}
-        started = time.perf_counter()
-        # Closed at the end whatever happens: what is still trained elsewhere then ends in order.
-        with contextlib.closing(executor.run(list(jobs))) as outcomes:
-            for count, outcome in enumerate(outcomes, 1):
+        with contextlib.closing(hand_out(executor, list(jobs), tell, _said, unit="run")) as outcomes:
+            for outcome in outcomes:
                 run, record = jobs[outcome.job], outcome.result or {"error": outcome.error}
                 if "stopped" in record:
                     return record["stopped"]
                 write_json(self._result_path(run), {"name": run.name, "varied": run.varied} | record)
                 self.write_results()
-                said = f"failed: {outcome.error}" if outcome.error else f"{record['seconds']:.0f} s"
-                minutes = (time.perf_counter() - started) / 60 * (len(left) / count - 1)
-                rest = f", about {minutes:.0f} min left" if count < len(left) else ""
-                tell(f"run {count} of {len(left)}: {run.label}: {said}{rest}")
         return ""
 
     def _job(self, run: SweepRun, on_event: OnEvent | None, prepare: Prepare | None, gpus: float) -> Job:
@@ -278,6 +271,10 @@ class Sweep:
             except BlockingIOError:
                 raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
             yield
+
+
+def _said(outcome: Outcome) -> str:
+    return f"failed: {outcome.error}" if outcome.error else f"{outcome.result['seconds']:.0f} s"
 
 
 def _figures(folder: Path) -> dict:

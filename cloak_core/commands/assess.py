@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +15,7 @@ from cloak_core.commands.base import Command, Stopped, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import WorkProgress
+from cloak_core.commands.sharing import SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,15 +58,19 @@ class Assess(Command):
     """Markdown file that takes a table of all cards in --out."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
+        default_factory=SharingOptions
+    )
 
     def run(self) -> dict:
         from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
         from cloak_core.evaluation.card.page import write_card, write_comparison
         from cloak_core.evaluation.experiments.lab import Interrupted
 
-        budget = self._budget()
+        self._budget()
         try:
-            cards = self._measured(budget) if self.specs else gather(self.out)
+            self.sharing.spread(self._parts(), self.compute)
+            cards = self.work() if self.specs else gather(self.out)
         except Interrupted as stop:
             raise Stopped(str(stop)) from None
         folders = {name: self.out / name for name in cards}
@@ -79,6 +84,10 @@ class Assess(Command):
             return next(iter(cards.values())) | files
         return {"cards": {card["spec"]: card for card in cards.values()}} | files
 
+    def _parts(self) -> list[tuple[str, Assess]]:
+        alone = replace(self, sharing=SharingOptions(), leaderboard=None)
+        return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
+
     def _budget(self) -> Budget:
         from cloak_core.evaluation.card.protocol import DEFAULT, FULL, QUICK
 
@@ -86,13 +95,13 @@ class Assess(Command):
             raise InputError("--quick, --full: one of them")
         return QUICK if self.quick else FULL if self.full else DEFAULT
 
-    def _measured(self, budget: Budget) -> dict[str, dict]:
+    def work(self) -> dict[str, dict]:
         """A card for each detector, by its folder's name."""
         from cloak_core.evaluation.card.assessing import Assessment
         from cloak_core.evaluation.card.leaderboard import folder_names
 
         prepare_process(self.compute)
-        specs = tuple(dict.fromkeys(self.specs))
+        budget, specs = self._budget(), tuple(dict.fromkeys(self.specs))
         names, cards = folder_names(specs), {}
         for spec, detector in zip(specs, self.options.load(specs, self.compute.device), strict=True):
             err.print(f"assessing {spec}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import sys
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out, warn
 from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.sharing import SharingOptions
 from cloak_core.evaluation.experiments.options import Options
 from cloak_core.files.errors import InputError
 
@@ -44,6 +46,9 @@ class Reproduce(Command):
     """Train and evaluate nothing: draw figures and write words again from the numbers in --out."""
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
+        default_factory=SharingOptions
+    )
 
     def run(self) -> dict:
         from cloak_core.evaluation.experiments.index_page import make_page
@@ -59,6 +64,10 @@ class Reproduce(Command):
         from cloak_core.evaluation.experiments.lab import Interrupted
         from cloak_core.evaluation.experiments.registry import EXPERIMENTS, run_experiment
 
+        try:
+            self.sharing.spread(self._parts(), self.compute)
+        except Interrupted as stop:
+            raise Stopped(str(stop)) from None
         prepare_process(self.compute)
         lab = self._lab()
         done, skipped = {}, {}
@@ -73,6 +82,31 @@ class Reproduce(Command):
                 warn(f"{missing}; left out")
                 skipped[name] = str(missing)
         return done, skipped
+
+    def _parts(self) -> list[tuple[str, Reproduce]]:
+        """The same command for one experiment and, where their trainings are their own, one detector."""
+        from cloak_core.evaluation.experiments.registry import BY_DETECTOR, EXPERIMENTS
+
+        alone, specs = replace(self, sharing=SharingOptions(), publish=None), self.detector or ("builtin",)
+        parts, steps = [], self.amount.steps
+        for name in EXPERIMENTS if self.name == "all" else [self.name]:
+            if name not in BY_DETECTOR:
+                parts.append((name, replace(alone, name=name)))
+                continue
+            for place, spec in enumerate(specs):
+                own = steps[place : place + 1] if len(steps) == len(specs) else steps
+                one = replace(alone, name=name, detector=(spec,), amount=replace(self.amount, steps=own))
+                parts.append((f"{name} of {spec}", one))
+        return parts
+
+    def work(self) -> None:
+        """Make the trainings and evaluations of one experiment that are missing; write nothing of it."""
+        from cloak_core.evaluation.cycles import NoBlender
+        from cloak_core.evaluation.experiments.registry import prepare_experiment
+
+        prepare_process(self.compute)
+        with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
+            prepare_experiment(self.name, self._lab())
 
     def _redraw(self) -> tuple[dict, dict]:
         """The same, from the numbers alone."""

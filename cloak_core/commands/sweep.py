@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.commands.base import Command, Stopped, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.progress import TrainingProgress
+from cloak_core.commands.sharing import SharingOptions
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
@@ -30,34 +32,27 @@ class Sweep(Command):
     out: Path
     """Folder for the runs and their table; the same one goes on with what is left."""
 
-    ray: str | None = None
-    """Train on a Ray cluster (extra ray): local for this machine's cores and GPUs, or the address of one that runs
-    (auto, HOST:6379, ray://HOST:10001), whose machines see the same files; a run takes --threads cores (default: in
-    order, here)."""
-    gpus_per_run: float = 1.0
-    """With --ray, of runs on a GPU: how many GPUs, or what share of one, each takes."""
     device: str | None = None
     """Torch device of every run (default: what the grid says, else cpu)."""
     threads: int | None = None
     """CPU threads of torch in every run (default: what the grid says)."""
     seed: int | None = None
     """Every random draw derives from it (default: what the grid says, else 0)."""
+    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
+        default_factory=SharingOptions
+    )
 
     def run(self) -> dict:
         from cloak_core.attack import sweeps
 
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")
-        executor = None
-        if self.ray is not None:
-            from cloak_core.jobs.ray_cluster import RayCluster
-
-            executor = RayCluster(self.ray)
+        executor = self.sharing.executor()
         given = {"device": self.device, "threads": self.threads, "seed": self.seed}
         changes = {name: value for name, value in given.items() if value is not None}
         sweep = sweeps.Sweep(sweeps.read_grid(self.grid, changes), self.out)
         with TrainingProgress() as progress:
-            how = {"prepare": prepare_process, "executor": executor, "gpus": self.gpus_per_run}
+            how = {"prepare": prepare_process, "executor": executor, "gpus": self.sharing.gpus_per_run}
             stopped = sweep.run(tell=err.print, on_event=progress, **how)
         result = {"out": str(self.out)} | sweep.write_results()
         failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]

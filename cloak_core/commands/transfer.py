@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +16,7 @@ from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.sharing import SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -82,6 +83,9 @@ class Transfer(Command):
     """Train and judge nothing: draw and write again from the cells in --out."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
+        default_factory=SharingOptions
+    )
 
     def run(self) -> dict:
         from cloak_core.evaluation.experiments.lab import Interrupted
@@ -90,15 +94,36 @@ class Transfer(Command):
 
         asked, stopped = rungs.names(self.rungs), ""
         if not self.redraw:
-            prepare_process(self.compute)
             try:
-                self._matrix().fill(asked)
+                self.sharing.spread(self._parts(asked), self.compute)
+                self.work()
             except Interrupted as stop:
                 stopped = str(stop)
                 if not (self.out / "cells").exists():
                     raise Stopped(stopped) from None
         result = self._shown(gather(self.out), asked)
         return result | ({"stopped": stopped} if stopped else {})
+
+    def work(self) -> None:
+        """Fill the cells that are missing."""
+        from cloak_core.evaluation.leave_one_out import rungs
+
+        prepare_process(self.compute)
+        self._matrix().fill(rungs.names(self.rungs))
+
+    def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
+        """The same command for one rung and the judges that share its trainings, by a name."""
+        from cloak_core.evaluation.report.words import short_name
+
+        if self.sharing.ray is None:
+            return []
+        alone = replace(self, sharing=SharingOptions(), publish=None)
+        groups = self._matrix().groups()
+        return [
+            (f"{rung}, judged by {', '.join(map(short_name, group))}", replace(alone, rungs=(rung,), judge=group))
+            for rung in asked
+            for group in groups
+        ]
 
     def _matrix(self) -> Matrix:
         from cloak_core.evaluation.experiments.materials import open_bodies_and_backgrounds

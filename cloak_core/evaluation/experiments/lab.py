@@ -36,8 +36,9 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import TRAINING, code_hash, package_versions, sha256_arrays, sha256_record
+from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import new_folder, write_json
+from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
@@ -135,19 +136,34 @@ class Lab:
         more = {} if precision == "float32" else {"precision": precision}
         key = self._train_key(settings, bodies, logo, specs, more)
         folder = self.options.out / "runs" / key
-        if not _is_done(folder):
-            self.tell(f"training {key} ({', '.join(f'{k}={v}' for k, v in changes.items()) or 'default settings'})")
-            with (
-                _precision([self.materials.detectors[spec] for spec in specs], precision) as detectors,
-                _clocked(folder),
-            ):
-                backgrounds, told = self.materials.backgrounds, self.on_event
-                result = train(settings, bodies, logo, detectors, backgrounds, folder, resume=True, on_event=told)
-            if result.stopped:
-                raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
+        with self._at(key):
+            if not _is_done(folder):
+                named = ", ".join(f"{k}={v}" for k, v in changes.items()) or "default settings"
+                self.tell(f"training {key} ({named})")
+                self._train_into(folder, settings, bodies, logo, specs, precision)
         colors = read_colors(folder / "colors.npy", len(logo))
         seconds = max((float(e.get("time", 0)) for e in read_events(folder / "events.jsonl")), default=math.nan)
         return Trained(colors, logo, folder, seconds, _cpu_seconds(folder), settings)
+
+    def _train_into(
+        self, folder: Path, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], precision: str
+    ) -> None:
+        chosen = [self.materials.detectors[spec] for spec in specs]
+        with _precision(chosen, precision) as detectors, _clocked(folder):
+            backgrounds, told = self.materials.backgrounds, self.on_event
+            result = train(settings, bodies, logo, detectors, backgrounds, folder, resume=True, on_event=told)
+        if result.stopped:
+            raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
+
+    @contextlib.contextmanager
+    def _at(self, key: str) -> Iterator[None]:
+        """Nobody else makes the thing of this name meanwhile; whoever does already is waited for, and then it is
+        there."""
+        folder = self.options.out / "locks"
+        with written(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        with lock(folder / key, wait=True):
+            yield
 
     def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
         """The options' preset and counts for these detectors (none: the first), with changes by name."""
@@ -251,14 +267,15 @@ class Lab:
         }
         key = self._key(record | more, MEASURING)
         folder = self.options.out / "evaluations" / key
-        if not (folder / "scores.npz").exists():
-            self.tell(f"evaluating {trained.folder.name} as {key}")
-            detectors = {spec: self.materials.detectors[spec] for spec in specs}
-            measurement = measure(make(), detectors, settings, self.on_images)
-            shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
-            with new_folder(folder) as temporary:
-                write_json(temporary / "config.json", shown | more)
-                measurement.save(temporary / "scores.npz")
+        with self._at(key):
+            if not (folder / "scores.npz").exists():
+                self.tell(f"evaluating {trained.folder.name} as {key}")
+                detectors = {spec: self.materials.detectors[spec] for spec in specs}
+                measurement = measure(make(), detectors, settings, self.on_images)
+                shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
+                with new_folder(folder) as temporary:
+                    write_json(temporary / "config.json", shown | more)
+                    measurement.save(temporary / "scores.npz")
         return read_measurement(folder / "scores.npz")
 
 

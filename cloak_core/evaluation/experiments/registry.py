@@ -31,6 +31,8 @@ EXPERIMENTS = (
     "hardened",
 )
 """In the order in which `all` runs them; each is the module of its name."""
+BY_DETECTOR = ("table1", "single-angle", "white-box")
+"""Whose trainings for one detector have nothing to do with those for the others."""
 
 
 def run_experiment(name: str, lab: Lab) -> dict:
@@ -42,6 +44,14 @@ def run_experiment(name: str, lab: Lab) -> dict:
     numbers = _experiment(name).measure(lab)
     write_numbers(lab.options.out / name, name, numbers, lab)
     return draw_again(name, lab.options.out)
+
+
+def prepare_experiment(name: str, lab: Lab) -> None:
+    """Make the trainings and evaluations of an experiment, and write nothing of it: `run_experiment` then finds them.
+
+    Raises as `run_experiment` does.
+    """
+    _experiment(name).measure(lab)
 
 
 def draw_again(name: str, out: Path) -> dict:

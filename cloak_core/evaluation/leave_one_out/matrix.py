@@ -105,6 +105,13 @@ class Matrix:
                 write_json(folder / f"{rung}--{file_name(judged)}.json", cell)
                 self.lab.tell(f"{rung}: {short_name(judged)} ({cell['kin']}) {percent(cell['success'])}")
 
+    def groups(self) -> list[tuple[str, ...]]:
+        """The judged detectors; those together whose surrogates, and so whose trainings, are the same."""
+        found: dict[tuple[str, ...], list[str]] = {}
+        for judged in self.judges:
+            found.setdefault(self.surrogates_for(judged), []).append(judged)
+        return [tuple(group) for group in found.values()]
+
     def surrogates_for(self, judged: str) -> tuple[str, ...]:
         """All that are not the judged network itself, at whatever input size, nor (if asked) of its family."""
         detectors = self.lab.materials.detectors
