@@ -3,15 +3,16 @@
 
 Registration only. The rooms: `mesh_arrays`, `body`, `faces`, `stamp`, `poses`, `scene_export`, `runs`, `colors`,
 `render_check` are plain functions over Blender's data; `trainer_python`, `command_lines`, `jobs` and `progress` find,
-start and follow the process that trains; `operators`, `steps`, `panel`, `overlay`, `preferences`, `properties` are what
-the user touches; `train.py` is the script that does the same without a window.
+start and follow the process that trains; `run_states` and `run_list` find what was trained before; `operators`,
+`steps`, `panel`, `overlay`, `preferences`, `properties` are what the user touches; `train.py` is the script that does
+the same without a window.
 """
 
 from __future__ import annotations
 
 import bpy
 
-from . import jobs, operators, overlay, panel, preferences, properties
+from . import jobs, operators, overlay, panel, preferences, properties, run_list
 
 CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
@@ -19,6 +20,7 @@ CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 def register() -> None:
     """Called by Blender when the extension is enabled."""
     properties.register()
+    run_list.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     overlay.register()
@@ -30,4 +32,5 @@ def unregister() -> None:
     overlay.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
+    run_list.unregister()
     properties.unregister()

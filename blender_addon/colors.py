@@ -143,6 +143,12 @@ def is_dressed(obj: bpy.types.Object) -> bool:
     return bool((_read_slots(obj.data) == slot).any())
 
 
+def lost_its_cloak(obj: bpy.types.Object) -> bool:
+    """Whether an object that was dressed misses material or attributes: undo takes them, Show Original does not."""
+    mesh = obj.data
+    return _cloak_slot(mesh) is None or OWN_MATERIAL not in mesh.attributes or CLOAK not in mesh.color_attributes
+
+
 def own_material_slots(obj: bpy.types.Object) -> np.ndarray:
     """[F] int32: each face's material slot, without the cloak."""
     mesh = obj.data

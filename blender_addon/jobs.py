@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import bpy
 
@@ -36,6 +37,16 @@ OnEnd = Callable[["Job"], str | None]
 """Called when a job has ended, in whatever way. It may return another message; an `InputError` fails the job."""
 
 
+class Process(Protocol):
+    """What a job asks of its process; `subprocess.Popen` has it."""
+
+    def poll(self) -> int | None:
+        """The exit code, None while it runs."""
+
+    def terminate(self) -> None:
+        """Ask it to end."""
+
+
 class Job:
     """Commands that run one after the other outside Blender; `poll` moves it on.
 
@@ -49,17 +60,20 @@ class Job:
         folder: Path,
         name: str,
         on_end: OnEnd | None = None,
+        process: Process | None = None,
     ) -> None:
         self.label = label
         self.state = "running"
         self.message = ""
+        self.notice = ""
+        """What should be known at once, while it runs."""
         self.code: int | None = None
         self.outputs: list[str] = []
         self._on_end = on_end
         self._commands = list(commands)
         self._files = (folder / f"{name}.out", folder / f"{name}.log")
         self._cancelled = False
-        self._process = self._start(self._commands[0])
+        self._process = process or self._start(self._commands[0])
 
     @property
     def log(self) -> Path:
@@ -105,7 +119,7 @@ class Job:
         code = self.code = self._process.poll()
         if code is None:
             return True
-        self.outputs.append(self._files[0].read_text("utf-8", "replace"))
+        self.outputs.append(self._said())
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
             try:
                 self._process = self._start(self._commands[len(self.outputs)])
@@ -115,6 +129,13 @@ class Job:
                 return False
         self._finish(*self._verdict(code))
         return False
+
+    def _said(self) -> str:
+        """What the command that has ended said on standard output."""
+        try:
+            return self._files[0].read_text("utf-8", "replace")
+        except FileNotFoundError:  # a trainer that somebody else started
+            return ""
 
     def _verdict(self, code: int) -> tuple[str, str]:
         if code == STOPPED or (self._cancelled and code != 0):
@@ -177,13 +198,22 @@ def last_words(log: Path) -> str:
 
 
 class TrainingJob(Job):
-    """One `cloak train` and its run folder."""
+    """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
 
-    def __init__(self, command: list[str], run: Path, folder: Path, on_end: OnEnd | None = None) -> None:
+    def __init__(
+        self,
+        command: list[str],
+        run: Path,
+        folder: Path,
+        on_end: OnEnd | None = None,
+        process: Process | None = None,
+    ) -> None:
         self.run = run
+        self.is_ours = process is None
+        """Blender ends the trainers it started when it closes; it only takes its eyes off those it found."""
         self.progress = Progress()
         self._ended = threading.Event()
-        super().__init__("Training", [command], folder, "train", on_end)
+        super().__init__("Training", [command], folder, "train", on_end, process)
         self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
         self._reader.start()
 
@@ -204,10 +234,12 @@ class TrainingJob(Job):
         return super().poll()
 
     def abandon(self) -> None:
+        self._ended.set()
+        if not self.is_ours:
+            return
         super().abandon()
         if self.running:
             self._terminate()
-        self._ended.set()
 
     def _ask_to_stop(self) -> None:
         if not self.run.is_dir():
@@ -292,9 +324,14 @@ def tick() -> float | None:
 
 def shut_down() -> None:
     """The add-on is going (or Blender is closing): end the job in order and forget it."""
-    global current
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
+    forget()
+
+
+def forget() -> None:
+    """Let go of the current job: what Blender started ends in order, a training that it found goes on."""
+    global current
     if current is not None and current.running:
         current.abandon()
     current = None

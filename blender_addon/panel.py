@@ -7,10 +7,11 @@ import textwrap
 
 import bpy
 
-from . import colors, faces, jobs, overlay, steps
+from . import colors, faces, jobs, overlay, run_list, steps
 from .body import active_body
 from .operators.heat import HEAT
 from .properties import settings_of
+from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
 
 def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
@@ -40,10 +41,14 @@ class CloakPanel:
     def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
         """A column to draw into, greyed out below its reason when there is one."""
         if reason:
-            wrapped(self.layout, context, reason)
+            self.say(context, reason)
         column = settings_column(self.layout)
         column.enabled = not reason
         return column
+
+    def say(self, context: bpy.types.Context, reason: str) -> None:
+        """Why a step cannot run; what is wrong with the body stands in step 1."""
+        wrapped(self.layout, context, steps.NO_BODY if steps.body_reason(context) else reason)
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
         """The job that was started from this panel: its progress, or how it ended."""
@@ -56,6 +61,8 @@ class CloakPanel:
             row.operator("cloak.train_cancel", text="", icon="X")
             if isinstance(job, jobs.TrainingJob) and job.progress.figures():
                 self.layout.label(text=job.progress.figures().capitalize(), icon="BLANK1")
+            if job.notice:
+                wrapped(self.layout, context, job.notice, icon="ERROR")
         elif job.message:
             wrapped(self.layout, context, job.message, icon="ERROR" if job.state == "failed" else "CHECKMARK")
 
@@ -67,7 +74,10 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = steps.body_reason(context)
-        column = self.gate(context, reason)
+        if reason:
+            wrapped(self.layout, context, reason)
+        column = settings_column(self.layout)
+        column.enabled = not reason
         if not reason:
             obj = active_body(context)
             column.label(text=obj.name, icon="MESH_DATA")
@@ -98,7 +108,7 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
     bl_label = "2. Logo"
 
     def draw(self, context: bpy.types.Context) -> None:
-        reason = steps.body_reason(context) and steps.NO_BODY
+        reason = steps.body_reason(context)
         column = self.gate(context, reason)
         settings = settings_of(context)
         if not reason:
@@ -166,7 +176,7 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
     bl_label = "3. Poses"
 
     def draw(self, context: bpy.types.Context) -> None:
-        no_body = steps.body_reason(context) and steps.NO_BODY
+        no_body = steps.body_reason(context)
         column = self.gate(context, no_body)
         settings = settings_of(context)
         column.prop(settings, "pose_source")
@@ -211,14 +221,10 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
         live.prop(settings, "live", text="")
         live.prop(settings, "live_seconds", text="Seconds")
         if reason and not (isinstance(jobs.current, jobs.TrainingJob) and running):
-            wrapped(self.layout, context, reason)
+            self.say(context, reason)
         row = self.layout.row(align=True)
-        start = row.row(align=True)
-        start.enabled = not reason
-        start.operator("cloak.train_start", icon="PLAY")
-        resume = row.row(align=True)
-        resume.enabled = not steps.resume_reason(context)
-        resume.operator("cloak.train_resume", icon="FILE_REFRESH")
+        row.operator("cloak.train_start", icon="PLAY")
+        row.operator("cloak.train_resume", icon="FILE_REFRESH")
         self.progress(context, "Training")
 
     def _detector(self, column: bpy.types.UILayout, settings: bpy.types.PropertyGroup) -> None:
@@ -231,14 +237,58 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
             column.prop(settings, name)
 
 
+RUN_ICONS = {RUNNING: "PLAY", DONE: "CHECKMARK", STOPPED: "PAUSE", FAILED: "ERROR"}
+
+
+class CLOAK_UL_runs(bpy.types.UIList):
+    """The runs that were found, the latest first"""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        state = run_list.states.get(item.path)
+        if state is None:
+            return
+        split = layout.split(factor=0.55)
+        split.label(text=state.title, icon=RUN_ICONS[state.state])
+        figures = split.row()
+        figures.label(text=f"{state.progress.step}/{state.progress.steps or '?'}")
+        success = state.progress.success
+        figures.label(text="" if success is None else f"{success:.0%}")
+
+
+class CLOAK_PT_runs(CloakPanel, bpy.types.Panel):
+    """Every training there is: beside the file, in the output folder, worn by a body"""
+
+    bl_label = "Runs"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        run_list.is_drawn()
+        window = context.window_manager.cloak
+        row = self.layout.row()
+        row.template_list("CLOAK_UL_runs", "", window, "runs", window, "run_index", rows=4)
+        side = row.column(align=True)
+        side.operator("cloak.run_attach", text="", icon="LINKED")
+        side.operator("cloak.run_stop", text="", icon="PAUSE")
+        side.separator()
+        side.operator("cloak.run_delete", text="", icon="TRASH")
+        state = run_list.selected(context)
+        if state is not None:
+            self._chosen(context, state)
+        if not steps.body_reason(context):
+            settings_column(self.layout).prop(active_body(context).cloak, "run")
+
+    def _chosen(self, context: bpy.types.Context, state: RunState) -> None:
+        of = f" of '{state.object}', logo '{state.logo}'" if state.object else ""
+        against = f", against {', '.join(state.detectors)}" if state.detectors else ""
+        words = f"{state.state.capitalize()} at {state.progress.describe()}{of}{against}"
+        wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
+
+
 class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
     """Step 5: the trained colours on the model"""
 
     bl_label = "5. Result"
 
     def draw(self, context: bpy.types.Context) -> None:
-        if not steps.body_reason(context):
-            settings_column(self.layout).prop(active_body(context).cloak, "run")
         reason = steps.result_reason(context)
         column = self.gate(context, reason)
         dressed = not reason and colors.is_dressed(active_body(context))
@@ -260,4 +310,13 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
             wrapped(self.layout, context, active_body(context).cloak.verdict, icon="RENDER_RESULT")
 
 
-CLASSES = (CLOAK_UL_logos, CLOAK_PT_body, CLOAK_PT_logo, CLOAK_PT_poses, CLOAK_PT_train, CLOAK_PT_result)
+CLASSES = (
+    CLOAK_UL_logos,
+    CLOAK_UL_runs,
+    CLOAK_PT_body,
+    CLOAK_PT_logo,
+    CLOAK_PT_poses,
+    CLOAK_PT_train,
+    CLOAK_PT_runs,
+    CLOAK_PT_result,
+)

@@ -6,8 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
+from . import blend_paths
+from .blend_paths import RELATIVE, absolute, blend_folder
 from .command_lines import TrainRequest
 from .faces import is_logo, logo_names
 from .files.errors import InputError
@@ -20,7 +23,7 @@ def _share(name: str, description: str, default: float, least: float = 0.0, most
 
 
 def _path(name: str, description: str, subtype: str = "FILE_PATH") -> object:
-    return StringProperty(name=name, description=description, subtype=subtype)
+    return StringProperty(name=name, description=description, subtype=subtype, options={"ANIMATABLE"} | RELATIVE)
 
 
 def _text(name: str, description: str, default: str = "") -> object:
@@ -53,6 +56,23 @@ def _set_logo_index(self: CloakObject, index: int) -> None:
         self.logo = attributes[index].name
 
 
+_runs: dict[int, str] = {}
+"""The run folder that an object was last given in this session, by the object's session_uid."""
+
+
+def _remember_run(self: CloakObject, context: bpy.types.Context) -> None:
+    _runs[self.id_data.session_uid] = self.run
+
+
+@persistent
+def give_runs_back(*_: object) -> None:
+    """After undo and redo: a training goes on whatever is undone, so objects keep theirs."""
+    for obj in bpy.data.objects:
+        run = _runs.get(obj.session_uid)
+        if run is not None and obj.library is None and obj.cloak.run != run:
+            obj.cloak.run = run
+
+
 class CloakObject(bpy.types.PropertyGroup):
     """What Cloak keeps on an object."""
 
@@ -63,7 +83,13 @@ class CloakObject(bpy.types.PropertyGroup):
         get=_logo_index,
         set=_set_logo_index,
     )
-    run: _path("Run Folder", "Folder of the training whose colours this object wears, or will wear", "DIR_PATH")
+    run: StringProperty(
+        name="Run Folder",
+        description="Folder of the training whose colours this object wears, or will wear",
+        subtype="DIR_PATH",
+        options={"ANIMATABLE"} | RELATIVE,
+        update=_remember_run,
+    )
     verdict: _text("Render Check", "What the detector said about the Cycles renders")
 
 
@@ -154,7 +180,12 @@ class CloakSettings(bpy.types.PropertyGroup):
         ("cpu", "CPU", "The processor"),
         ("cuda", "GPU", "An NVIDIA graphics card (CUDA)"),
     )
-    output: _path("Output", "Folder that run folders are made in; empty for the add-on's own folder", "DIR_PATH")
+    output: _path(
+        "Output",
+        "Folder that run folders are made in; empty for 'cloak runs' beside the .blend file, or for the add-on's own "
+        "folder while the file was never saved",
+        "DIR_PATH",
+    )
     live: _switch("Live Colours", "Show the colours on the model while they are being trained", default=True)
     live_seconds: FloatProperty(
         name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
@@ -217,20 +248,16 @@ def _file(path: str, label: str) -> str:
     return found
 
 
-def absolute(path: str) -> str:
-    """A path as the user typed it ("//" means beside the .blend file) as an absolute one; "" stays ""."""
-    return str(Path(bpy.path.abspath(path)).absolute()) if path else ""
-
-
 def output_folder(settings: CloakSettings) -> Path:
-    """Where runs go: the folder the user chose, or `runs` in the add-on's own folder."""
+    """Where runs go: the folder the user chose, `cloak runs` beside the file, or `runs` in the add-on's own folder."""
     if not settings.output:
-        return user_folder("runs")
+        return blend_folder() / "cloak runs" if blend_folder() else user_folder("runs")
     if settings.output.startswith("//") and not bpy.data.filepath:
         raise InputError("Output lies beside the .blend file: save that first, or choose another folder")
     return Path(absolute(settings.output))
 
 
+HANDLERS = (("undo_post", give_runs_back), ("redo_post", give_runs_back))
 CLASSES = (CloakObject, CloakSettings)
 
 
@@ -239,9 +266,15 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Object.cloak = PointerProperty(type=CloakObject)
     bpy.types.Scene.cloak = PointerProperty(type=CloakSettings)
+    blend_paths.register()
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
 
 
 def unregister() -> None:
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).remove(handler)
+    blend_paths.unregister()
     del bpy.types.Scene.cloak
     del bpy.types.Object.cloak
     for cls in reversed(CLASSES):

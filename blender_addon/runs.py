@@ -2,12 +2,15 @@
 """Run folders: where a training's input and output lie, and how its colours come back onto the model.
 
 A run RUN has its input beside it, in RUN.input: the export (scene, face list, record), the command and the log. So a
-run can be resumed after Blender was closed, and its colours are checked against the mesh they were made for.
+run can be resumed after Blender was closed, and its colours are checked against the mesh they were made for. A run that
+the command line made has none.
 """
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +18,7 @@ import bpy
 import numpy as np
 
 from . import colors
+from .blend_paths import blend_folder
 from .body import object_of, require_body, topology
 from .exchange.colors import read_colors
 from .exchange.face_lists import read_face_list
@@ -24,6 +28,8 @@ from .files.writing import write_json
 from .scene_export import RECORD, read_export
 
 COMMAND = "command.json"
+PROJECT = "{project}"
+"""In remembered options: the folder of the .blend file, when the run lies there or below."""
 
 
 def input_folder(run: Path) -> Path:
@@ -42,17 +48,45 @@ def new_run(output: Path, obj: str, logo: str) -> Path:
         number += 1
 
 
+def side_folder(run: Path) -> Path:
+    """Where what is made from a run keeps its logs: with the run's input, or in the run where that has none."""
+    return input_folder(run) if input_folder(run).is_dir() else run
+
+
 def remember_options(run: Path, options: list[str]) -> None:
-    """Keep the options a run was started with, for Resume."""
-    write_json(input_folder(run) / COMMAND, {"options": options})
+    """Keep the options a run was started with, for Resume; what lies in the project stays found when that moves."""
+    folder, project = input_folder(run), blend_folder()
+    record: dict[str, object] = {"options": options}
+    if project is not None and folder.is_relative_to(project):
+        record["project"] = Path(os.path.relpath(project, folder)).as_posix()
+        record["options"] = [word.replace(f"{project}{os.sep}", f"{PROJECT}/") for word in options]
+    write_json(folder / COMMAND, record)
 
 
 def remembered_options(run: Path) -> list[str]:
     """The options a run was started with."""
-    options = read_json(input_folder(run) / COMMAND).get("options")
-    if not isinstance(options, list) or not all(isinstance(word, str) for word in options):
+    record = read_json(input_folder(run) / COMMAND)
+    options, project = record.get("options"), record.get("project", "")
+    if not isinstance(options, list) or not all(isinstance(word, str) for word in (*options, project)):
         raise InputError(f"{input_folder(run) / COMMAND}: not the options of a run")
-    return options
+    if not project:
+        return options
+    folder = os.path.normpath(input_folder(run) / project)
+    return [word.replace(PROJECT, folder) for word in options]
+
+
+def remove(run: Path) -> None:
+    """Delete a run and its input. Raises `InputError` where either is something else, and deletes nothing then."""
+    folders = [folder for folder in (run, input_folder(run)) if folder.exists() or folder.is_symlink()]
+    for folder in folders:
+        known = (folder / "config.json").is_file() or (folder / RECORD).is_file()
+        if folder.is_symlink() or not known:
+            raise InputError(f"{folder}: not a run that Cloak made, and is left alone")
+    for folder in folders:
+        try:
+            shutil.rmtree(folder)
+        except OSError as error:
+            raise InputError(f"{error.filename or folder}: cannot be deleted ({error.strerror})") from None
 
 
 @dataclass(frozen=True)
@@ -66,18 +100,23 @@ class RunColors:
 
 def read_run(run: Path) -> RunColors:
     """Colours of a run folder, made here or by the command line on an exported scene."""
+    face_ids, expected = trained_faces(run)
+    if not (run / "colors.npy").exists():
+        raise InputError(f"{run}: no colours yet; wait for the first step")
+    return RunColors(face_ids, read_colors(run / "colors.npy", count=len(face_ids)), expected)
+
+
+def trained_faces(run: Path) -> tuple[np.ndarray, str]:
+    """Ids [L] of the faces a run trains, and the topology of the body they belong to."""
     if not run.is_dir():
         raise InputError(f"{run}: no such run folder")
     face_list = read_face_list(run / "logo.npy")
-    if not (run / "colors.npy").exists():
-        raise InputError(f"{run}: no colours yet; wait for the first step")
-    values = read_colors(run / "colors.npy", count=len(face_list.ids))
     expected = face_list.topology
     if (input_folder(run) / RECORD).exists():
         expected = read_export(input_folder(run)).topology
     if expected is None:
         raise InputError(f"{run / 'logo.json'}: names no topology, so the colours cannot be matched to a mesh")
-    return RunColors(face_list.ids, values, expected)
+    return face_list.ids, expected
 
 
 def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
@@ -121,18 +160,19 @@ class LiveColors:
     def update(self, context: bpy.types.Context) -> bool:
         """Write new colours if there are any; False when there is nothing new or the object cannot take them now.
 
-        Raises `InputError` when the object changed since export.
+        What undo took off the object comes back. Raises `InputError` when the object changed since export.
         """
         obj, path = self.object, self._run / "colors.npy"
         if obj is None or obj.mode == "EDIT" or not path.exists():
             return False
         stamp = path.stat().st_mtime_ns
-        if stamp == self._seen:
+        naked = not self._seen or colors.lost_its_cloak(obj)
+        if stamp == self._seen and not naked:
             return False
         require_same_topology(obj, self._topology)
         self._base[self._ids] = read_colors(path, count=len(self._ids))
         colors.write_face_colors(obj, colors.CLOAK, self._base)
-        if not self._seen:
+        if naked:
             colors.dress(obj, self._ids)
             colors.show_attribute(context, obj, colors.CLOAK)
         self._seen = stamp

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import bpy
 
-from . import jobs
+from . import jobs, run_list
+from .blend_paths import absolute
 from .body import active_body, require_upright
 from .faces import logo_names
 from .files.errors import InputError
 from .poses import list_poses
-from .properties import absolute, pose_choice, settings_of, train_request
+from .properties import pose_choice, settings_of, train_request
+from .run_states import DONE, RUNNING, RunState, read_state
 from .scene_export import clothing_of, topology_modifiers_reason
 
 NO_BODY = "Choose a body first"
@@ -37,11 +39,11 @@ def body_reason(context: bpy.types.Context) -> str:
 def of_the_body(
     reason: Callable[[bpy.types.Context, bpy.types.Object], str],
 ) -> Callable[[bpy.types.Context], str]:
-    """A reason that asks about the active body, and for one where there is none."""
+    """A reason that asks about the active body; where there is none, why not."""
 
     @functools.wraps(reason)
     def asked(context: bpy.types.Context) -> str:
-        return NO_BODY if body_reason(context) else reason(context, active_body(context))
+        return body_reason(context) or reason(context, active_body(context))
 
     return asked
 
@@ -70,10 +72,51 @@ def train_reason(context: bpy.types.Context) -> str:
     return reason or refusal(train_request, settings_of(context)) or jobs.busy()
 
 
+def selected_run(context: bpy.types.Context) -> RunState | None:
+    """The run chosen in the list, as its folder tells it now."""
+    chosen = run_list.selected_path(context)
+    return read_state(Path(chosen)) if chosen else None
+
+
+def _chosen_reason(state: RunState | None) -> str:
+    if state is None:
+        return "Choose a run in the list first"
+    return "" if state.exists else f"{state.path} is gone: choose another run"
+
+
+def stop_reason(context: bpy.types.Context) -> str:
+    """Why the chosen run cannot be stopped."""
+    state = selected_run(context)
+    return _chosen_reason(state) or ("" if state.state == RUNNING else f"{state.title} is not being trained")
+
+
+@of_the_body
+def attach_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the chosen run cannot be followed."""
+    return stop_reason(context) or jobs.busy()
+
+
+def delete_reason(context: bpy.types.Context) -> str:
+    """Why the chosen run cannot be deleted."""
+    state = selected_run(context)
+    busy = state is not None and state.state == RUNNING
+    return _chosen_reason(state) or (f"{state.title} is being trained: stop it first" if busy else "")
+
+
 @of_the_body
 def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the object's training cannot be resumed."""
-    return jobs.busy() if obj.cloak.run else "Nothing to resume"
+    """Why the chosen run cannot go on."""
+    state = selected_run(context)
+    reason = jobs.busy() or _chosen_reason(state)
+    if reason or state.resumable:
+        return reason
+    if state.state == RUNNING:
+        return f"{state.title} is being trained: Attach follows it"
+    if state.state == DONE:
+        return f"{state.title} is done ({state.progress.describe()}): Extend trains on from its colours"
+    if not state.path.is_dir():
+        return f"{state.title} never began, so there is nothing to go on with: press Start"
+    return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
 
 
 @of_the_body

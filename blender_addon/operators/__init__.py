@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import body, heat, logo, result, stamp, start_stop
+from . import body, heat, logo, result, runs, stamp, start_stop
 
-CLASSES = (*body.CLASSES, *logo.CLASSES, *stamp.CLASSES, *heat.CLASSES, *start_stop.CLASSES, *result.CLASSES)
+CLASSES = (
+    *body.CLASSES,
+    *logo.CLASSES,
+    *stamp.CLASSES,
+    *heat.CLASSES,
+    *start_stop.CLASSES,
+    *runs.CLASSES,
+    *result.CLASSES,
+)

@@ -18,6 +18,18 @@ class CloakOperator(bpy.types.Operator):
 
     bl_options = PLAIN
 
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        """Why the operator cannot run now, "" when it can: what a greyed button says. Quick: asked on every redraw."""
+        return ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        reason = cls.needs(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
     def __init_subclass__(cls) -> None:
         cls.bl_idname = "cloak." + cls.__name__.removeprefix("CLOAK_OT_")
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import bpy
 
 from .. import colors, render_check, runs
+from ..blend_paths import absolute
 from ..body import active_body, object_of
 from ..command_lines import check_command, report_command
 from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
 from ..preferences import chosen_python
-from ..properties import absolute, settings_of, train_request
+from ..properties import settings_of, train_request
 from .base import WITH_UNDO, BodyOperator, CloakOperator
 
 
@@ -71,11 +72,11 @@ class CLOAK_OT_open_report(CloakOperator):
         report = run / "report.html"
         if report.exists():
             return _open(report)
-        if not run.is_dir():
-            raise InputError(f"{run}: no such run folder")
+        if not (run / "config.json").is_file():
+            raise InputError(f"{run}: not a run folder (no config.json in it), so there is nothing to report")
         require_idle()
         command = report_command(chosen_python(), run)
-        launch(Job("Report", [command], runs.input_folder(run), "report", lambda job: _opened(job, report)))
+        launch(Job("Report", [command], runs.side_folder(run), "report", lambda job: _opened(job, report)))
         return "Making the report"
 
 
@@ -100,7 +101,7 @@ class CLOAK_OT_render_check(CloakOperator):
         if not colors.is_dressed(obj):
             raise InputError(f"'{obj.name}' shows its own materials: switch the cloak on first")
         run = run_of(obj)
-        folder = render_check.new_folder_in(runs.input_folder(run))
+        folder = render_check.new_folder_in(runs.side_folder(run))
         request, python = train_request(settings), chosen_python()
         angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
         plan = render_check.Plan(obj.name, folder, angles, request.backgrounds)

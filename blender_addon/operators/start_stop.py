@@ -7,16 +7,20 @@ import time
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-from .. import jobs, runs
+from .. import jobs, run_list, runs, steps
+from ..blend_paths import blend_folder, portable
 from ..body import active_body
 from ..command_lines import train_command
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from ..jobs import Job, TrainingJob, launch, require_idle
 from ..preferences import chosen_python
-from ..properties import absolute, output_folder, pose_choice, settings_of, train_request
-from ..scene_export import Export, export, read_export
+from ..properties import output_folder, pose_choice, settings_of, train_request
+from ..run_list import redraw
+from ..scene_export import export, read_export
+from ..steps import refusal
 from .base import CloakOperator, push_undo
 from .logo import active_logo
 
@@ -25,6 +29,7 @@ class CLOAK_OT_train_start(CloakOperator):
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
 
     bl_label = "Start"
+    needs = staticmethod(steps.train_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
@@ -33,11 +38,19 @@ class CLOAK_OT_train_start(CloakOperator):
         request, python = train_request(settings), chosen_python()
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
+        _remove_failed_start()
         run = runs.new_run(output_folder(settings), obj.name, logo)
         done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
         runs.remember_options(run, request.options())
         begin(obj, run, train_command(python, request.options(), done.scene, done.face_list, run))
         return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}"
+
+
+def _remove_failed_start() -> None:
+    """What the last Start left when its training never began: the panel has told why, the next one takes its place."""
+    job = jobs.current
+    if isinstance(job, TrainingJob) and not job.run.exists() and runs.input_folder(job.run).is_dir():
+        runs.remove(job.run)
 
 
 class CLOAK_OT_train_cancel(CloakOperator):
@@ -57,11 +70,11 @@ class CLOAK_OT_train_resume(CloakOperator):
     """Go on with this object's training from its last checkpoint"""
 
     bl_label = "Resume"
+    needs = staticmethod(steps.resume_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
-        obj = active_body(context)
-        run = resumable_run(obj)
+        obj, run = active_body(context), steps.selected_run(context).path
         done = read_export(runs.input_folder(run))
         runs.require_same_topology(obj, done.topology)
         options = runs.remembered_options(run)
@@ -70,48 +83,45 @@ class CLOAK_OT_train_resume(CloakOperator):
         return f"Resuming {run}"
 
 
-def resumable_run(obj: bpy.types.Object) -> Path:
-    """The object's run, if it has one whose input is still there."""
-    if not obj.cloak.run:
-        raise InputError(f"'{obj.name}' has no training to resume: press Start")
-    run = Path(absolute(obj.cloak.run))
-    if not runs.input_folder(run).is_dir():
-        raise InputError(f"{runs.input_folder(run)} is gone, so the run cannot be resumed: press Start")
-    return run
-
-
 def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
     """Launch the training and wire its live colours."""
     folder = runs.input_folder(run)
-    watch = Watch(obj, run, read_export(folder))
-    job = TrainingJob(command, run, folder, watch.finish)
-    obj.cloak.run, obj.cloak.verdict = str(run), ""
+    done = read_export(folder)
+    watch = Watch(obj, run, read_face_list(done.face_list).ids, done.topology)
+    follow(obj, TrainingJob(command, run, folder, watch.finish), watch)
+
+
+def follow(obj: bpy.types.Object, job: TrainingJob, watch: Watch) -> None:
+    """Make a training the current job, and its run the body's."""
+    obj.cloak.run, obj.cloak.verdict = portable(str(job.run), blend_folder()), ""
     jobs.on_tick[:] = [watch.tick]
     launch(job)
+    run_list.refresh(bpy.context)
 
 
 class Watch:
     """Looks after one training on the main thread: redraws the panel, shows live colours, imports the last ones."""
 
-    def __init__(self, obj: bpy.types.Object, run: Path, done: Export) -> None:
-        self._live = runs.LiveColors(obj, run, done.topology, read_face_list(done.face_list).ids)
-        self._run = run
+    def __init__(self, obj: bpy.types.Object, run: Path, face_ids: np.ndarray, topology: str) -> None:
+        self._live = runs.LiveColors(obj, run, topology, face_ids)
+        self._run, self._name = run, obj.name
         self._refused = ""
         self._last = time.monotonic()
 
     def tick(self, job: Job) -> None:
         """Called by the timer."""
         redraw()
+        if not job.running:
+            return
+        obj = self._live.object
+        if obj is None or not obj.users_scene:
+            job.notice = f"'{self._name}' was deleted: its training goes on in {self._run.name}. Ctrl Z brings it back"
+            return
         settings = settings_of(bpy.context)
-        if not job.running or not settings.live or self._refused:
-            return
-        if time.monotonic() - self._last < settings.live_seconds:
-            return
-        try:
-            self._live.update(bpy.context)
-        except InputError as error:
-            self._refused = str(error)
-        self._last = time.monotonic()
+        if settings.live and time.monotonic() - self._last >= settings.live_seconds:
+            self._refused = refusal(self._live.update, bpy.context)
+            self._last = time.monotonic()
+        job.notice = self._refused
 
     def finish(self, job: Job) -> str | None:
         """Called at the end: whatever colours there are come onto the model."""
@@ -128,14 +138,6 @@ class Watch:
         except InputError as error:
             return f"{job.message}; no colours imported: {error}"
         return None
-
-
-def redraw() -> None:
-    """Redraw the sidebars: progress has changed."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "PREFERENCES"):
-                area.tag_redraw()
 
 
 CLASSES = (CLOAK_OT_train_start, CLOAK_OT_train_cancel, CLOAK_OT_train_resume)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from .errors import InputError
 from .writing import open_to_append, written
 
 
@@ -23,6 +24,22 @@ def lock(path: Path, wait: bool = False) -> Iterator[None]:
                 raise BlockingIOError(f"{path}: held by another process")
             time.sleep(0.05)
         yield
+
+
+def is_held(path: Path) -> bool:
+    """Whether another process holds the lock file `path`; False where there is none, or none that could be asked.
+
+    To ask is to take it for a moment: a process that wants it in that very moment finds it held.
+    """
+    if not path.is_file():
+        return False
+    try:
+        with lock(path):
+            return False
+    except BlockingIOError:
+        return True
+    except InputError:
+        return False
 
 
 def _lock(handle: int, path: Path) -> bool:

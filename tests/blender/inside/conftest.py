@@ -4,6 +4,7 @@ import importlib
 import importlib.abc
 import os
 import pkgutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -131,6 +132,30 @@ def ready(stub: Path, tmp_path: Path) -> bpy.types.Object:
     settings.output = str(tmp_path / "Läufe und mehr")
     settings.steps = 20
     return obj
+
+
+def folder_of(obj: bpy.types.Object) -> Path:
+    """The body's run folder."""
+    return Path(bpy.path.abspath(obj.cloak.run))
+
+
+def elsewhere(folder: Path, *lines: str) -> subprocess.CompletedProcess:
+    """Let another Blender, which has the add-on and the same trainer, run a script."""
+    from cloak.preferences import preferences
+
+    script = folder / "elsewhere.py"
+    python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.python = {preferences().python!r}"
+    first = ("import bpy, os, time", f"bpy.ops.preferences.addon_enable(module={MODULE!r})", python)
+    script.write_text("\n".join((*first, f"from {MODULE} import jobs", *lines)))
+    return subprocess.run(blender_command(script), capture_output=True, text=True, timeout=60, check=False)
+
+
+TRAIN_THERE = """
+bpy.ops.cloak.train_start()
+while jobs.current.progress.step < 2:
+    jobs.tick(); time.sleep(0.01)
+print("trainer is process", jobs.current._process.pid, flush=True)
+"""
 
 
 def red_faces(obj: bpy.types.Object) -> list[int]:

@@ -47,7 +47,7 @@ def test_from_blend_to_blend(tmp_path, stub):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     obj = bpy.data.objects["Body"]
     assert np.flatnonzero(reds(obj)).tolist() == [4, 5, 6]
-    assert obj.cloak.run == str(tmp_path / "RUN")  # the panel goes on from here
+    assert obj.cloak.run == "//RUN"  # the panel goes on from here
     again = train(tmp_path, "--blend", blend, "--logo", "chest", "--out", "RUN", python=stub)
     assert again.returncode == 2 and "exists already (continue it with --resume" in again.stderr
 

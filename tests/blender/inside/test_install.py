@@ -17,7 +17,7 @@ SHARED = {
     f"{room}/{path.name}": path
     for room in ("files", "exchange")
     for path in (ROOT / "cloak_core" / room).glob("*.py")
-    if path.name not in ("caching.py", "likeness.py", "locks.py", "torch_pickles.py", "unpickling.py")
+    if path.name not in ("caching.py", "likeness.py", "torch_pickles.py", "unpickling.py")
 }
 
 

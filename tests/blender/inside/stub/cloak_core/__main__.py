@@ -5,6 +5,7 @@ event lines), "die" (kills itself at step 5), "refuse" (exit code 2), "crash" (e
 """
 
 import argparse
+import fcntl
 import json
 import os
 import signal
@@ -80,6 +81,7 @@ def train(words: list[str]) -> None:
         "out",
         "config",
         "made-from",
+        "init",
     ):
         parser.add_argument(f"--{name}")
     parser.add_argument("--steps", type=int, default=20)
@@ -97,12 +99,15 @@ def train(words: list[str]) -> None:
     run.mkdir(exist_ok=True)
     np.save(run / "logo.npy", ids)
     (run / "logo.json").write_text(Path(options.logo).with_suffix(".json").read_text())
+    (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": options.detector}]}))
     (run / "cancel").unlink(missing_ok=True)
+    held = (run / ".lock").open("a")
+    fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     memory = run / "step.txt"
     first = int(memory.read_text()) if options.resume and memory.exists() else 0
     stopped = None
     with (run / "events.jsonl").open("a") as events:
-        tell(events, {"type": "start", "step": first, "time": 0.0, "steps": options.steps})
+        tell(events, {"type": "resume" if first else "start", "step": first, "time": 0.0, "steps": options.steps})
         for step in range(first + 1, options.steps + 1):
             write_red(run, len(ids))
             remember(memory, step)
@@ -111,6 +116,7 @@ def train(words: list[str]) -> None:
             if (run / "cancel").exists():
                 stopped = f"stopped at step {step}: cancel file"
                 break
+        tell(events, {"type": "end", "step": step, "time": 0.1 * step, "outcome": "stopped" if stopped else "done"})
     print(json.dumps({"out": str(run), "step": step, **({"stopped": stopped} if stopped else {})}))
     sys.exit(3 if stopped else 0)
 
