@@ -58,6 +58,7 @@ COMMANDS: dict[str, str] = {
     "bench stability": "bench:Stability",
     "bench step": "bench:Step",
     "bench ranks": "bench:Ranks",
+    "bench jobs": "bench:Jobs",
     "bench printing": "bench:Printing",
     "bench detectors": "bench:Detectors",
 }

@@ -18,6 +18,8 @@ import json
 import logging
 import math
 import re
+import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -41,13 +43,15 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import load_scene
 
-MOST_RUNS = 10_000
+MOST_RUNS = 200_000
 INPUTS = ("scene", "logo", "detector", "backgrounds")
 """What a grid may name beside settings."""
 CONTENT = ("topology", "scene", "logo", "detectors", "backgrounds")
 """Of a run's configuration: what the files named in a grid may have changed in, and the grid does not show."""
 FIGURES = ("loss", "disappearance", "tv", "nps", "success")
 """Of training, each the mean over a run's last tenth."""
+TABLE_SECONDS = 60.0
+"""Between writes of the table while runs go on; whoever ran the sweep writes it at the end."""
 _log = logging.getLogger("cloak")
 Prepare = Callable[[ComputeSettings], object]
 
@@ -103,7 +107,8 @@ def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> 
             raise InputError(f"{path}: '{key}' stands in [base] and in [grid]")
         if not isinstance(values, list) or not values:
             raise InputError(f"{path}: [grid] {key}: a list of values is needed, such as [1, 2]")
-        twice = [value for i, value in enumerate(values) if value in values[:i]]
+        counts = Counter(map(_hashable, values))
+        twice = [value for value in values if counts[_hashable(value)] > 1]
         if twice:
             raise InputError(f"{path}: [grid] {key}: {twice[0]!r} stands there twice")
     count = math.prod(map(len, grid.values()))
@@ -139,6 +144,10 @@ def _run(base: dict, varied: dict, path: Path) -> SweepRun:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return SweepRun(varied=varied, detectors=tuple(specs), settings=settings, **inputs)
+
+
+def _hashable(value: object) -> object:
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
 
 
 def _text(value: object) -> str:
@@ -230,13 +239,17 @@ class Sweep:
     ) -> str:
         left = [run for run in self.runs if not self._is_done(run)]
         jobs = {self._job(run, on_event, prepare, gpus): run for run in left}
+        shown = time.monotonic()
         with contextlib.closing(hand_out(executor, list(jobs), tell, _said, unit="run")) as outcomes:
             for outcome in outcomes:
                 run, record = jobs[outcome.job], outcome.result or {"error": outcome.error}
                 if "stopped" in record:
                     return record["stopped"]
                 write_json(self._result_path(run), {"name": run.name, "varied": run.varied} | record)
-                self.write_results()
+                # The table reads every result: of many short runs it must not be written after each.
+                if time.monotonic() - shown > TABLE_SECONDS:
+                    self.write_results()
+                    shown = time.monotonic()
         return ""
 
     def _job(self, run: SweepRun, on_event: OnEvent | None, prepare: Prepare | None, gpus: float) -> Job:
@@ -248,12 +261,16 @@ class Sweep:
     def _check_inputs(self) -> None:
         """InputError: some input cannot be opened, or a run is done whose inputs held something else."""
         known: dict[tuple, dict] = {}
+        opened: dict[tuple, tuple] = {}
         for run in self.runs:
-            opened, inputs = _opened().open(run), (run.scene, run.logo, run.backgrounds, run.detectors)
+            # Of a hundred thousand runs most differ in settings alone.
+            inputs = (run.scene, run.logo, run.backgrounds, run.detectors, run.settings.compute.device)
+            if inputs not in opened:
+                opened[inputs] = _opened().open(run)
             config = self.out / "runs" / run.name / "config.json"
             if self._result_path(run).exists() and config.exists():
                 if inputs not in known:
-                    known[inputs] = run_config(run.settings, *opened, {})
+                    known[inputs] = run_config(run.settings, *opened[inputs], {})
                 check_same(read_json(config), known[inputs], config.parent, CONTENT)
 
     def _is_done(self, run: SweepRun) -> bool:

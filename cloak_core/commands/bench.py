@@ -144,6 +144,38 @@ class Ranks(Command):
 
 
 @dataclass(kw_only=True)
+class Jobs(Command):
+    """Time what it costs to hand work out, and plan a thousand and a hundred thousand trainings by it."""
+
+    count: int = 200
+    """Jobs that do nothing, behind each figure."""
+    train_seconds: float
+    """What a training takes on one core (its cost.json, or cloak transfer's table)."""
+    evaluate_seconds: float = 60.0
+    """What its evaluation takes on one core."""
+    megabytes: float = 13.0
+    """What a run folder with its evaluation holds."""
+    files: int = 30
+    """So many files are in it."""
+    ray: bool = True
+    """Also on a Ray cluster of this machine (extra ray)."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.jobs import run_bench_jobs
+
+        return run_bench_jobs(**self.given())
+
+    def show(self, result: dict) -> None:
+        from cloak_core.bench.jobs import jobs_table
+
+        by_ray = "" if result["ray_ms"] is None else f", {result['ray_ms']:.2f} ms by Ray"
+        out.print(f"a job that does nothing: {result['in_order_ms']:.3f} ms in order{by_ray}")
+        out.print(f"its result, written and read: {result['results_ms']:.3f} ms")
+        for line in jobs_table(result):
+            out.print(line)
+
+
+@dataclass(kw_only=True)
 class Detectors(Command):
     """Time detectors as Cloak runs them beside the same models used naively."""
 

@@ -61,11 +61,12 @@ def test_every_combination_in_the_files_order(tmp_path):
         (BASE + "[grid]\nmomentum = [0.9]\n", "--momentum: Adam"),
         (BASE + "[grid]\ndetector = [1]\n", "detector"),
         (BASE + "[grid]\ndetector = [[]]\n", "detector: none"),
+        (BASE + "[grid]\ndetector = ['a', ['a', 'b'], ['a', 'b']]\n", r"\['a', 'b'\] stands there twice"),
         (BASE + "[grid]\nscene2 = ['a']\n", "--scene2"),
         (BASE + "tv_weight = 0\ntv-weight = 1\n[grid]\nlr = [1]\n", "a name stands there twice"),
         (BASE + "[grid]\npreset = ['best', ['paper']]\n", "--preset"),
         ("[base]\nscene = 'a'\n[grid]\nlr = [1]\n", "logo is missing"),
-        (BASE + f"[grid]\nseed = {[*range(200)]}\nbatch = {[*range(1, 100)]}\n", "19800 runs, more than"),
+        (BASE + f"[grid]\nseed = {[*range(2000)]}\nbatch = {[*range(1, 102)]}\n", "202000 runs, more than"),
     ],
 )  # fmt: skip
 def test_bad_grids_are_refused_by_name(tmp_path, text, words):

@@ -1,0 +1,121 @@
+"""`cloak bench jobs`: what handing work out costs, and what a thousand or a hundred thousand trainings would take."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from pathlib import Path
+
+from cloak_core.bench.records import table
+from cloak_core.bench.views import machine
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json
+from cloak_core.jobs.job import Executor, InOrder, Job
+
+FLEETS = ((1_000, 64), (100_000, 64), (100_000, 2_048))
+"""Trainings, and cores that share them."""
+DAY = 86_400.0
+
+
+def nothing(number: int) -> int:
+    """A job's work that takes no time."""
+    return number
+
+
+def run_bench_jobs(
+    *, count: int, train_seconds: float, evaluate_seconds: float, megabytes: float, files: int, ray: bool = True
+) -> dict:
+    """{"in_order_ms", "ray_ms", "results_ms", "plan", ...}: milliseconds for each of `count` jobs that do nothing (Ray:
+    on this machine's own cluster, its start not counted; None without it), and for writing and reading the result of
+    one; then what so long a training and evaluation, on one core each, come to.
+
+    megabytes, files: that a run leaves on disk. InputError: no jobs.
+    """
+    if count < 1 or train_seconds <= 0:
+        raise InputError(f"count {count}, train-seconds {train_seconds}: at least 1 job that takes time")
+    found = {"in_order_ms": _per_job(InOrder(), count), "ray_ms": _by_ray(count) if ray else None}
+    found["results_ms"] = _results(count)
+    each = {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds, "megabytes": megabytes}
+    slowest = max(found["ray_ms"] or 0.0, found["in_order_ms"]) + found["results_ms"]
+    plan = [_planned(*fleet, slowest / 1000, files=files, **each) for fleet in FLEETS]
+    return found | {"count": count, "files": files} | each | {"plan": plan, "machine": machine()}
+
+
+def _per_job(executor: Executor, count: int) -> float:
+    jobs = [Job(str(number), nothing, {"number": number}, cores=0.01) for number in range(count)]
+    started = time.perf_counter()
+    done = sum(1 for _ in executor.run(jobs))
+    if done != count:
+        raise RuntimeError(f"{done} of {count} jobs came back")
+    return 1000 * (time.perf_counter() - started) / count
+
+
+def _by_ray(count: int) -> float:
+    import ray
+
+    from cloak_core.jobs.ray_cluster import LOCAL, RayCluster
+
+    cores = os.cpu_count() or 1
+    ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
+    try:
+        _per_job(RayCluster(LOCAL), 2 * cores)  # starts the workers
+        return _per_job(RayCluster(LOCAL), count)
+    finally:
+        ray.shutdown()
+
+
+def _results(count: int) -> float:
+    """Milliseconds to write, and once to read, what is recorded of a run."""
+    record = {"name": "run", "varied": {"seed": 0}, "step": 600, "seconds": 1.0, "loss": 0.1, "success": 1.0}
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder, f"{number}.json") for number in range(count)]
+        started = time.perf_counter()
+        for path in paths:
+            write_json(path, record)
+        for path in paths:
+            read_json(path)
+        return 1000 * (time.perf_counter() - started) / count
+
+
+def _planned(
+    trainings: int,
+    cores: int,
+    overhead: float,
+    *,
+    train_seconds: float,
+    evaluate_seconds: float,
+    megabytes: float,
+    files: int,
+) -> dict:
+    """What so many trainings come to; `overhead`: seconds that the one process that hands out spends on each."""
+    work = trainings * (train_seconds + evaluate_seconds)
+    return {
+        "trainings": trainings,
+        "cores": cores,
+        "days": round(work / cores / DAY, 2),
+        "handing_out_hours": round(trainings * overhead / 3600, 2),
+        # Beyond these the process that hands out is what everybody waits for.
+        "most_cores": int((train_seconds + evaluate_seconds) / overhead),
+        "gigabytes": round(trainings * megabytes / 1000, 1),
+        "files": trainings * files,
+    }
+
+
+def jobs_table(result: dict) -> list[str]:
+    """Lines of Markdown: the plan."""
+    head = ("trainings", "cores", "days", "handing out", "disk", "files", "cores that one can feed")
+    rows = [
+        (
+            f"{plan['trainings']:,}",
+            f"{plan['cores']:,}",
+            f"{plan['days']:g}",
+            f"{plan['handing_out_hours']:g} h",
+            f"{plan['gigabytes']:,.0f} GB",
+            f"{plan['files']:,}",
+            f"{plan['most_cores']:,}",
+        )
+        for plan in result["plan"]
+    ]
+    return table(head, rows)
