@@ -51,13 +51,15 @@ def train(
     resume: bool = False,
     on_event: OnEvent | None = None,
     inputs: Mapping[str, str] | None = None,
+    query_prior: Sequence[Detector | str] = (),
     **changes: object,
 ) -> RunResult:
     """Train the logo's colours against the detectors, into the run folder `out`.
 
     scene, logo, detectors and backgrounds are given as they are or by name; names are recorded in the run's
     config.json, and `inputs` beside them. How to train: `settings`, or `changes` of a preset by the names of `cloak
-    train`'s options (`preset="best", steps=100, angles="-10:10:5"`). `on_event` hears every event that goes to
+    train`'s options (`preset="best", steps=100, angles="-10:10:5"`). `query_prior`: detectors whose gradients lead a
+    search by questions. `on_event` hears every event that goes to
     events.jsonl, in the calling thread. SIGINT (in the main thread), a file `cancel` in `out` or the time budget end it
     after the current step with a checkpoint; `resume` goes on from there to the bit-identical result.
 
@@ -78,6 +80,7 @@ def train(
         resume=resume,
         on_event=on_event,
         inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
+        query_prior=[_detector(detector, settings.compute.device) for detector in query_prior],
     )
 
 

@@ -3,7 +3,8 @@
 Natural evolution strategies (Ilyas et al., ICML 2018) on a mesh and under changing views: each image of a batch is
 asked about twice, with the colours moved a little along a direction of its own and against it; the difference of the
 two answers weighs the direction. Directions are low-dimensional: the logo falls apart into cells around random faces,
-and every cell moves its three channels up or down. No image is asked about again in a later step, so that nothing is
+and every cell moves its three channels up or down. With surrogates (`query_prior`) most directions are their gradients
+instead. No image is asked about again in a later step, so that nothing is
 fitted to single images; now and then the colours themselves are asked first, which makes an honest curve of success
 against queries on the training material.
 """
@@ -25,6 +26,7 @@ from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_chec
 from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
 from cloak_core.attack.loop import RunResult
 from cloak_core.attack.objective import Objective, StepFigures
+from cloak_core.attack.query_prior import QueryPrior
 from cloak_core.attack.run_folder import RunFolder
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest
@@ -36,6 +38,8 @@ EVERY = 8
 CELLS = (8, 64)
 """Fewest and most cells of a direction; the number is drawn evenly in its logarithm. More cells need more answers than
 a few thousand: with up to 512 a search against YOLO-LITE got nowhere."""
+PRIOR = 0.75
+"""Share of the directions that surrogates give, where there are any; the others keep what surrogates are blind to."""
 MEMORY = (0.9, 0.99)
 """Of the estimate, and of its mean square."""
 _STREAM = 0xB1AC
@@ -92,8 +96,10 @@ class Search:
         start: Float[Tensor, "L 3"],
         centres: Float[np.ndarray, "L 3"],
         on_event: OnEvent | None,
+        prior: QueryPrior | None = None,
     ) -> None:
         """`batcher` and `objective` are those of `search_settings`; centres: of the logo's faces, metres."""
+        self.prior = prior
         self.settings, self.run, self.batcher, self.objective = settings, run, batcher, objective
         self.centres, self.colors, self.step = centres, start.clone(), 0
         self.cost = len(objective.detectors) * settings.run.batch
@@ -143,7 +149,7 @@ class Search:
         batch = self.batcher.batch(self.step)
         if self.step % EVERY == 0:
             self._look(batch)
-        moves = self._directions(len(batch)) * self.settings.queries.query_change
+        moves = self._directions(batch) * self.settings.queries.query_change
         losses, successes = zip(
             *(self._asked(batch, (self.colors + side * moves).clamp(0, 1)) for side in (1, -1)), strict=True
         )
@@ -168,9 +174,16 @@ class Search:
         asked = queries_after(self.step, self.cost) + self.cost
         self._tell("round", queries=asked, success=success, disappearance=float(losses.mean()))
 
-    def _directions(self, count: int) -> Float[Tensor, "B L 3"]:
-        """+1 or -1 for every face and channel, alike within a cell; a function of (seed, step)."""
+    def _directions(self, batch: Batch) -> Float[Tensor, "B L 3"]:
+        """-1, 0 or 1 for every face and channel, alike within a cell; a function of (seed, step) and the colours."""
         random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
+        found = torch.from_numpy(self._random_directions(len(batch), random)).to(self.colors)
+        if self.prior is None:
+            return found
+        led = torch.from_numpy(random.random(len(batch)) < PRIOR).to(found.device)
+        return torch.where(led[:, None, None], self.prior.directions(batch, self.colors, self.step, random), found)
+
+    def _random_directions(self, count: int, random: np.random.Generator) -> Float[np.ndarray, "B L 3"]:
         found = np.empty((count, len(self.centres), 3), np.float32)
         low, high = np.log(np.minimum(CELLS, len(self.centres)))
         for direction in found:
@@ -178,7 +191,7 @@ class Search:
             about = self.centres[random.choice(len(self.centres), cells, replace=False)]
             signs = random.choice(np.float32([-1, 1]), (cells, 3))
             direction[:] = signs[cKDTree(about).query(self.centres)[1]]
-        return torch.from_numpy(found).to(self.colors)
+        return found
 
     def _follow(self, estimate: Float[Tensor, "L 3"]) -> None:
         """One step of Adam with a single scale for all colours: where answers contradict each other, it is short."""

@@ -78,7 +78,7 @@ class Objective:
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
             for group in groups:
-                heard = {number: self._heard(number, part, step) for number in group}
+                heard = {number: self.heard(number, part, step) for number in group}
                 losses = {number: self.loss(detections, number) for number, detections in heard.items()}
                 loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
                 if part.requires_grad:
@@ -93,7 +93,8 @@ class Objective:
         gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
         return Answer(disappearance, 1 - found, gradient, detections)
 
-    def _heard(self, number: int, images: Float[Tensor, "B 3 H W"], step: int | None) -> Detections:
+    def heard(self, number: int, images: Float[Tensor, "B 3 H W"], step: int | None) -> Detections:
+        """What detector `number` says of images, its network shaken where settings say so and `step` is not None."""
         with self.surrogates.shaken(number, step):
             return self.detectors[number](images)
 

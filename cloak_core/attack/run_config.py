@@ -32,6 +32,7 @@ DECISIVE = {
     "palette": (),
     "profile": (),
     "start": (),
+    "query_prior": ("sha256", "precision", "compiled", "source"),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
 AROUND = ("torch", "numpy", "device", "threads", "processes")
@@ -50,6 +51,7 @@ def run_config(
     held_out: TrainingData | None = None,
     start: np.ndarray | None = None,
     profile: Profile | None = None,
+    query_prior: Sequence[Detector] = (),
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
@@ -66,6 +68,7 @@ def run_config(
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
         "profile": None if profile is None else {"sha256": sha256_arrays(profile.table)},
         "start": None if start is None else {"sha256": sha256_arrays(start)},
+        "query_prior": [_detector(detector) for detector in query_prior] or None,
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),

@@ -21,6 +21,7 @@ from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
 from cloak_core.attack.pattern import Inks, Pattern
+from cloak_core.attack.query_prior import QueryPrior
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
@@ -60,11 +61,13 @@ def train(
     on_event: OnEvent | None = None,
     inputs: Mapping[str, str] | None = None,
     alone: bool = False,
+    query_prior: Sequence[Detector] = (),
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
     The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
-    weighted total variation and printability. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
+    weighted total variation and printability. A search by questions (`black_box_queries`) looks where the gradients of
+    the detectors of `query_prior` point. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
     and specs, as the user gave them) are recorded.
     Under torchrun its processes train together, unless this one is to train `alone`.
     Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
@@ -76,6 +79,8 @@ def train(
     """
     if not detectors:
         raise InputError("--detector: none given")
+    if query_prior and settings.queries.black_box_queries is None:
+        raise InputError("--query-prior: only leads a search (--black-box-queries)")
     for detector in detectors:
         if not detector.differentiable and settings.queries.black_box_queries is None:
             hint = "ask for its answers alone with --black-box-queries"
@@ -90,7 +95,8 @@ def train(
     device = local_device(settings.compute.device)
     try:
         with join_world(device, alone) as world:
-            return _train(settings, bodies, logo, detectors, backgrounds, Path(out), resume, on_event, inputs, world)
+            parties = (detectors, query_prior)
+            return _train(settings, bodies, logo, parties, backgrounds, Path(out), resume, on_event, inputs, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
 
@@ -99,7 +105,7 @@ def _train(
     settings: TrainSettings,
     bodies: Bodies,
     logo: Logo,
-    detectors: Sequence[Detector],
+    parties: tuple[Sequence[Detector], Sequence[Detector]],
     backgrounds: Backgrounds,
     out: Path,
     resume: bool,
@@ -108,7 +114,7 @@ def _train(
     world: World,
 ) -> RunResult:
     device = local_device(settings.compute.device)
-    detectors = [detector.to(device) for detector in detectors]
+    detectors, surrogates = ([detector.to(device) for detector in group] for group in parties)
     palette_file, profile_file, init = settings.objective.palette, settings.pattern.profile, settings.optimization.init
     palette = None if palette_file is None else read_palette(palette_file)
     profile = None if profile_file is None else read_profile(profile_file)
@@ -122,7 +128,7 @@ def _train(
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
-    given = (world.size, palette, held, start, profile)
+    given = (world.size, palette, held, start, profile, surrogates)
     config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, *given)
     clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
     first = initial_colors(settings.optimization, clothing, settings.run.seed)
@@ -133,7 +139,8 @@ def _train(
         objective = Objective(drawn, logo, detectors, device, palette)
         if is_search:
             centres = face_centres(bodies)[logo.face_ids]
-            loop = Search(settings, run, batcher, objective, first, centres, on_event)
+            prior = QueryPrior(Objective(drawn, logo, surrogates, device), centres) if surrogates else None
+            loop = Search(settings, run, batcher, objective, first, centres, on_event, prior)
         else:
             held_out = None if held is None else _held_out(settings, held, logo, objective, world)
             pattern = make_pattern(settings, bodies, logo, palette, profile, device)

@@ -42,6 +42,8 @@ class Train(Command):
     """Face list (.npy), from Blender or `cloak logo`."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """What to hide from: builtin, darknet:CFG:WEIGHTS[@SIZE], python:FILE.py:FUNCTION ... (default: builtin)."""
+    query_prior: UseAppendAction[tuple[str, ...]] = ()
+    """Of a search (--black-box-queries): surrogates, as in --detector, whose gradients say where to look."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     made_from: str | None = None
@@ -127,6 +129,7 @@ class Train(Command):
                 resume=self.resume,
                 on_event=lambda event: [listener(event) for listener in listeners],
                 inputs={"made_from": self.made_from} if self.made_from else None,
+                query_prior=self.options.load(self.query_prior, settings.compute.device),
             )
         return result.record()
 

@@ -80,3 +80,41 @@ def test_without_gradients_training_points_to_the_search(tmp_path):
         run(tmp_path / "run", [Asked()])
     with pytest.raises(InputError, match="without --held-out"):
         run(tmp_path / "run", [Asked()], black_box_queries=100, held_out=0.2, **HOW)
+
+
+class Blue(Detector):
+    """A surrogate of `Asked` with a gradient, and blind to all but colour."""
+
+    def __init__(self, sign: float = 1.0) -> None:
+        super().__init__(f"blue {sign}", "blue")
+        self.register_buffer("sign", torch.tensor(sign))
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        scores = torch.sigmoid(self.sign * 4 * (images[:, :1] - images[:, 2:]).mean((2, 3)))
+        return Detections(scores.new_zeros(*scores.shape, 4), scores)
+
+
+SHORT = HOW | {"black_box_queries": 68, "angles": "0", "translation": 0, "query_lr": 0.1}
+
+
+def _loss_reached(path, **more):
+    run(path, [Asked()], **SHORT, **more)
+    events = [event for event in read_events(path / "events.jsonl") if event["type"] == "step"]
+    return np.mean([event["disappearance"] for event in events[-3:]])
+
+
+@pytest.mark.slow
+def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_path):
+    alone = _loss_reached(tmp_path / "alone")
+    led = _loss_reached(tmp_path / "led", query_prior=[Blue()])
+    contrary = _loss_reached(tmp_path / "contrary", query_prior=[Blue(-1)])
+    assert led < alone - 0.02 and contrary < alone - 0.02
+    with pytest.raises(InputError, match="query_prior"):
+        run(tmp_path / "led", [Asked()], resume=True, query_prior=[Blue(2)], **SHORT)
+
+
+def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path):
+    with pytest.raises(InputError, match="--query-prior asked: gives no gradients"):
+        run(tmp_path / "a", [Asked()], black_box_queries=68, query_prior=[Asked()], **HOW)
+    with pytest.raises(InputError, match="only leads a search"):
+        run(tmp_path / "b", [TinyDetector()], query_prior=[Blue()], **HOW)

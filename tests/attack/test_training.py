@@ -29,7 +29,7 @@ from tests.attack.fakes import (
 from tests.attack.fakes import tiny_settings as settings
 
 
-def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, **changes):
+def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, query_prior=(), **changes):
     bodies = box_bodies()
     return train(
         settings(**changes),
@@ -40,6 +40,7 @@ def run(out: Path, detectors=None, logo=None, resume=False, on_event=None, **cha
         out,
         resume=resume,
         on_event=on_event,
+        query_prior=query_prior,
     )
 
 

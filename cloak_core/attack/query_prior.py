@@ -1,0 +1,61 @@
+"""Where a search by questions had better look: the gradients of detectors that the searcher does have.
+
+The subspace attack (Yan, Guo and Zhang, NeurIPS 2019): random directions in thousands of colours hardly ever matter to
+a detector; gradients of surrogates, shaken anew each time, span a space in which many of them do. The asked detector's
+answers decide alone which of them is followed, and to which side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from cloak_core.attack.batches import Batch
+from cloak_core.attack.objective import Objective
+from cloak_core.files.errors import InputError
+
+CELLS = (64, 1024)
+"""Fewest and most cells over which a gradient is averaged: single faces' gradients are mostly of this one image."""
+
+
+class QueryPrior:
+    """Directions from surrogates' gradients. InputError: a surrogate gives none."""
+
+    def __init__(self, objective: Objective, centres: Float[np.ndarray, "L 3"]) -> None:
+        """`objective`: of the surrogates, with the margin for its loss; centres: of the logo's faces, metres."""
+        for detector in objective.detectors:
+            if not detector.differentiable:
+                raise InputError(f"--query-prior {detector.spec}: gives no gradients")
+        self.objective, self.centres = objective, centres
+
+    def directions(
+        self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, random: np.random.Generator
+    ) -> Float[Tensor, "B L 3"]:
+        """-1, 0 or 1 for every face and channel of each image: the sign of one surrogate's gradient, averaged within
+        cells; 0 where the image does not show the cell."""
+        count = len(self.objective.detectors)
+        gradient = self._gradient(batch, colors, step, random.integers(count, size=len(batch)))
+        low, high = np.log(np.minimum(CELLS, len(self.centres)))
+        found = torch.empty_like(gradient)
+        for row, one in zip(found, gradient, strict=True):
+            cells = round(np.exp(random.uniform(low, high)))
+            about = self.centres[random.choice(len(self.centres), cells, replace=False)]
+            cell = torch.from_numpy(cKDTree(about).query(self.centres)[1]).to(one.device)
+            row.copy_(torch.zeros_like(one[:cells]).index_add_(0, cell, one).sign()[cell])
+        return found
+
+    def _gradient(
+        self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, chosen: Int[np.ndarray, " B"]
+    ) -> Float[Tensor, "B L 3"]:
+        """Of each image's chosen surrogate's loss, by the colours in that image."""
+        with torch.enable_grad():
+            moved = colors.expand(len(batch), -1, -1).clone().requires_grad_()
+            images, total = batch.images(moved), 0.0
+            for number in np.unique(chosen).tolist():
+                rows = torch.from_numpy(np.flatnonzero(chosen == number)).to(images.device)
+                total = total + self.objective.loss(self.objective.heard(number, images[rows], step), number).sum()
+            (gradient,) = torch.autograd.grad(total, moved)
+        return gradient
