@@ -121,10 +121,8 @@ def _train(
     start = None if init is None else read_start(Path(init), logo)
     trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
     is_search = settings.queries.black_box_queries is not None
-    if is_search and (held is not None or world.size > 1):
-        raise InputError("--black-box-queries: searches in one process, without --held-out")
-    if is_search and settings.pattern.on:
-        raise InputError("--black-box-queries: free colours alone, without --colors-at-most, --pattern and --profile")
+    if is_search:
+        _require_plain(settings, held, world)
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
@@ -151,6 +149,14 @@ def _train(
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
+
+
+def _require_plain(settings: TrainSettings, held: TrainingData | None, world: World) -> None:
+    """InputError: what a search by questions does not do."""
+    if held is not None or world.size > 1:
+        raise InputError("--black-box-queries: searches in one process, without --held-out")
+    if settings.pattern.on:
+        raise InputError("--black-box-queries: free colours alone, without --colors-at-most, --pattern and --profile")
 
 
 def make_pattern(
