@@ -7,6 +7,8 @@ what to do next.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bmesh
 import bpy
 import numpy as np
@@ -14,7 +16,7 @@ import numpy as np
 from . import colors
 from .exchange.bodies import Bodies, topology_hash
 from .files.errors import InputError
-from .mesh_arrays import polygon_loops, sync
+from .mesh_arrays import current_mesh, polygon_loops
 
 ORIGINAL_FACE = "cloak_original_face"
 """Integer face attribute that subdivision leaves: the face each one came from."""
@@ -68,14 +70,20 @@ def require_upright(obj: bpy.types.Object) -> None:
 
 def topology(obj: bpy.types.Object) -> str:
     """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
-    sync(obj)
-    return topology_hash(len(obj.data.vertices), *polygon_loops(obj.data))
+    with current_mesh(obj) as mesh:
+        return topology_hash(len(mesh.vertices), *polygon_loops(mesh))
 
 
 # --- subdivision -----------------------------------------------------------------------------------------------------
 
 
-def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> None:
+def _silent(fraction: float) -> None:
+    """Progress that nobody watches."""
+
+
+def subdivide(
+    obj: bpy.types.Object, triangulate: bool = True, show: Callable[[float], None] = _silent
+) -> tuple[int, int]:
     """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
 
     With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
@@ -87,8 +95,11 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> None:
     if not editing:
         bm.from_mesh(mesh)
     try:
+        before = len(bm.faces)
         _remember_faces(bm)
-        _split(bm, keep_quads=not triangulate)
+        show(0.05)
+        _split(bm, keep_quads=not triangulate, show=show)
+        after = len(bm.faces)
         if editing:
             bmesh.update_edit_mesh(mesh, destructive=True)
         else:
@@ -97,6 +108,7 @@ def subdivide(obj: bpy.types.Object, triangulate: bool = True) -> None:
     finally:
         if not editing:
             bm.free()
+    return before, after
 
 
 def _remember_faces(bm: bmesh.types.BMesh) -> None:
@@ -107,22 +119,26 @@ def _remember_faces(bm: bmesh.types.BMesh) -> None:
         face[layer] = index
 
 
-def _split(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
+def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
     hidden = bm.faces.layers.int.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
     for face in bm.faces:
-        face[hidden] = face.hide
+        if face.hide:
+            face[hidden] = True
+    has_ngons = any(len(f.verts) > 4 for f in bm.faces)
     corner = bm.verts.layers.int.new("cloak_corner")
     for vert in bm.verts:
         vert[corner] = True
-    has_ngons = any(len(f.verts) > 4 for f in bm.faces)
+    show(0.1)
     middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
-    for element in middles:
-        if isinstance(element, bmesh.types.BMVert):
-            element[corner] = False  # new vertices take over the flags of the old
+    show(0.5)
     if has_ngons:
+        for element in middles:
+            if isinstance(element, bmesh.types.BMVert):
+                element[corner] = False  # new vertices take over the flags of the old
         _split_ngons(bm, keep_quads)
     if not keep_quads:
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
+    show(0.9)
     flags = [face[hidden] for face in bm.faces]
     for face, flag in zip(bm.faces, flags, strict=True):
         if face.hide != flag:

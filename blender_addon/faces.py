@@ -15,12 +15,12 @@ from pathlib import Path
 import bmesh
 import bpy
 import numpy as np
-from mathutils.kdtree import KDTree
 
 from .body import topology
 from .exchange.face_lists import read_face_list
 from .files.errors import InputError
-from .mesh_arrays import mesh_triangles, polygon_loops, read, sync, to_world, write_attribute
+from .mesh_arrays import corner_counts, current_mesh, face_triangles, polygon_loops, read, to_world, write_attribute
+from .symmetry import nearest_within
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
 """Boolean face attributes that Blender itself keeps."""
@@ -83,19 +83,9 @@ def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
             bpy.ops.object.mode_set(mode="EDIT")
 
 
-def readable(obj: bpy.types.Object) -> bool:
-    """Whether logos can be read now without changing the mode: what a draw function must not do."""
-    return obj.mode != "EDIT" or HAS_LAYERS
-
-
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
-    mesh = obj.data
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        bm = bmesh.from_edit_mesh(mesh)
-        layer = bm.faces.layers.bool[name]
-        return np.fromiter((face[layer] for face in bm.faces), bool, len(bm.faces))
-    with _object_mode(obj):
+    with current_mesh(obj) as mesh:
         return read(mesh.attributes[name].data, "value", dtype=bool)
 
 
@@ -115,14 +105,14 @@ def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of the selected faces; in Edit Mode hidden faces are never selected."""
-    sync(obj)
-    return read(obj.data.polygons, "select", dtype=bool) & ~read_hidden(obj)
+    with current_mesh(obj) as mesh:
+        return read(mesh.polygons, "select", dtype=bool) & ~read_hidden(obj)
 
 
 def read_hidden(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of faces hidden in Edit Mode."""
-    sync(obj)
-    return read(obj.data.polygons, "hide", dtype=bool)
+    with current_mesh(obj) as mesh:
+        return read(mesh.polygons, "hide", dtype=bool)
 
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
@@ -131,13 +121,7 @@ def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     hidden = read_hidden(obj)
     visible = mask & ~hidden
     if obj.mode == "EDIT":
-        bm = bmesh.from_edit_mesh(mesh)
-        for element in (*bm.verts, *bm.edges, *bm.faces):
-            element.select = False
-        for face, flag in zip(bm.faces, visible.tolist(), strict=True):
-            if flag:
-                face.select_set(True)
-        bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
+        _select_edited(obj, visible)
         return int((mask & hidden).sum())
     vertices, edges = _elements_of(mesh, visible)
     mesh.polygons.foreach_set("select", visible)
@@ -145,6 +129,21 @@ def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     mesh.edges.foreach_set("select", edges)
     mesh.update_tag()
     return int((mask & hidden).sum())
+
+
+def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
+    """Only what is selected now, or will be, is touched: Python takes each element by itself."""
+    bm = bmesh.from_edit_mesh(obj.data)
+    kinds = ("vertices", "edges", "polygons")
+    with current_mesh(obj) as mesh:
+        selected = [np.flatnonzero(read(getattr(mesh, kind), "select", dtype=bool)) for kind in kinds]
+    for elements, indices in zip((bm.verts, bm.edges, bm.faces), selected, strict=True):
+        elements.ensure_lookup_table()
+        for index in indices.tolist():
+            elements[index].select = False
+    for index in np.flatnonzero(faces).tolist():
+        bm.faces[index].select_set(True)
+    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
 
 
 def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -182,9 +181,9 @@ def remove_logo(obj: bpy.types.Object, name: str) -> None:
 
 def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """The faces of `mask` and all that share a corner with them."""
-    sync(obj)
-    loop_total, loop_vertices = polygon_loops(obj.data)
-    touched = np.zeros(len(obj.data.vertices), bool)
+    with current_mesh(obj) as now:
+        loop_total, loop_vertices = polygon_loops(now)
+        touched = np.zeros(len(now.vertices), bool)
     touched[loop_vertices[np.repeat(mask, loop_total)]] = True
     return _any_corner(touched[loop_vertices], loop_total)
 
@@ -204,21 +203,14 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
 
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
-    sync(obj)
-    centers, areas = read(obj.data.polygons, "center", 3), read(obj.data.polygons, "area")
-    tree = KDTree(len(centers))
-    for index, center in enumerate(centers.tolist()):
-        tree.insert(center, index)
-    tree.balance()
-    mirrored, lost = np.zeros(len(centers), bool), 0
-    for index in np.flatnonzero(mask):
-        x, y, z = centers[index].tolist()
-        _, other, distance = tree.find((-x, y, z))
-        if distance <= 0.25 * float(areas[index]) ** 0.5:
-            mirrored[other] = True
-        else:
-            lost += 1
-    return mirrored, lost
+    with current_mesh(obj) as mesh:
+        centers, areas = read(mesh.polygons, "center", 3), read(mesh.polygons, "area")
+    ids = np.flatnonzero(mask)
+    reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
+    opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)
+    mirrored = np.zeros(len(centers), bool)
+    mirrored[opposite[opposite >= 0]] = True
+    return mirrored, int((opposite < 0).sum())
 
 
 # --- face lists ----------------------------------------------------------------------------------------------------
@@ -232,8 +224,10 @@ def import_face_list(obj: bpy.types.Object, path: Path) -> str:
         raise InputError(
             f"{path}: made for topology {face_list.topology}, but '{obj.name}' has {own}: choose its own mesh"
         )
-    count = len(obj.data.polygons)
-    if face_list.index_of == "triangle" and any(len(polygon.vertices) != 3 for polygon in obj.data.polygons):
+    with current_mesh(obj) as mesh:
+        counts = corner_counts(mesh)
+    count = len(counts)
+    if face_list.index_of == "triangle" and (counts != 3).any():
         raise InputError(f"{path}: counts triangles, but '{obj.name}' has larger faces: triangulate it first")
     if face_list.ids[-1] >= count:
         raise InputError(f"{path}: face {face_list.ids[-1]} is beyond the {count} faces of '{obj.name}'")
@@ -261,14 +255,15 @@ class LogoStats:
 
 def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
     """Counts and areas of a logo."""
-    sync(obj)
-    areas = face_areas(obj)
-    vectors, polygon = _area_vectors(obj)
+    with current_mesh(obj) as mesh:
+        vectors, polygon = _area_vectors(mesh, obj)
+        hidden = read(mesh.polygons, "hide", dtype=bool)
+    areas = np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mask))
     # The front looks along +y, so front faces have normals along -y.
-    frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(areas)), 0)
+    frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(mask)), 0)
     return LogoStats(
         faces=int(mask.sum()),
-        hidden=int((mask & read_hidden(obj)).sum()),
+        hidden=int((mask & hidden).sum()),
         area_share=float(areas[mask].sum() / max(areas.sum(), 1e-12)),
         projected_area=float(frontal[mask].sum()) * bpy.context.scene.unit_settings.scale_length**2,
         projected_share=float(frontal[mask].sum() / max(frontal.sum(), 1e-12)),
@@ -277,12 +272,13 @@ def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
 
 def face_areas(obj: bpy.types.Object) -> np.ndarray:
     """[F] areas in world space: sums over triangles, as the trainer counts them."""
-    vectors, polygon = _area_vectors(obj)
-    return np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(obj.data.polygons))
+    with current_mesh(obj) as mesh:
+        vectors, polygon = _area_vectors(mesh, obj)
+        return np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mesh.polygons))
 
 
-def _area_vectors(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+def _area_vectors(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
-    triangles, polygon = mesh_triangles(obj.data)
-    corners = to_world(read(obj.data.vertices, "co", 3), np.array(obj.matrix_world))[triangles]
+    triangles, polygon = face_triangles(mesh)
+    corners = to_world(read(mesh.vertices, "co", 3), np.array(obj.matrix_world))[triangles]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2, polygon

@@ -1,37 +1,48 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The active logo, tinted in the viewport, and its figures for the panel; both cached until the mesh changes."""
+"""The active logo, tinted in the viewport, and its figures for the panel; both kept until the mesh changes.
+
+Drawing never waits for them: what takes longer than a blink is computed when the user has rested for a moment.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import bmesh
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
 from . import colors, faces
 from .faces import LogoStats
-from .mesh_arrays import mesh_triangles, read
+from .mesh_arrays import current_mesh, face_triangles, read
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 LIFT = 0.0008
 """The tint floats this share of the body's size above the surface, so that the two do not flicker."""
+BLINK = 0.03
+"""Seconds that drawing may wait for a figure."""
+REST = 0.2
+"""Seconds without a change after which what takes longer is computed."""
 
 _handle: object | None = None
 _changes = 0
-_stats: tuple[object, LogoStats | None] = (None, None)
+_changed_at = 0.0
 _batch: tuple[object, object | None] = (None, None)
 
 
 @dataclass(frozen=True)
 class _Key:
-    """What a cached figure was computed from."""
+    """What a kept value was computed from."""
 
     object: int
     logo: str
     changes: int
     mode: str
+    scale: tuple[float, ...]
+    """The object's transform without its place."""
 
 
 def _key(obj: bpy.types.Object) -> _Key | None:
@@ -39,20 +50,69 @@ def _key(obj: bpy.types.Object) -> _Key | None:
     if not names:
         return None
     logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
-    return _Key(obj.session_uid, logo, _changes, obj.mode)
+    scale = tuple(value for row in obj.matrix_world.to_3x3() for value in row)
+    return _Key(obj.session_uid, logo, _changes, obj.mode, scale)
+
+
+class _Kept:
+    """A value of the active logo, `compute(obj, mask)`, computed again when its key has changed."""
+
+    def __init__(self, compute: Callable[[bpy.types.Object, np.ndarray], object]) -> None:
+        self._compute = compute
+        self.clear()
+
+    def clear(self) -> None:
+        self.key: _Key | None = None
+        self.wanted: _Key | None = None
+        self.value: object = None
+        self._seconds = 0.0
+
+    def get(self, obj: bpy.types.Object, key: _Key) -> object:
+        """The value; while a new one is on its way, the last one of the same logo, or None."""
+        self.wanted = key
+        if self.key != key:
+            if bpy.app.background or (not self.slow and obj.mode != "EDIT"):
+                self.update(obj)
+            elif not bpy.app.timers.is_registered(_catch_up):
+                bpy.app.timers.register(_catch_up, first_interval=REST if self.slow else 0)
+        same = self.key is not None and (self.key.object, self.key.logo) == (key.object, key.logo)
+        return self.value if same else None
+
+    @property
+    def slow(self) -> bool:
+        return self._seconds >= BLINK
+
+    def update(self, obj: bpy.types.Object) -> None:
+        start = time.perf_counter()
+        self.value = self._compute(obj, faces.read_faces(obj, self.wanted.logo))
+        self.key, self._seconds = self.wanted, time.perf_counter() - start
 
 
 def active_stats(obj: bpy.types.Object) -> LogoStats | None:
-    """Figures of the active logo; None where the mesh has none. Recomputed only after the scene changed."""
-    global _stats
+    """Figures of the active logo; None where the mesh has none, or while they are first computed."""
+    key = _key(obj)
+    return _stats.get(obj, key) if key is not None else None
+
+
+def _catch_up() -> float | None:
+    """Timer: compute what was asked for last, once the user rests."""
+    obj, late = bpy.context.object, [kept for kept in (_stats, _tint) if kept.wanted != kept.key]
+    if not late or obj is None or obj.type != "MESH" or not obj.data:
+        return None
+    if time.monotonic() - _changed_at < REST and any(kept.slow for kept in late):
+        return REST
     key = _key(obj)
     if key is None:
         return None
-    if _stats[0] != key and not faces.readable(obj):
-        return _stats[1]  # as it was before Edit Mode
-    if _stats[0] != key:
-        _stats = (key, faces.logo_stats(obj, faces.read_faces(obj, key.logo)))
-    return _stats[1]
+    with current_mesh(obj):  # one copy for both
+        for kept in late:
+            kept.wanted = key
+            kept.update(obj)
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+    return None
 
 
 def tint_triangles(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -66,22 +126,24 @@ def tint_triangles(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
 
 
 def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    bm = bmesh.from_edit_mesh(obj.data)
-    wanted = set(np.flatnonzero(mask).tolist())
-    bm.faces.index_update()
-    loops = [t for t in bm.calc_loop_triangles() if t[0].face.index in wanted and not t[0].face.hide]
-    corners = [loop.vert.co[:] for triangle in loops for loop in triangle]
-    normals = [loop.vert.normal[:] for triangle in loops for loop in triangle]
-    return np.array(corners, np.float32).reshape(-1, 3), np.array(normals, np.float32).reshape(-1, 3)
+    with current_mesh(obj) as mesh:
+        return _corners(mesh, mask & ~read(mesh.polygons, "hide", dtype=bool))
 
 
 def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     if len(mesh.polygons) != len(mask):  # a modifier changes the topology: the rest shape is all there is to show
         mesh = obj.data
-    triangles, face = mesh_triangles(mesh)
-    chosen = triangles[mask[face]].ravel()
+    return _corners(mesh, mask)
+
+
+def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places and normals, [3 n, 3] each, of the corners of a mask's triangles."""
+    chosen = face_triangles(mesh, mask)[0].ravel()
     return read(mesh.vertices, "co", 3)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
+
+
+_stats, _tint = _Kept(faces.logo_stats), _Kept(tint_triangles)
 
 
 def _draw() -> None:
@@ -96,12 +158,12 @@ def _draw() -> None:
     if not bpy.context.space_data.overlay.show_overlays or not obj.data.polygons:
         return
     key = _key(obj)
-    if key is None or _wears_cloak(obj) or not faces.readable(obj):
+    if key is None or _wears_cloak(obj):
         return
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    if _batch[0] != key:
-        corners = tint_triangles(obj, faces.read_faces(obj, key.logo))
-        _batch = (key, batch_for_shader(shader, "TRIS", {"pos": corners}) if len(corners) else None)
+    shader, corners = gpu.shader.from_builtin("UNIFORM_COLOR"), _tint.get(obj, key)
+    if _batch[0] is not corners:
+        some = corners is not None and len(corners)
+        _batch = (corners, batch_for_shader(shader, "TRIS", {"pos": corners}) if some else None)
     if _batch[1] is None:
         return
     gpu.state.depth_test_set("LESS_EQUAL")
@@ -125,15 +187,20 @@ def _wears_cloak(obj: bpy.types.Object) -> bool:
 
 @persistent
 def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    global _changes
-    if any(isinstance(update.id, (bpy.types.Object, bpy.types.Mesh)) for update in graph.updates):
-        _changes += 1
+    """Selecting, and moving an object about, change no logo."""
+    meshes = (bpy.types.Object, bpy.types.Mesh)
+    if any(update.is_updated_geometry and isinstance(update.id, meshes) for update in graph.updates):
+        _note_change()
 
 
 @persistent
 def _on_frame(scene: bpy.types.Scene, graph: bpy.types.Depsgraph | None = None) -> None:
-    global _changes
-    _changes += 1
+    _note_change()
+
+
+def _note_change() -> None:
+    global _changes, _changed_at
+    _changes, _changed_at = _changes + 1, time.monotonic()
 
 
 HANDLERS = (
@@ -154,9 +221,13 @@ def register() -> None:
 
 
 def unregister() -> None:
-    global _handle, _stats, _batch
+    global _handle, _batch
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).remove(handler)
-    _handle, _stats, _batch = None, (None, None), (None, None)
+    with contextlib.suppress(ValueError):
+        bpy.app.timers.unregister(_catch_up)
+    _handle, _batch = None, (None, None)
+    _stats.clear()
+    _tint.clear()

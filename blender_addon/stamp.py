@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
-from mathutils.bvhtree import BVHTree
 
 from .faces import read_hidden
 from .files.errors import InputError
@@ -121,26 +120,38 @@ def covered_faces(
     context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
 ) -> np.ndarray:
     """Mask [F] of the faces whose centre lies under ink, that look at the viewer and that nothing on the body hides."""
-    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
-        if len(mesh.polygons) != len(obj.data.polygons):
+    graph = context.evaluated_depsgraph_get()
+    with evaluated_mesh(obj, graph) as (mesh, matrix):
+        if len(mesh.polygons) != len(read_hidden(obj)):
             raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when evaluated")
         centers = to_world(read(mesh.polygons, "center", 3), matrix)
         normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
-        mask = _under_ink(centers, stamp, projection) & ~read_hidden(obj)
-        rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
-        mask &= (normals * rays).sum(1) < 0
-        corners = to_world(read(mesh.vertices, "co", 3), matrix).tolist()
-        tree = BVHTree.FromPolygons(corners, [tuple(polygon.vertices) for polygon in mesh.polygons])
-    reach = float(np.ptp(centers, axis=0).max()) * 4 + 1
-    for face in np.flatnonzero(mask):
-        center = Vector(centers[face])
-        ray = (center - projection.eye).normalized() if projection.eye is not None else projection.direction
-        start = projection.eye if projection.eye is not None else center - ray * reach
-        _, _, hit, _ = tree.ray_cast(start, ray)
-        mask[face] = hit == face
+    rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
+    mask = _under_ink(centers, stamp, projection) & ~read_hidden(obj) & ((normals * rays).sum(1) < 0)
+    ids = np.flatnonzero(mask)
+    mask[ids] = _first_hits(obj.evaluated_get(graph), centers[ids], projection) == ids
     if not mask.any():
         raise InputError("The stamp covers no visible face: change its size or place, or the view")
     return mask
+
+
+def _first_hits(evaluated: bpy.types.Object, targets: np.ndarray, projection: Projection) -> np.ndarray:
+    """[n] the face of the evaluated object that a ray towards each target [n, 3] in world space meets first; -1: none.
+
+    Blender keeps the tree that it searches until the mesh changes.
+    """
+    to_local = np.linalg.inv(np.array(evaluated.matrix_world, np.float64))
+    if projection.eye is not None:
+        starts = np.broadcast_to(np.array(projection.eye, np.float64), targets.shape)
+    else:
+        reach = 4 * max(evaluated.dimensions) + 1
+        starts = targets - reach * np.array(projection.direction, np.float64)
+    starts, targets = to_world(starts, to_local), to_world(targets, to_local)
+    directions = targets - starts
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    cast = evaluated.ray_cast
+    hits = [cast(start, ray)[3] for start, ray in zip(starts.tolist(), directions.tolist(), strict=True)]
+    return np.array(hits, np.int64)
 
 
 def _under_ink(centers: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:

@@ -12,10 +12,10 @@ from ..body import add_from_scene, subdivide
 from ..command_lines import sample_command
 from ..exchange.scenes import read_scene
 from ..jobs import Job, launch, require_idle
-from ..mesh_arrays import sync
 from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
 from .base import BodyOperator, CloakOperator, push_undo
+from .cursor import progress_cursor
 
 
 class CLOAK_OT_subdivide(BodyOperator):
@@ -33,10 +33,9 @@ keys, weights, materials, UVs and logos are kept"""
         return self.execute(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        before = len(obj.data.polygons)
-        subdivide(obj, self.triangulate)
-        sync(obj)
-        return f"'{obj.name}': {before:,} faces became {len(obj.data.polygons):,}"
+        with progress_cursor(context) as show:
+            before, after = subdivide(obj, self.triangulate, show)
+        return f"'{obj.name}': {before:,} faces became {after:,}"
 
 
 class CLOAK_OT_add_sample_body(CloakOperator):

@@ -1,0 +1,132 @@
+"""Measures what a user waits for while picking a logo in Edit Mode, in a real Blender or under the bpy package.
+
+    python tests/blender/real/latencies.py -- ZIP SCENE [FACES ...]                       (a Python with bpy)
+    real_blender.sh gui sid /tmp/x.png tests/blender/real/latencies.py ZIP SCENE [FACES ...]      (with the window)
+
+SCENE is a scene package whose poses become shape keys (`cloak scene sample --out SCENE`); FACES are the sizes of the
+other bodies, 55,000 and 300,000 where none is given. Prints one JSON object of milliseconds: the median of REPEATS by
+the clock, and in brackets what all of Blender's threads worked, which is the larger of the two on an idle machine and
+the one that can be compared on a busy one. "subdivide" is done once.
+"""
+
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from harness import install
+
+WORDS = sys.argv[sys.argv.index("--") + 1 :]
+ZIP, SCENE, SIZES = WORDS[0], WORDS[1], [int(word) for word in WORDS[2:]] or [55_000, 300_000]
+REPEATS = 5
+
+
+def milliseconds(call: Callable) -> tuple[float, float]:
+    start, work = time.perf_counter(), time.process_time()
+    call()
+    return 1000 * (time.perf_counter() - start), 1000 * (time.process_time() - work)
+
+
+def summary(values: list[tuple[float, float]]) -> str:
+    wall, work = map(statistics.median, zip(*values, strict=True))
+    return f"{wall:.0f} ({work:.0f})"
+
+
+def sample() -> bpy.types.Object:
+    from cloak import body
+    from cloak.exchange.scenes import read_scene
+
+    return body.add_from_scene(bpy.context, read_scene(Path(SCENE)))
+
+
+def touch(obj: bpy.types.Object) -> None:
+    """What follows a change of the mesh in Edit Mode, before anything is measured."""
+    import bmesh
+
+    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    bpy.context.view_layer.update()
+
+
+def waits(obj: bpy.types.Object) -> dict[str, str]:
+    """Every wait in Edit Mode, on one body."""
+    from cloak import faces, overlay
+    from made import select_only, set_mode
+
+    print(obj.name, file=sys.stderr, flush=True)
+    bpy.context.view_layer.objects.active = obj
+    count = len(obj.data.polygons)
+    select_only(obj, range(count // 3, count // 2))
+    bpy.ops.cloak.logo_new(name="logo")
+    folder = Path(tempfile.mkdtemp())
+    numbers = iter(range(10**6))
+
+    def stamped() -> None:
+        bpy.ops.cloak.logo_stamp(target="ADD")
+
+    def tinted() -> None:
+        overlay.tint_triangles(obj, faces.read_faces(obj, "logo"))
+
+    def exported() -> None:
+        bpy.ops.cloak.logo_export(filepath=str(folder / f"{next(numbers)}.npy"))
+
+    actions = {
+        "stamp": stamped,
+        "figures": lambda: overlay.active_stats(obj),
+        "tint": tinted,
+        "assign": bpy.ops.cloak.logo_assign,
+        "select": bpy.ops.cloak.logo_select,
+        "grow": bpy.ops.cloak.logo_grow,
+        "mirror": bpy.ops.cloak.logo_mirror,
+        "export": exported,
+    }
+    figures = {}
+    for name, action in actions.items():
+        values = []
+        for _ in range(REPEATS):
+            touch(obj)
+            values.append(milliseconds(action))
+        figures[name] = summary(values)
+    figures["subdivide"] = summary([milliseconds(bpy.ops.cloak.subdivide)])
+    set_mode("OBJECT")
+    return figures
+
+
+def measure() -> dict:
+    install(ZIP)
+    bpy.context.scene.cloak.stamp_size = 0.4
+    figures: dict = {"blender": bpy.app.version_string, "background": bpy.app.background}
+    from made import make_fine_egg
+
+    for make in (sample, *(lambda size=size: make_fine_egg(size) for size in SIZES)):
+        obj = make()
+        keys = len(obj.data.shape_keys.key_blocks) if obj.data.shape_keys else 0
+        name = f"{len(obj.data.polygons):,} faces, {keys} shape keys"
+        figures[name] = waits(obj)
+        bpy.data.objects.remove(obj)
+    return figures
+
+
+def main() -> None:
+    try:
+        print(json.dumps(measure(), indent=1), flush=True)
+    except Exception:
+        traceback.print_exc()
+        os._exit(3)
+    if bpy.app.background:
+        os._exit(0)
+    Path(os.environ["SHOT_READY"]).touch()
+    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=3)
+
+
+if bpy.app.background:
+    main()
+else:
+    bpy.app.timers.register(main, first_interval=1.5)
