@@ -7,6 +7,7 @@ in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polyg
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,7 +20,16 @@ import numpy as np
 from .body import topology
 from .exchange.face_lists import read_face_list
 from .files.errors import InputError
-from .mesh_arrays import corner_counts, current_mesh, face_triangles, polygon_loops, read, to_world, write_attribute
+from .mesh_arrays import (
+    corner_counts,
+    current_mesh,
+    edited,
+    face_triangles,
+    polygon_loops,
+    read,
+    to_world,
+    write_attribute,
+)
 from .symmetry import nearest_within
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
@@ -93,14 +103,31 @@ def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Set the logo `name` to `mask`, making it where there is none."""
     mesh = obj.data
     if obj.mode == "EDIT" and HAS_LAYERS:
-        bm = bmesh.from_edit_mesh(mesh)
-        layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
-        for face, flag in zip(bm.faces, mask.tolist(), strict=True):
-            face[layer] = flag
-        bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
+        layers = bmesh.from_edit_mesh(mesh).faces.layers.bool
+        old = read_faces(obj, name) if layers.get(name) else np.zeros(len(mask), bool)
+        for flag in (True, False):
+            _write_edited(obj, name, (mask != old) & (mask == flag), flag)
         return
     with _object_mode(obj):
         write_attribute(mesh, name, "BOOLEAN", mask)
+
+
+def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
+    """Add the faces of `mask` to the logo `name`."""
+    if obj.mode == "EDIT" and HAS_LAYERS:
+        _write_edited(obj, name, mask, True)
+    else:
+        write_faces(obj, name, read_faces(obj, name) | mask)
+
+
+def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray, flag: bool) -> None:
+    """Set the flag of a mask's faces alone: Python takes each face by itself."""
+    bm = bmesh.from_edit_mesh(obj.data)
+    layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
+    for face in itertools.compress(bm.faces, mask.tolist()):
+        face[layer] = flag
+    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    edited(obj)
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
@@ -117,17 +144,17 @@ def read_hidden(obj: bpy.types.Object) -> np.ndarray:
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     """Select exactly the visible faces of `mask`; returns how many of its faces are hidden and stay unselected."""
-    mesh = obj.data
-    hidden = read_hidden(obj)
-    visible = mask & ~hidden
-    if obj.mode == "EDIT":
-        _select_edited(obj, visible)
-        return int((mask & hidden).sum())
-    vertices, edges = _elements_of(mesh, visible)
-    mesh.polygons.foreach_set("select", visible)
-    mesh.vertices.foreach_set("select", vertices)
-    mesh.edges.foreach_set("select", edges)
-    mesh.update_tag()
+    with current_mesh(obj) as mesh:
+        hidden = read_hidden(obj)
+        visible = mask & ~hidden
+        if obj.mode == "EDIT":
+            _select_edited(obj, visible)
+        else:
+            vertices, edges = _elements_of(mesh, visible)
+            mesh.polygons.foreach_set("select", visible)
+            mesh.vertices.foreach_set("select", vertices)
+            mesh.edges.foreach_set("select", edges)
+            mesh.update_tag()
     return int((mask & hidden).sum())
 
 
@@ -144,6 +171,7 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
     for index in np.flatnonzero(faces).tolist():
         bm.faces[index].select_set(True)
     bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    edited(obj)
 
 
 def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -280,5 +308,8 @@ def face_areas(obj: bpy.types.Object) -> np.ndarray:
 def _area_vectors(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
     triangles, polygon = face_triangles(mesh)
-    corners = to_world(read(mesh.vertices, "co", 3), np.array(obj.matrix_world))[triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2, polygon
+    points = to_world(read(mesh.vertices, "co", 3), np.array(obj.matrix_world))
+    points -= points.mean(0)  # so that half the digits are enough, wherever the body stands
+    first, second, third = (points.astype(np.float32)[triangles[:, corner]] for corner in range(3))
+    (ax, ay, az), (bx, by, bz) = (second - first).T, (third - first).T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1) / 2, polygon

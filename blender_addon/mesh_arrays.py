@@ -29,7 +29,7 @@ def current_mesh(obj: bpy.types.Object) -> Iterator[bpy.types.Mesh]:
     """The object's own mesh as it is now: itself, or in Edit Mode a copy of what is being edited, to be read only.
 
     The copy has every layer but the shape keys, and Blender reads it several times as fast as the mesh under editing.
-    Within an outer `current_mesh` of the same object it is the outer one's, so that one operator makes one copy.
+    Within an outer `current_mesh` of the same object it is the outer one's, until `edited` says that it has aged.
     """
     uid = obj.session_uid
     if obj.mode != "EDIT" or uid in _open:
@@ -40,8 +40,18 @@ def current_mesh(obj: bpy.types.Object) -> Iterator[bpy.types.Mesh]:
         bmesh.from_edit_mesh(obj.data).to_mesh(copy)
         yield copy
     finally:
-        del _open[uid]
+        edited(obj)
         bpy.data.meshes.remove(copy, do_unlink=False)
+
+
+def edited(obj: bpy.types.Object) -> None:
+    """The mesh in Edit Mode was changed: `current_mesh` makes a new copy."""
+    _open.pop(obj.session_uid, None)
+
+
+def face_count(obj: bpy.types.Object) -> int:
+    """How many faces the object's own mesh has now."""
+    return len(bmesh.from_edit_mesh(obj.data).faces) if obj.mode == "EDIT" else len(obj.data.polygons)
 
 
 def read(items: bpy.types.bpy_prop_collection, name: str, width: int = 1, dtype: type = np.float32) -> np.ndarray:
@@ -112,7 +122,12 @@ def _by_size(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _folded(points: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Mask of the quads [Q, 4] whose halves along the first diagonal lie on the same side of it."""
     a, b, diagonal = (points[quads[:, corner]] - points[quads[:, 0]] for corner in (1, 3, 2))
-    return (np.cross(a, diagonal) * np.cross(b, diagonal)).sum(1) > 0
+    # (a x d) . (b x d), by Lagrange's identity
+    return _dot(a, b) * _dot(diagonal, diagonal) > _dot(a, diagonal) * _dot(b, diagonal)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", a, b)
 
 
 def _ngon_triangles(

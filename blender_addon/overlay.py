@@ -84,7 +84,8 @@ class _Kept:
 
     def update(self, obj: bpy.types.Object) -> None:
         start = time.perf_counter()
-        self.value = self._compute(obj, faces.read_faces(obj, self.wanted.logo))
+        with current_mesh(obj):
+            self.value = self._compute(obj, faces.read_faces(obj, self.wanted.logo))
         self.key, self._seconds = self.wanted, time.perf_counter() - start
 
 

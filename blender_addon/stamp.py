@@ -12,9 +12,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from .faces import read_hidden
 from .files.errors import InputError
-from .mesh_arrays import evaluated_mesh, image_pixels, mesh_triangles, read, to_world
+from .mesh_arrays import evaluated_mesh, face_count, face_triangles, image_pixels, mesh_triangles, read, to_world
+from .occlusion import seen
 from .scene_export import topology_modifiers_reason
 
 RESOLUTION = 512
@@ -120,46 +120,47 @@ def covered_faces(
     context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
 ) -> np.ndarray:
     """Mask [F] of the faces whose centre lies under ink, that look at the viewer and that nothing on the body hides."""
-    graph = context.evaluated_depsgraph_get()
-    with evaluated_mesh(obj, graph) as (mesh, matrix):
-        if len(mesh.polygons) != len(read_hidden(obj)):
+    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+        if len(mesh.polygons) != face_count(obj):
             raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when evaluated")
         centers = to_world(read(mesh.polygons, "center", 3), matrix)
         normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
-    rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
-    mask = _under_ink(centers, stamp, projection) & ~read_hidden(obj) & ((normals * rays).sum(1) < 0)
-    ids = np.flatnonzero(mask)
-    mask[ids] = _first_hits(obj.evaluated_get(graph), centers[ids], projection) == ids
+        rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
+        plane, before_eye = _to_plane(centers, projection)
+        mask = before_eye & _under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
+        mask &= ~read(mesh.polygons, "hide", dtype=bool)
+        ids = np.flatnonzero(mask)
+        mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection))
     if not mask.any():
         raise InputError("The stamp covers no visible face: change its size or place, or the view")
     return mask
 
 
-def _first_hits(evaluated: bpy.types.Object, targets: np.ndarray, projection: Projection) -> np.ndarray:
-    """[n] the face of the evaluated object that a ray towards each target [n, 3] in world space meets first; -1: none.
-
-    Blender keeps the tree that it searches until the mesh changes.
-    """
-    to_local = np.linalg.inv(np.array(evaluated.matrix_world, np.float64))
-    if projection.eye is not None:
-        starts = np.broadcast_to(np.array(projection.eye, np.float64), targets.shape)
-    else:
-        reach = 4 * max(evaluated.dimensions) + 1
-        starts = targets - reach * np.array(projection.direction, np.float64)
-    starts, targets = to_world(starts, to_local), to_world(targets, to_local)
-    directions = targets - starts
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    cast = evaluated.ray_cast
-    hits = [cast(start, ray)[3] for start, ray in zip(starts.tolist(), directions.tolist(), strict=True)]
-    return np.array(hits, np.int64)
+def _image(
+    mesh: bpy.types.Mesh, matrix: np.ndarray, projection: Projection
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mesh's vertices in plane coordinates [V, 3], its triangles before the eye [T, 3], and the face of each."""
+    triangles, face = face_triangles(mesh)
+    points, before_eye = _to_plane(to_world(read(mesh.vertices, "co", 3), matrix), projection)
+    if before_eye.all():
+        return points, triangles, face
+    whole = before_eye[triangles].all(1)
+    return points, triangles[whole], face[whole]
 
 
-def _under_ink(centers: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
-    plane = np.c_[centers, np.ones(len(centers))] @ np.array(projection.to_plane, np.float64).T
+def _to_plane(points: np.ndarray, projection: Projection) -> tuple[np.ndarray, np.ndarray]:
+    """Points [n, 3] in world space as x, y in the stamp's plane and nearness; and which lie before the eye."""
+    plane = np.c_[points, np.ones(len(points))] @ np.array(projection.to_plane, np.float64).T
     before_eye = plane[:, 3] > 1e-9
-    xy = plane[:, :2] / np.where(before_eye, plane[:, 3], 1)[:, None]
+    w = np.where(before_eye, plane[:, 3], 1)
+    parallel = projection.eye is None
+    nearness = -points @ np.array(projection.direction, np.float64) if parallel else 1 / w  # linear in the image
+    return np.c_[plane[:, :2] / w[:, None], nearness], before_eye
+
+
+def _under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
     height, width = stamp.shape
-    column = np.floor((xy[:, 0] + 1) / 2 * width).astype(int)
-    row = np.floor((1 - xy[:, 1]) / 2 * height).astype(int)
-    inside = before_eye & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    column = np.floor((plane[:, 0] + 1) / 2 * width).astype(int)
+    row = np.floor((1 - plane[:, 1]) / 2 * height).astype(int)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return inside & stamp[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]

@@ -14,6 +14,7 @@ from .. import faces
 from ..body import active_body, topology
 from ..exchange.face_lists import write_face_list
 from ..files.errors import InputError
+from ..mesh_arrays import current_mesh
 from .base import BodyOperator, CloakOperator
 
 
@@ -41,8 +42,9 @@ class LogoOperator(BodyOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = active_logo(obj)
-        mask = self.faces_from(obj, faces.read_faces(obj, name))
-        faces.write_faces(obj, name, mask)
+        with current_mesh(obj):
+            mask = self.faces_from(obj, faces.read_faces(obj, name))
+            faces.write_faces(obj, name, mask)
         return f"Logo '{name}': {int(mask.sum()):,} faces"
 
 
@@ -84,8 +86,9 @@ class CLOAK_OT_logo_select(BodyOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = active_logo(obj)
-        mask = faces.require_logo(obj, name)
-        hidden = faces.select_faces(obj, mask)
+        with current_mesh(obj):
+            mask = faces.require_logo(obj, name)
+            hidden = faces.select_faces(obj, mask)
         note = f"; {hidden:,} are hidden and stay unselected: reveal them with Alt H" if hidden else ""
         return f"Selected {int(mask.sum()):,} faces{note}"
 
@@ -111,13 +114,14 @@ class CLOAK_OT_logo_mirror(BodyOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = active_logo(obj)
-        mask = faces.require_logo(obj, name)
-        mirrored, lost = faces.mirror(obj, mask)
-        if not mirrored.any():
-            raise InputError(
-                f"No face lies opposite logo '{name}' across X: the mesh is not symmetric, or its origin is off"
-            )
-        faces.write_faces(obj, name, mirrored | mask if self.extend else mirrored)
+        with current_mesh(obj):
+            mask = faces.require_logo(obj, name)
+            mirrored, lost = faces.mirror(obj, mask)
+            if not mirrored.any():
+                raise InputError(
+                    f"No face lies opposite logo '{name}' across X: the mesh is not symmetric, or its origin is off"
+                )
+            faces.write_faces(obj, name, mirrored | mask if self.extend else mirrored)
         note = f"; {lost:,} have no opposite" if lost else ""
         return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
 
@@ -157,8 +161,9 @@ class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
     def run(self, context: bpy.types.Context) -> str:
         obj = active_body(context)
         name = active_logo(obj)
-        ids = np.flatnonzero(faces.require_logo(obj, name))
-        write_face_list(self.filepath, ids, topology(obj))
+        with current_mesh(obj):
+            ids = np.flatnonzero(faces.require_logo(obj, name))
+            write_face_list(self.filepath, ids, topology(obj))
         return f"Wrote {self.filepath}: {len(ids):,} faces of '{obj.name}'"
 
 

@@ -41,7 +41,7 @@ class CLOAK_OT_logo_stamp(BodyOperator):
         mask = stamp.covered_faces(context, obj, ink, projection)
         if self.target == "ADD":
             name = active_logo(obj)
-            faces.write_faces(obj, name, faces.read_faces(obj, name) | mask)
+            faces.add_faces(obj, name, mask)
         else:
             name = faces.new_logo(obj, name, mask)
         obj.cloak.logo = name

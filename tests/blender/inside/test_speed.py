@@ -1,0 +1,127 @@
+"""That picking stays quick on large meshes, and that what makes it quick gives the same answers as the plain way.
+
+Times are what the process worked, so that a busy machine does not fail them; tests/blender/real/latencies.py measures.
+"""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+from cloak import faces, mesh_arrays, occlusion, overlay, symmetry
+from made import add_ngons, make_egg, make_fine_egg, select_only, set_mode
+
+FACES, SECONDS = 100_000, 0.7
+"""Half a second would be too much for a click; before, a stamp on so many faces took one, and a mirror minutes."""
+
+
+def test_no_click_in_edit_mode_freezes_blender(tmp_path):
+    obj = make_fine_egg(FACES)
+    bpy.context.scene.cloak.stamp_size = 0.4
+    count = len(obj.data.polygons)
+    select_only(obj, range(count // 3, count // 2))
+    actions = {
+        "new": lambda: bpy.ops.cloak.logo_new(name="logo"),
+        "stamp": lambda: bpy.ops.cloak.logo_stamp(target="ADD"),
+        "figures": lambda: overlay.active_stats(obj),
+        "tint": lambda: overlay.tint_triangles(obj, faces.read_faces(obj, "logo")),
+        "assign": bpy.ops.cloak.logo_assign,
+        "select": bpy.ops.cloak.logo_select,
+        "grow": bpy.ops.cloak.logo_grow,
+        "mirror": bpy.ops.cloak.logo_mirror,
+        "export": lambda: bpy.ops.cloak.logo_export(filepath=str(tmp_path / "list.npy")),
+    }
+    slow = {}
+    for name, action in actions.items():
+        start = time.process_time()
+        action()
+        slow[name] = time.process_time() - start
+    assert max(slow.values()) < SECONDS, slow
+    assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
+
+
+def test_selecting_and_moving_an_object_do_not_count_as_changes_of_the_logo():
+    obj = make_egg()
+    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 9)
+    set_mode("EDIT")
+    bpy.context.view_layer.update()
+    before = overlay._changes
+    bpy.ops.mesh.select_all(action="INVERT")
+    bpy.context.view_layer.update()
+    assert overlay._changes == before
+    set_mode("OBJECT")
+    bpy.context.view_layer.update()
+    before = overlay._changes
+    obj.location.x += 1
+    bpy.context.view_layer.update()
+    assert overlay._changes == before
+    obj.data.vertices[0].co.z += 1
+    obj.data.update_tag()
+    bpy.context.view_layer.update()
+    assert overlay._changes > before
+
+
+def test_the_copy_of_an_edited_mesh_ages_with_each_change():
+    obj = make_egg()
+    faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 9)
+    set_mode("EDIT")
+    with mesh_arrays.current_mesh(obj) as outer:
+        with mesh_arrays.current_mesh(obj) as inner:
+            assert inner == outer
+        faces.write_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) < 3)
+        assert faces.read_faces(obj, "a").sum() == 3
+        faces.write_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) < 5)
+        faces.add_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) == 7)
+        assert faces.read_faces(obj, "a").sum() == 6
+    assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
+
+
+def test_faces_are_split_as_blender_splits_them():
+    obj = make_egg(10)
+    add_ngons(obj)
+    rng = np.random.default_rng(0)
+    for vertex in obj.data.vertices:
+        vertex.co.x += rng.normal(0, 0.15)  # many quads fold over
+    obj.data.update()
+
+    def as_set(triangles, face) -> set:
+        return {(int(f), frozenset(t)) for t, f in zip(triangles.tolist(), face.tolist(), strict=True)}
+
+    theirs = mesh_arrays.mesh_triangles(obj.data)
+    ours = mesh_arrays.face_triangles(obj.data)
+    assert as_set(*ours) == as_set(*theirs)
+    mask = rng.random(len(obj.data.polygons)) < 0.3
+    chosen = mask[theirs[1]]
+    assert as_set(*mesh_arrays.face_triangles(obj.data, mask)) == as_set(theirs[0][chosen], theirs[1][chosen])
+
+
+def test_the_nearest_point_within_reach():
+    rng = np.random.default_rng(1)
+    points, queries = rng.normal(size=(500, 3)), rng.normal(size=(300, 3))
+    reach = 10.0 ** rng.uniform(-3, 0.3, 300)
+    distance = np.linalg.norm(points[None] - queries[:, None], axis=-1)
+    expected = np.where(distance.min(1) <= reach, distance.argmin(1), -1)
+    assert np.array_equal(symmetry.nearest_within(points, queries, reach), expected)
+    assert 50 < (expected >= 0).sum() < 290
+
+
+def test_a_mirror_on_a_regular_mesh_takes_no_time():
+    """Equal coordinates made a k-d tree quadratic."""
+    obj = make_fine_egg(30_000)
+    half = np.arange(len(obj.data.polygons)) % 2 == 0
+    start = time.process_time()
+    assert faces.mirror(obj, half)[1] == 0
+    assert time.process_time() - start < SECONDS
+
+
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+def test_what_is_seen_is_what_a_ray_meets_first(spread):
+    rng = np.random.default_rng(2)
+    corners = rng.random((300, 1, 3)) + rng.normal(0, 0.03 + 0.2 * spread * rng.random((300, 1, 1)), (300, 3, 3))
+    points, own = corners.mean(1), np.arange(300)
+    visible = occlusion.seen(points, own, corners.reshape(-1, 3), np.arange(900).reshape(-1, 3), own)
+    systems = np.concatenate([corners[:, :, :2].transpose(0, 2, 1), np.ones((300, 1, 3))], 1)
+    weights = np.linalg.inv(systems) @ np.c_[points[:, :2], np.ones(300)].T  # [triangle, corner, point]
+    depth = (weights * corners[:, :, 2:]).sum(1)
+    covered = (weights >= 0).all(1) & (depth > points[:, 2]) & ~np.eye(300, dtype=bool)
+    assert np.array_equal(visible, ~covered.any(0)) and 10 < visible.sum() < 290
