@@ -27,6 +27,10 @@ class Print(Command):
     """Pixels per inch of the texture and the sheets."""
     page: Literal["A4", "A3"] = "A4"
     """Paper of the sheets."""
+    pieces: Literal["cut", "own"] = "cut"
+    """Pieces of cloth: cut anew with little stretch, or the mesh's own UV map, as a garment has it."""
+    allowance_cm: float = 0.0
+    """Cloth around each piece for sewing, centimetres; marks along seams match either way."""
     project: bool = False
     """Replace colours that a four-colour printer cannot mix by the nearest that it can."""
     palette: Path | None = None
@@ -56,6 +60,7 @@ class Print(Command):
         ids = load_logo(bodies, folder / "logo.npy").face_ids
         colors = read_colors(folder / "colors.npy", len(ids))
         how = {"title": folder.resolve().name, "palette": palette, "project": self.project, "profile": profile}
+        how |= {"own_pattern": self.pieces == "own", "allowance": self.allowance_cm / 100}
         report = print_logo(bodies, ids, colors, self.out, dpi=self.dpi, page=self.page, **how)
         return {"out": str(self.out)} | report
 

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import area_vectors
 
 if TYPE_CHECKING:
@@ -18,6 +21,9 @@ PACKING_DPI = 36
 """Charts are packed by their pixels; finer ones only cost time."""
 GAP = 0.003
 """Metres between charts, at least."""
+
+SAME, SAME_UV = 1e-6, 1e-6
+"""Metres, and units of the map, within which two corners are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +50,20 @@ class Layout:
         return int(self.chart.max()) + 1
 
 
-def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"]) -> Layout:
-    """Unwrap the faces of a logo as they are in the first pose."""
+def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], own_pattern: bool = False) -> Layout:
+    """Lay the faces of a logo flat as they are in the first pose.
+
+    own_pattern: in the pieces of the mesh's own UV map, as a garment has them, each at the size that keeps its area;
+    otherwise in charts that xatlas cuts. InputError: there is no such map, or it is of no use.
+    """
     chosen = np.flatnonzero(np.isin(bodies.triangle_face, face_ids))
     used, index = np.unique(bodies.triangles[chosen], return_inverse=True)
     points = bodies.vertices[0][used]
-    corners, chart = unwrap(points, index.reshape(-1, 3))
     areas = np.linalg.norm(area_vectors(bodies, 0)[0][chosen], axis=1)
+    if own_pattern:
+        corners, chart = pattern_pieces(bodies, chosen, areas)
+    else:
+        corners, chart = unwrap(points, index.reshape(-1, 3))
     stretch = stretches(points[index.reshape(-1, 3)].astype(np.float64), corners)
     order = np.argsort(stretch)
     below = np.cumsum(areas[order]) / areas.sum()
@@ -80,17 +93,75 @@ def unwrap(
     chart = np.zeros(len(index), np.int64)
     for number in range(atlas.get_mesh_chart_count(0)):
         chart[atlas.get_mesh_chart(0, number).faces] = number
+    return pack(flat, index, chart), chart
+
+
+def pattern_pieces(
+    bodies: Bodies, chosen: Integer[np.ndarray, " t"], areas: Float[np.ndarray, " t"]
+) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
+    """Flat corners in metres and the piece of every triangle, from the mesh's own UV map. InputError."""
+    if bodies.uv is None or bodies.triangle_uv is None:
+        raise InputError(f"{bodies.name}: has no UV map to take the pieces of")
+    # Two triangles belong together where they share an edge both on the mesh and on the map.
+    uv = welded(bodies.uv, SAME_UV)[bodies.triangle_uv[chosen]]
+    corners = welded(bodies.vertices[0], SAME)[bodies.triangles[chosen]] * len(bodies.uv) + uv
+    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    _, edge = np.unique(ends, axis=0, return_inverse=True)
+    owner, edge = np.repeat(np.arange(len(chosen)), 3), edge.reshape(-1)
+    joined = coo_array((np.ones(len(edge)), (owner, len(chosen) + edge)), shape=(len(chosen) + edge.max() + 1,) * 2)
+    chart = connected_components(joined, directed=False)[1][: len(chosen)]
+    chart = np.unique(chart, return_inverse=True)[1].reshape(-1)
+    _, first, index = np.unique(
+        np.stack([np.repeat(chart, 3), corners.reshape(-1)], axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    flat, index = bodies.uv[bodies.triangle_uv[chosen].reshape(-1)[first]].astype(np.float64), index.reshape(-1, 3)
+    on_map = np.bincount(chart, weights=np.abs(signed_areas(flat[index])))
+    if (on_map <= 1e-12).any():
+        raise InputError(f"{bodies.name}: a piece of its UV map has no area")
+    scale = np.sqrt(np.bincount(chart, weights=areas) / on_map)
+    of_vertex = np.zeros(len(flat), np.int64)
+    of_vertex[index] = chart[:, None]
+    return pack(flat * scale[of_vertex][:, None], index, chart), chart
+
+
+def pack(
+    flat: Float[np.ndarray, "v 2"], index: Integer[np.ndarray, "t 3"], chart: Integer[np.ndarray, " t"]
+) -> Float[np.ndarray, "t 3 2"]:
+    """Corners of charts (metres, wherever they lie) side by side: none mirrored, none wider than high."""
+    import xatlas
+
     mirrored = np.bincount(chart, weights=signed_areas(flat[index])) < 0
     of_vertex = np.zeros(len(flat), np.int64)
     of_vertex[index] = chart[:, None]
-    flat[mirrored[of_vertex], 0] *= -1
+    flat = np.where(mirrored[of_vertex][:, None], flat * [-1, 1], flat)
     stand_up(flat, of_vertex)
-    # Turned, charts no longer fit their places: pack once more, from the charts as they are.
-    again = xatlas.Atlas()
-    again.add_uv_mesh((flat - flat.min(axis=0)).astype(np.float32), index.astype(np.uint32))
-    again.generate(xatlas.ChartOptions(), pack_options())
-    flat, index = sheet(again)
-    return flat[index] + GAP / 2, chart
+    # Turned, charts lie on each other; so do pieces that share their place on a map.
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(apart(flat, of_vertex).astype(np.float32), index.astype(np.uint32))
+    atlas.generate(xatlas.ChartOptions(), pack_options())
+    packed, again = sheet(atlas)
+    # xatlas rounds sizes to its pixels: it says where charts go, and they keep their own size.
+    lowest = [lows(points.reshape(-1, 2), np.repeat(chart, 3)) for points in (flat[index], packed[again])]
+    return flat[index] + (lowest[1] - lowest[0])[chart][:, None] + GAP / 2
+
+
+def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> Float[np.ndarray, "charts 2"]:
+    """Each chart's lower left corner."""
+    found = np.full((int(chart.max()) + 1, 2), np.inf)
+    np.minimum.at(found, chart, points)
+    return found
+
+
+def welded(points: Float[np.ndarray, "n d"], within: float) -> Integer[np.ndarray, " n"]:
+    """A number for each point, the same for those at one place: files part vertices where other things differ."""
+    return np.unique(np.round(points / within).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def apart(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> Float[np.ndarray, "v 2"]:
+    """Charts in a row, without touching."""
+    low, high = lows(flat, chart), -lows(-flat, chart)
+    start = np.concatenate([[0.0], np.cumsum(high[:-1, 0] - low[:-1, 0] + GAP)])
+    return flat - low[chart] + np.stack([start, np.zeros(len(start))], axis=1)[chart]
 
 
 def stand_up(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> None:
@@ -141,18 +212,6 @@ def stretches(solid: Float[np.ndarray, "t 3 3"], flat: Float[np.ndarray, "t 3 2"
     edges[~fine] = np.eye(2)
     values = np.linalg.svd(edges @ np.linalg.inv(local), compute_uv=False)
     return np.maximum(values[:, 0], 1 / np.maximum(values[:, 1], 1e-9))
-
-
-def outlines(layout: Layout, bodies: Bodies, chart: int) -> Float[np.ndarray, "edges 2 2"]:
-    """The edges at a chart's border: cutting lines, as pairs of points on the sheet."""
-    mine = layout.chart == chart
-    corners = layout.corners[mine]
-    vertices = bodies.triangles[layout.triangles[mine]].astype(np.int64)
-    ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2).reshape(-1, 2)
-    lines = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
-    keys = np.sort(ends, axis=1)
-    _, inverse, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    return lines[count[inverse.reshape(-1)] == 1]
 
 
 def inside(corners: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

@@ -19,6 +19,8 @@ from cloak_core.output.textured import png, write_glb, write_obj
 from cloak_core.scene.logos.palette import TOLERANCE, nearest_in_palette
 
 DPI = (10, 1200)
+MOST_ALLOWANCE = 0.05
+"""Metres; more does not fit beside a piece on A4."""
 
 
 def print_logo(
@@ -32,6 +34,8 @@ def print_logo(
     title: str = "cloak",
     palette: Float[np.ndarray, "P 3"] | None = None,
     profile: Profile | None = None,
+    own_pattern: bool = False,
+    allowance: float = 0.0,
 ) -> dict:
     """Write a print folder: cloak.png (the layout, picture of the whole body), body.glb, body.obj + .mtl, sheets.pdf
     and print.json, the report that is also returned.
@@ -40,15 +44,18 @@ def print_logo(
     can (they are counted either way); palette: the colours there are, sRGB, instead of a four-colour printer's, and
     `project` then leaves no others; profile: of the printer and a camera (`cloak calibrate`): the sheets, and a picture
     to-print.png, then have the colours to send so that these come out. Those that cannot come out (counted) get the
-    nearest that can, and body and cloak.png show what comes out.
+    nearest that can, and body and cloak.png show what comes out. own_pattern: lay out the pieces of the mesh's own UV
+    map (a garment's) instead of cutting charts; allowance: metres of cloth around each piece.
 
     Sizes are those of the first pose. The folder appears whole or not at all; raises `InputError` where it exists, and
     for options out of range.
     """
     out = Path(out)
     _check(out, dpi, page, len(colors), len(face_ids))
+    if not 0 <= allowance <= MOST_ALLOWANCE:
+        raise InputError(f"an allowance of {100 * allowance:g} cm: 0 to {100 * MOST_ALLOWANCE:g} cm are possible")
     near, beyond, sent = _what_comes_out(colors, palette, profile)
-    layout = lay_out(bodies, face_ids)
+    layout = lay_out(bodies, face_ids, own_pattern)
     shown = near if project or profile is not None else colors
     texture = bake(bodies, layout, dressed(bodies, face_ids, shown), dpi)
     sheets = texture if sent is None else bake(bodies, layout, dressed(bodies, face_ids, sent), dpi)
@@ -58,14 +65,16 @@ def print_logo(
             write_bytes(folder / "to-print.png", png(sheets.image))
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
-        pages = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title)
+        drawn = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title, allowance)
         report = {
             "faces": len(face_ids),
             **_figures(layout),
             "dpi": dpi,
             "image": list(texture.image.shape[1::-1]),
             "page": page,
-            "pages": pages,
+            **drawn,
+            "own_pattern": own_pattern,
+            "allowance_m": allowance,
             "unprintable_colors": int(beyond.sum()),
             "projected": bool(project or profile is not None),
             "profile": profile is not None,

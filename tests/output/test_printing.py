@@ -12,10 +12,11 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.output.baking import Texture, bake, dressed
-from cloak_core.output.layout import Layout, lay_out, outlines, signed_areas
+from cloak_core.output.layout import Layout, lay_out, signed_areas
 from cloak_core.output.print_sheets import PAGES, pages, tiles
 from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
 from cloak_core.output.printing import print_logo
+from cloak_core.output.seams import find_borders
 from cloak_core.render.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
@@ -25,6 +26,12 @@ from cloak_core.scene.meshes.importing import import_bodies
 from cloak_core.scene.people.samples import sample_bodies
 
 DPI = 100
+
+
+def outlines(layout: Layout, bodies: Bodies, chart: int) -> np.ndarray:
+    """The edges at a chart's border."""
+    borders = find_borders(layout, bodies)
+    return borders.lines[borders.chart == chart]
 
 
 @pytest.fixture(scope="module")
