@@ -133,9 +133,20 @@ def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray
 
 def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    if len(mesh.polygons) != len(mask):  # a modifier changes the topology: the rest shape is all there is to show
-        mesh = obj.data
+    if len(mesh.polygons) != len(mask):
+        mesh, mask = _carried_mask(obj, mesh, mask)
     return _corners(mesh, mask)
+
+
+def _carried_mask(
+    obj: bpy.types.Object, evaluated: bpy.types.Mesh, mask: np.ndarray
+) -> tuple[bpy.types.Mesh, np.ndarray]:
+    """The logo where modifiers make other faces: as its attribute arrives there, else on the rest shape."""
+    key = _key(obj)
+    attribute = evaluated.attributes.get(key.logo) if key else None
+    if attribute is None or attribute.domain != "FACE":
+        return obj.data, mask
+    return evaluated, read(attribute.data, "value", dtype=bool)
 
 
 def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import bpy
 
 from . import colors, faces, jobs, overlay, run_list, steps
 from .body import active_body
+from .modifiers import modifiers_reason
 from .operators.heat import HEAT
 from .properties import settings_of
 from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
@@ -192,6 +193,8 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
         reason = steps.poses_reason(context)
         if reason:
             wrapped(column, context, reason, icon="ERROR")
+            if modifiers_reason(active_body(context)):
+                column.operator("cloak.apply_copy")
         else:
             wrapped(column, context, steps.export_summary(context), icon="EXPORT")
 

@@ -2,7 +2,8 @@
 """From a Blender scene to the trainer's files: a scene package and a face list.
 
 The body's polygons come first and keep their indices, so a logo's face ids mean the same on both sides; clothing
-follows them. Polygons are triangulated once, in the first pose.
+follows them, and may wear the logo too. Polygons are triangulated once, in the first pose. Where modifiers give an
+object other faces, its triangles are exported as evaluated and its faces as its own (see `modifiers`).
 """
 
 from __future__ import annotations
@@ -18,21 +19,16 @@ from .body import require_body, require_upright, scene_axes, topology
 from .exchange.bodies import Bodies
 from .exchange.face_lists import write_face_list
 from .exchange.scenes import write_scene
-from .faces import require_logo
+from .faces import logo_names, read_faces, require_logo
 from .files.errors import InputError
+from .files.identity import sha256_arrays, sha256_record
 from .files.reading import read_json
 from .files.writing import new_folder, write_json
 from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
+from .modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
 from .poses import PoseChoice, armature_of, list_poses, visit
 
 RECORD = "export.json"
-DEFORMS_ONLY = {
-    "ARMATURE", "CAST", "CLOTH", "COLLISION", "CORRECTIVE_SMOOTH", "CURVE", "DATA_TRANSFER", "DISPLACE", "HOOK",
-    "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE", "MESH_CACHE", "MESH_DEFORM", "NORMAL_EDIT", "SHRINKWRAP",
-    "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY", "SURFACE", "SURFACE_DEFORM", "UV_PROJECT", "UV_WARP", "VERTEX_WEIGHT_EDIT",
-    "VERTEX_WEIGHT_MIX", "VERTEX_WEIGHT_PROXIMITY", "VOLUME_DISPLACE", "WARP", "WAVE", "WEIGHTED_NORMAL",
-}  # fmt: skip
-"""Modifier types that never change the number or order of faces."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +38,15 @@ class Part:
     vertices: np.ndarray
     loop_total: np.ndarray
     loop_vertices: np.ndarray
+    own_face: np.ndarray | None
+    """[P] the face of the mesh that each evaluated polygon counts as; None where each is one of its own."""
     triangles: np.ndarray | None = None
     triangle_face: np.ndarray | None = None
+
+    @property
+    def face_count(self) -> int:
+        """Polygons that come from none of the mesh's own faces count behind those."""
+        return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
 
 
 def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -57,86 +60,116 @@ def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def export_bodies(
-    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, with_clothing: bool = False
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    choice: PoseChoice,
+    with_clothing: bool = False,
+    logo: str = "",
 ) -> Bodies:
-    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was."""
+    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was.
+
+    Clothing that wears the logo too is exported face by face, as the body is.
+    """
     require_body(obj)
     require_upright(obj)
     objects = [obj, *(clothing_of(obj) if with_clothing else ())]
     for worn in objects[1:]:
         require_upright(worn)
+    wearing = [obj, *(o for o in objects[1:] if logo and wears(o, logo))]
     poses = list_poses(obj, choice)
     frames: list[list[Part]] = []
     with visit(context, obj) as go:
-        for pose in poses:
-            go(pose)
-            graph = context.evaluated_depsgraph_get()
-            frames.append([_evaluate(o, graph, with_triangles=not frames) for o in objects])
-            _require_same_topology(obj, objects, frames)
+        go(poses[0])
+        graph = context.evaluated_depsgraph_get()
+        with numbered_faces([o for o in wearing if changes_faces(o, graph)]):
+            for pose in poses:
+                go(pose)
+                graph = context.evaluated_depsgraph_get()
+                frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])
+                _require_same_topology(objects, frames)
     worn = [_outfit(o, part) for o, part in zip(objects[1:], frames[0][1:], strict=True)]
-    outfits = np.stack([np.concatenate([outfit, *worn]) for outfit in colors.own_outfits(obj)])
+    body = [_filled_up(outfit, frames[0][0].face_count) for outfit in colors.own_outfits(obj)]
+    outfits = np.stack([np.concatenate([outfit, *worn]) for outfit in body])
     try:
-        return _join(frames, [pose.name for pose in poses], outfits, obj.name)
+        return _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
     except InputError as error:
         raise InputError(f"'{obj.name}': {error}") from None
 
 
-def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, with_triangles: bool) -> Part:
+def wears(obj: bpy.types.Object, logo: str) -> bool:
+    """Whether an object has a logo of this name, or one of those joined by "+", with faces in it."""
+    names = [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
+    return any(name in logo_names(obj.data) and read_faces(obj, name).any() for name in names)
+
+
+def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, with_triangles: bool) -> Part:
     with evaluated_mesh(obj, graph) as (mesh, matrix):
+        own = None
+        if by_own_face and not keeps_faces(obj, mesh):
+            own = _numbered_on(obj, carried_faces(obj, mesh))
         world = to_world(read(mesh.vertices, "co", 3), matrix) * graph.scene.unit_settings.scale_length
-        triangles = mesh_triangles(mesh) if with_triangles else ()
-        return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), *triangles)
+        triangles, face = mesh_triangles(mesh) if with_triangles else (None, None)
+        if with_triangles and own is not None:
+            face = own[face]
+        return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), own, triangles, face)
 
 
-def _require_same_topology(obj: bpy.types.Object, objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
-    """The body's faces must be the mesh's own, and no object may change its faces between poses."""
-    now, first = frames[-1], frames[0]
-    loop_total, loop_vertices = polygon_loops(obj.data)
-    if not (np.array_equal(now[0].loop_total, loop_total) and np.array_equal(now[0].loop_vertices, loop_vertices)):
-        raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when it is evaluated")
-    for worn, a, b in zip(objects[1:], now[1:], first[1:], strict=True):
-        if not np.array_equal(a.loop_vertices, b.loop_vertices) or len(a.vertices) != len(b.vertices):
-            raise InputError(f"The faces of '{worn.name}' change from pose to pose: turn off its modifiers, or hide it")
+def _numbered_on(obj: bpy.types.Object, own: np.ndarray | None) -> np.ndarray:
+    """[P] int32: polygons of no own face get numbers behind the mesh's last. Raises `InputError` where all are lost."""
+    if own is None:
+        raise InputError(lost_reason(obj))
+    new = own < 0
+    return np.where(new, len(obj.data.polygons) + np.cumsum(new) - 1, own).astype(np.int32)
 
 
-def topology_modifiers_reason(obj: bpy.types.Object) -> str:
-    """Which visible modifiers may change the body's faces, and what to do; "" when there are none."""
-    names = [f"'{m.name}'" for m in obj.modifiers if m.show_viewport and m.type not in DEFORMS_ONLY]
-    if not names:
-        return ""
-    which = "modifier " + names[0] if len(names) == 1 else "modifiers " + ", ".join(names)
-    return (
-        f"The {which} of '{obj.name}' may change its faces, and a logo belongs to the mesh's own: "
-        "apply before making the logo, or turn off in the viewport"
-    )
+def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
+    """No object may change its faces between poses."""
+    for obj, a, b in zip(objects, frames[-1], frames[0], strict=True):
+        same = np.array_equal(a.loop_vertices, b.loop_vertices) and len(a.vertices) == len(b.vertices)
+        if not same or not np.array_equal(a.loop_total, b.loop_total):
+            raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
 
 
 def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
     """[F, 3] sRGB of a piece of clothing."""
     own = colors.own_face_colors(obj)
-    if len(own) == len(part.loop_total):
-        return own
+    if len(own) == len(part.loop_total) or part.own_face is not None:
+        return _filled_up(own, part.face_count)
     # Clothing whose modifiers change its faces: its main material's colour for all of them.
     return np.tile(np.median(own, axis=0), (len(part.loop_total), 1)).astype(np.float32)
 
 
-def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str) -> Bodies:
+def _filled_up(own: np.ndarray, count: int) -> np.ndarray:
+    """[count, 3]: own colours [F, 3], and their median for faces that modifiers add; fewer where the last are gone."""
+    extra = np.tile(np.median(own, axis=0), (max(0, count - len(own)), 1))
+    return np.concatenate([own, extra]).astype(np.float32)[:count]
+
+
+def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str, topologies: list[str]) -> Bodies:
     first = frames[0]
 
-    def shifted(key: str, counted: str) -> np.ndarray:
+    def shifted(key: str, counts: list[int]) -> np.ndarray:
         """Indices of all parts, behind what was counted in the parts before."""
-        counts = np.cumsum([0] + [len(getattr(part, counted)) for part in first])
-        return np.concatenate([getattr(part, key) + count for part, count in zip(first, counts, strict=False)])
+        before = np.cumsum([0, *counts])
+        return np.concatenate([getattr(part, key) + count for part, count in zip(first, before, strict=False)])
 
+    vertex_counts, face_counts = [len(p.vertices) for p in first], [p.face_count for p in first]
+    if any(part.own_face is not None for part in first):
+        # Polygons are the meshes' own and their corners the evaluated ones: no loops, but the meshes' topologies.
+        parts = {"meshes": topologies, "worn": sha256_arrays(*(p.loop_vertices for p in first[1:]))}
+        one = len(first) == 1
+        mesh = {"recorded_topology": topologies[0] if one else sha256_record(parts)}
+    else:
+        loops = shifted("loop_vertices", vertex_counts)
+        mesh = {"loop_total": np.concatenate([p.loop_total for p in first]), "loop_vertices": loops}
     return Bodies(
         vertices=np.stack([np.concatenate([p.vertices for p in parts]) for parts in frames]),
-        triangles=shifted("triangles", "vertices"),
-        triangle_face=shifted("triangle_face", "loop_total"),
-        loop_total=np.concatenate([p.loop_total for p in first]),
-        loop_vertices=shifted("loop_vertices", "vertices"),
+        triangles=shifted("triangles", vertex_counts),
+        triangle_face=shifted("triangle_face", face_counts),
         face_colors=outfits,
         names=tuple(names),
         name=name,
+        **mesh,
     )
 
 
@@ -178,10 +211,13 @@ def export(
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another output folder")
     bodies = export_bodies(context, obj, choice, with_clothing)
+    ids = np.intersect1d(np.flatnonzero(mask), bodies.triangle_face)  # faces that a modifier takes away are not seen
+    if not len(ids):
+        raise InputError(f"No face of logo '{logo}' is left when '{obj.name}' is evaluated: look at its modifiers")
     done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count)
     with new_folder(folder) as temporary:
         write_scene(temporary / "scene", bodies, creator="cloak add-on")
-        write_face_list(temporary / "logo.npy", np.flatnonzero(mask), bodies.topology)
+        write_face_list(temporary / "logo.npy", ids, bodies.topology)
         record = {key: getattr(done, key) for key in ("object", "logo", "topology", "poses", "faces")}
         write_json(temporary / RECORD, {"format": "cloak export", "version": 1, **record})
     return done

@@ -14,8 +14,8 @@ from mathutils import Matrix, Vector
 
 from .files.errors import InputError
 from .mesh_arrays import evaluated_mesh, face_count, face_triangles, image_pixels, mesh_triangles, read, to_world
+from .modifiers import carried_faces, lost_reason, numbered_faces
 from .occlusion import seen
-from .scene_export import topology_modifiers_reason
 
 RESOLUTION = 512
 
@@ -120,19 +120,41 @@ def covered_faces(
     context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
 ) -> np.ndarray:
     """Mask [F] of the faces whose centre lies under ink, that look at the viewer and that nothing on the body hides."""
-    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
-        if len(mesh.polygons) != face_count(obj):
-            raise InputError(topology_modifiers_reason(obj) or f"The faces of '{obj.name}' change when evaluated")
-        centers = to_world(read(mesh.polygons, "center", 3), matrix)
-        normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
-        rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
-        plane, before_eye = _to_plane(centers, projection)
-        mask = before_eye & _under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
-        mask &= ~read(mesh.polygons, "hide", dtype=bool)
-        ids = np.flatnonzero(mask)
-        mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection))
-    if not mask.any():
+    graph = context.evaluated_depsgraph_get()
+    with evaluated_mesh(obj, graph) as (mesh, matrix):
+        same = len(mesh.polygons) == face_count(obj)
+        own = np.flatnonzero(_covered(mesh, matrix, stamp, projection)) if same else None
+    if own is None:
+        own = _covered_own(context, obj, stamp, projection)
+    if not len(own):
         raise InputError("The stamp covers no visible face: change its size or place, or the view")
+    mask = np.zeros(face_count(obj), bool)
+    mask[own] = True
+    return mask
+
+
+def _covered_own(
+    context: bpy.types.Context, obj: bpy.types.Object, stamp: np.ndarray, projection: Projection
+) -> np.ndarray:
+    """The mesh's own faces that the covered ones come from, where modifiers make other faces."""
+    with numbered_faces([obj]), evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+        own = carried_faces(obj, mesh)
+        if own is None:
+            raise InputError(lost_reason(obj))
+        covered = own[_covered(mesh, matrix, stamp, projection)]
+    return np.unique(covered[covered >= 0])
+
+
+def _covered(mesh: bpy.types.Mesh, matrix: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
+    """Mask [P] of an evaluated mesh's covered polygons."""
+    centers = to_world(read(mesh.polygons, "center", 3), matrix)
+    normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
+    rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
+    plane, before_eye = _to_plane(centers, projection)
+    mask = before_eye & _under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
+    mask &= ~read(mesh.polygons, "hide", dtype=bool)
+    ids = np.flatnonzero(mask)
+    mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection))
     return mask
 
 

@@ -14,10 +14,11 @@ from .blend_paths import absolute
 from .body import active_body, require_upright
 from .faces import logo_names
 from .files.errors import InputError
+from .modifiers import modifiers_reason
 from .poses import list_poses
 from .properties import pose_choice, settings_of, train_request
 from .run_states import DONE, RUNNING, RunState, read_state
-from .scene_export import clothing_of, topology_modifiers_reason
+from .scene_export import clothing_of
 
 NO_BODY = "Choose a body first"
 
@@ -63,7 +64,7 @@ def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
 def poses_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the poses cannot be exported."""
     choice = pose_choice(settings_of(context))
-    return refusal(require_upright, obj) or refusal(list_poses, obj, choice) or topology_modifiers_reason(obj)
+    return refusal(require_upright, obj) or refusal(list_poses, obj, choice) or modifiers_reason(obj)
 
 
 def train_reason(context: bpy.types.Context) -> str:

@@ -11,7 +11,9 @@ import bpy
 from ..body import add_from_scene, subdivide
 from ..command_lines import sample_command
 from ..exchange.scenes import read_scene
+from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
+from ..modifiers import applied_copy
 from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
 from .base import BodyOperator, CloakOperator, push_undo
@@ -36,6 +38,19 @@ keys, weights, materials, UVs and logos are kept"""
         with progress_cursor(context) as show:
             before, after = subdivide(obj, self.triangulate, show)
         return f"'{obj.name}': {before:,} faces became {after:,}"
+
+
+class CLOAK_OT_apply_copy(BodyOperator):
+    """Make a copy of the body with the modifiers applied that make new faces, and hide the original. Deforming \
+modifiers stay; shape keys end in their present mix"""
+
+    bl_label = "Apply a Copy"
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if obj.mode == "EDIT":
+            raise InputError("Leave Edit Mode (Tab) to apply modifiers")
+        copy = applied_copy(context, obj)
+        return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 
 
 class CLOAK_OT_add_sample_body(CloakOperator):
@@ -67,4 +82,4 @@ def _add(job: Job, scene: Path) -> str | None:
     return f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
 
 
-CLASSES = (CLOAK_OT_subdivide, CLOAK_OT_add_sample_body)
+CLASSES = (CLOAK_OT_subdivide, CLOAK_OT_apply_copy, CLOAK_OT_add_sample_body)

@@ -199,21 +199,6 @@ def test_outfit_comes_from_the_materials():
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
-def test_modifiers_that_change_the_faces_are_named():
-    obj = make_egg()
-    obj.modifiers.new("Smooth skin", "SUBSURF")
-    obj.modifiers.new("Armature", "ARMATURE")
-    obj.modifiers.new("Other half", "MIRROR")
-    off = obj.modifiers.new("Off", "DECIMATE")
-    off.show_viewport = False
-    bpy.context.view_layer.update()
-    with pytest.raises(InputError) as caught:
-        export(obj)
-    assert "'Smooth skin', 'Other half'" in str(caught.value) and "turn off" in str(caught.value)
-    assert "Armature" not in str(caught.value) and "Off" not in str(caught.value)
-    assert "'Smooth skin'" in steps.poses_reason(bpy.context)
-
-
 def test_a_pose_that_is_not_finite_is_named():
     obj = make_egg()
     obj.data.vertices[7].co.x = float("nan")

@@ -110,8 +110,8 @@ def check_edit_mode():
             bpy.ops.view3d.view_axis(type="FRONT")
             bpy.ops.view3d.view_selected()
             bpy.ops.mesh.select_all(action="DESELECT")
+    yield 3.0  # figures follow when the user rests
     assert overlay.active_stats(body()).faces > 1.5 * size
-    yield 2.0
     Path(os.environ["SHOT_READY"]).touch()
     yield 3.0
     with window():

@@ -1,0 +1,230 @@
+"""Modifiers: they block only where faces really change, and a logo is carried to the faces they make."""
+
+import bpy
+import numpy as np
+import pytest
+from cloak import body, colors, faces, modifiers, runs, scene_export, steps
+from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import read_face_list, write_face_list
+from cloak.exchange.scenes import read_scene
+from cloak.files.errors import InputError
+from cloak.poses import PoseChoice
+from made import centers, make_egg, make_grid, set_mode
+
+NOW = PoseChoice()
+
+
+def nodes(obj, *names: str) -> bpy.types.Modifier:
+    """A Geometry Nodes modifier that sends the mesh through nodes of these types."""
+    tree = bpy.data.node_groups.new("Nodes", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    last = tree.nodes.new("NodeGroupInput").outputs[0]
+    for name in names:
+        node = tree.nodes.new(name)
+        tree.links.new(last, node.inputs[0])
+        last = node.outputs[0]
+    tree.links.new(last, tree.nodes.new("NodeGroupOutput").inputs[0])
+    modifier = obj.modifiers.new("Nodes", "NODES")
+    modifier.node_group = tree
+    return modifier
+
+
+def half_egg() -> bpy.types.Object:
+    """The half at x > 0, with a logo on its chest."""
+    obj = make_egg(16)
+    import bmesh
+
+    bm = bmesh.new()
+    bm.from_mesh(obj.data)
+    bmesh.ops.delete(bm, geom=[v for v in bm.verts if v.co.x < -1e-4], context="VERTS")
+    bm.to_mesh(obj.data)
+    bm.free()
+    middle = centers(obj)
+    faces.new_logo(obj, "chest", (middle[:, 2] > 1) & (middle[:, 1] < 0))
+    return obj
+
+
+def subsurf(obj):
+    obj.modifiers.new("Subdivision", "SUBSURF").levels = 1
+
+
+def mirror(obj):
+    obj.modifiers.new("Mirror", "MIRROR")
+
+
+def solidify(obj):
+    obj.modifiers.new("Solidify", "SOLIDIFY").thickness = 0.02
+
+
+def subdivide_nodes(obj):
+    nodes(obj, "GeometryNodeSubdivideMesh")
+
+
+def array_and_triangulate(obj):
+    obj.modifiers.new("Array", "ARRAY").count = 2
+    obj.modifiers.new("Triangulate", "TRIANGULATE")
+
+
+# --- what changes nothing blocks nothing -----------------------------------------------------------------------------
+
+
+def smooth_by_angle(obj):
+    nodes(obj, "GeometryNodeSetShadeSmooth")
+
+
+def empty_nodes(obj):
+    nodes(obj)
+
+
+def nodes_without_a_tree(obj):
+    obj.modifiers.new("Nodes", "NODES")
+
+
+def multires_at_level_0(obj):
+    obj.modifiers.new("Multires", "MULTIRES")
+
+
+def decimate_by_nothing(obj):
+    obj.modifiers.new("Decimate", "DECIMATE")
+
+
+@pytest.mark.parametrize(
+    "add", [smooth_by_angle, empty_nodes, nodes_without_a_tree, multires_at_level_0, decimate_by_nothing]
+)
+def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
+    obj = make_egg(10)
+    faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 30)
+    add(obj)
+    bpy.context.view_layer.update()
+    assert steps.poses_reason(bpy.context) == ""
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
+    assert read_scene(done.scene).topology == done.topology == body.topology(obj)
+
+
+# --- logos are carried -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("add", [subsurf, mirror, solidify, subdivide_nodes, array_and_triangulate])
+def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
+    obj = half_egg()
+    own = len(obj.data.polygons)
+    ids = np.flatnonzero(faces.read_faces(obj, "chest"))
+    add(obj)
+    bpy.context.view_layer.update()
+    assert steps.poses_reason(bpy.context) == ""
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
+    bodies = read_scene(done.scene)
+    assert np.array_equal(read_face_list(done.face_list, bodies).ids, ids)
+    assert bodies.face_count == own and done.topology == body.topology(obj)
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    assert len(evaluated.polygons) > own
+    assert bodies.triangle_count == sum(len(p.vertices) - 2 for p in evaluated.polygons)
+    # The triangles of the logo are those of the evaluated mesh's own copy of the attribute.
+    carried = np.array([value.value for value in evaluated.attributes["chest"].data])
+    expected = sum(len(p.vertices) - 2 for p in evaluated.polygons if carried[p.index])
+    assert np.isin(bodies.triangle_face, ids).sum() == expected > len(ids)
+    assert modifiers.CARRIED not in obj.data.attributes
+
+
+@pytest.mark.parametrize("add", [subsurf, mirror, solidify, subdivide_nodes, array_and_triangulate])
+def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
+    """Every evaluated face shows the colour of the own face that its triangles were exported with."""
+    obj = half_egg()
+    add(obj)
+    bpy.context.view_layer.update()
+    run = tmp_path / "run"
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
+    bodies, ids = read_scene(done.scene), read_face_list(done.face_list).ids
+    run.mkdir()
+    write_face_list(run / "logo.npy", ids, bodies.topology)
+    trained = np.random.default_rng(0).random((len(ids), 3)).astype(np.float32)
+    write_colors(run / "colors.npy", trained)
+    runs.import_colors(bpy.context, obj, run)
+    with modifiers.numbered_faces([obj]):
+        graph = bpy.context.evaluated_depsgraph_get()
+        mesh = obj.evaluated_get(graph).to_mesh()
+        own = modifiers.carried_faces(obj, mesh)
+        shown = np.empty(4 * len(mesh.loops), np.float32)
+        mesh.color_attributes["Cloak"].data.foreach_get("color", shown)
+        counts = np.array([p.loop_total for p in mesh.polygons])
+    face_of_corner = np.repeat(own, counts)
+    place = np.searchsorted(ids, face_of_corner)
+    worn = np.isin(face_of_corner, ids)
+    expected = colors.srgb_to_linear(trained)[place[worn]]
+    assert worn.any() and np.allclose(shown.reshape(-1, 4)[worn, :3], expected, atol=1e-5)
+
+
+def test_faces_that_come_from_nowhere_count_behind_the_mesh(tmp_path):
+    """Geometry Nodes that join a hat to the body: the hat is part of the picture, not of any logo."""
+    obj = make_egg(10)
+    own = len(obj.data.polygons)
+    faces.new_logo(obj, "all", np.ones(own, bool))
+    tree = nodes(obj).node_group
+    join, hat = tree.nodes.new("GeometryNodeJoinGeometry"), tree.nodes.new("GeometryNodeMeshCube")
+    entry, end = (next(n for n in tree.nodes if n.bl_idname == name) for name in ("NodeGroupInput", "NodeGroupOutput"))
+    tree.links.clear()
+    for source in (entry.outputs[0], hat.outputs[0]):
+        tree.links.new(source, join.inputs[0])
+    tree.links.new(join.outputs[0], end.inputs[0])
+    bpy.context.view_layer.update()
+    done = scene_export.export(bpy.context, obj, "all", NOW, tmp_path / "input")
+    bodies = read_scene(done.scene)
+    assert bodies.face_count == own + 6
+    assert np.array_equal(read_face_list(done.face_list, bodies).ids, np.arange(own))
+
+
+def test_faces_that_a_modifier_takes_away_are_not_trained(tmp_path):
+    obj = make_egg(10)
+    mask = centers(obj)[:, 1] < 0
+    faces.new_logo(obj, "front", mask)
+    group = obj.vertex_groups.new(name="upper")
+    group.add([v.index for v in obj.data.vertices if v.co.z > 0.9], 1.0, "REPLACE")
+    obj.modifiers.new("Mask", "MASK").vertex_group = "upper"
+    bpy.context.view_layer.update()
+    done = scene_export.export(bpy.context, obj, "front", NOW, tmp_path / "input")
+    ids = read_face_list(done.face_list, read_scene(done.scene)).ids
+    upper = {v.index for v in obj.data.vertices if v.co.z > 0.9}
+    assert ids.tolist() == [p.index for p in obj.data.polygons if mask[p.index] and set(p.vertices) <= upper]
+
+
+def test_a_stamp_under_a_subdivision_takes_own_faces():
+    obj = make_grid(2000)
+    bpy.context.scene.cloak.stamp_size = bpy.context.scene.cloak.stamp_center = 0.5
+    bpy.ops.cloak.logo_stamp(target="NEW")
+    plain = faces.read_faces(obj, "G")
+    obj.modifiers.new("Subdivision", "SUBSURF").subdivision_type = "SIMPLE"
+    for mode in ("OBJECT", "EDIT"):
+        set_mode(mode)
+        faces.write_faces(obj, "G", np.zeros(len(plain), bool))
+        bpy.ops.cloak.logo_stamp(target="ADD")
+        taken = faces.read_faces(obj, "G")
+        assert (taken & plain).sum() > 0.9 * plain.sum() and taken.sum() < 2 * plain.sum()
+        assert modifiers.CARRIED not in obj.data.attributes
+
+
+# --- where they cannot be --------------------------------------------------------------------------------------------
+
+
+def test_a_modifier_that_loses_the_faces_is_named_and_a_copy_offered(tmp_path):
+    obj = make_egg(12)
+    faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 30)
+    obj.modifiers.new("Half", "SUBSURF").levels = 1
+    remesh = obj.modifiers.new("Clay", "REMESH")
+    remesh.mode, remesh.voxel_size = "VOXEL", 0.1
+    obj.modifiers.new("Bend", "SIMPLE_DEFORM")
+    bpy.context.view_layer.update()
+    reason = steps.poses_reason(bpy.context)
+    assert "'Clay'" in reason and "'Half'" not in reason and "Apply a Copy" in reason
+    with pytest.raises(InputError, match="'Clay'"):
+        scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
+    assert modifiers.CARRIED not in obj.data.attributes and not list(tmp_path.iterdir())
+    before = len(obj.data.polygons)
+    bpy.ops.cloak.apply_copy()
+    copy = bpy.context.view_layer.objects.active
+    assert copy != obj and obj.hide_get() and len(obj.data.polygons) == before and len(obj.modifiers) == 3
+    assert [m.name for m in copy.modifiers] == ["Bend"]
+    faces.new_logo(copy, "chest", np.arange(len(copy.data.polygons)) < 30)
+    bpy.context.view_layer.update()
+    assert steps.poses_reason(bpy.context) == ""
+    scene_export.export(bpy.context, copy, "chest", NOW, tmp_path / "input")
