@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import jobs, operators, overlay, panel, preferences, properties, run_list
+from . import jobs, operators, overlay, panel, preferences, properties, run_list, thumbnails
 
 CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
@@ -21,6 +21,7 @@ def register() -> None:
     """Called by Blender when the extension is enabled."""
     properties.register()
     run_list.register()
+    thumbnails.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     overlay.register()
@@ -32,5 +33,6 @@ def unregister() -> None:
     overlay.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
+    thumbnails.unregister()
     run_list.unregister()
     properties.unregister()

@@ -32,6 +32,17 @@ class TrainRequest:
         return [f"--{name}={value}" for name, value in given.items() if not names or name in names]
 
 
+def differing_options(begun: list[str], now: list[str]) -> str:
+    """What a run was started with where the options are others now: "steps 60 (not 120), ..."; "" where nothing is."""
+    was, wanted = ({name: value for name, _, value in (word.partition("=") for word in o)} for o in (begun, now))
+    names = [
+        name for name in was | wanted if was.get(name) != wanted.get(name) and name not in ("--init", "--made-from")
+    ]
+    return ", ".join(
+        f"{name.strip('-')} {was.get(name, 'as by default')} (not {wanted.get(name, 'the default')})" for name in names
+    )
+
+
 def absolute_detector(spec: str) -> str:
     """A detector's name with the files in it as absolute paths: the trainer works in a folder of its own."""
     return ":".join(_absolute_file(part) for part in split_spec(spec))

@@ -67,6 +67,8 @@ class Job:
         self.message = ""
         self.notice = ""
         """What should be known at once, while it runs."""
+        self.is_bad_news = False
+        """It ended as it should, but what it found out is no success."""
         self.code: int | None = None
         self.outputs: list[str] = []
         self._on_end = on_end

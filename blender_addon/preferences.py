@@ -9,7 +9,7 @@ import bpy
 from bpy.props import StringProperty
 
 from .files.errors import InputError
-from .jobs import Job, last_words, launch, require_idle
+from .jobs import Job, busy, last_words, launch, require_idle
 from .operators.base import CloakOperator
 from .trainer_python import INSTALL_LINE, about_command, find_python, parse_about
 
@@ -82,6 +82,10 @@ class CLOAK_OT_test_python(CloakOperator):
     """Start the trainer and show its version and device"""
 
     bl_label = "Test Trainer"
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return busy()
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()

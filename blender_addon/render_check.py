@@ -32,7 +32,7 @@ LIGHT_POSITION = (0.0, -100.0, 85.0)
 AMBIENT, DIFFUSE = 0.5, 0.3
 SAMPLES = 32
 IMAGES = (".jpg", ".jpeg", ".png", ".webp")
-BLEND, PLAN = "check.blend", "plan.json"
+BLEND, PLAN, VERDICT = "check.blend", "plan.json", "verdict.json"
 
 
 @dataclass(frozen=True)
@@ -96,18 +96,69 @@ def run_plan(path: Path) -> None:
             _composite(image, photographs[number % len(photographs)] if photographs else None)
 
 
-def verdict(plan: Plan, answers: list[str]) -> str:
-    """One line from what the detector said about the images of `image_paths`."""
+@dataclass(frozen=True)
+class Verdict:
+    """What the detector said about the renders."""
+
+    with_cloak: tuple[float, ...]
+    """Highest person score of each render with the cloak."""
+    without: tuple[float, ...]
+    """The same without it: the control."""
+    images: tuple[Path, ...] = ()
+    """The renders, in the order of the scores, those with the cloak first."""
+
+    @property
+    def scores(self) -> tuple[float, ...]:
+        return self.with_cloak + self.without
+
+    @property
+    def holds(self) -> bool:
+        """Whether the cloak hides the body in every render, and the detector would have found it otherwise."""
+        return not _found(self.with_cloak) and bool(_found(self.without))
+
+    def describe(self) -> str:
+        """In one line, the outcome first."""
+        count, found, control = len(self.with_cloak), _found(self.with_cloak), _found(self.without)
+        if not control:
+            outcome = "This says nothing: the detector does not find the body without the cloak either"
+        elif not found:
+            outcome = "The cloak holds"
+        else:
+            outcome = "The cloak failed" if found == count else f"The cloak holds in {count - found} of {count} renders"
+        return (
+            f"{outcome}. Cycles: person detected in {found} of {count} renders with the cloak "
+            f"(highest score {max(self.with_cloak):.2f}), in {control} without"
+        )
+
+
+def _found(scores: tuple[float, ...]) -> int:
+    return sum(score >= THRESHOLD for score in scores)
+
+
+def verdict(plan: Plan, answers: list[str]) -> Verdict:
+    """What the detector said about the images of `image_paths`; kept beside them for `last_verdict`."""
     try:
         scores = [float(json.loads(text)["max_person"]) for text in answers]
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
-    count = len(plan.angles)
-    found = [sum(score >= THRESHOLD for score in half) for half in (scores[:count], scores[count:])]
-    return (
-        f"Cycles: person detected in {found[0]} of {count} renders with the cloak "
-        f"(highest score {max(scores[:count]):.2f}), in {found[1]} without"
-    )
+    images, count = image_paths(plan), len(plan.angles)
+    write_json(plan.folder / VERDICT, {"scores": scores, "images": [path.name for path in images]})
+    return Verdict(tuple(scores[:count]), tuple(scores[count:]), tuple(images))
+
+
+def last_verdict(parent: Path) -> Verdict | None:
+    """That of the latest render check in a folder; None where there is none."""
+    files = sorted(parent.glob(f"render check */{VERDICT}"), key=lambda path: path.stat().st_mtime)
+    if not files:
+        return None
+    try:
+        record = read_json(files[-1])
+        scores = [float(score) for score in record["scores"]]
+        images = [files[-1].parent / Path(str(name)).name for name in record["images"]]
+    except (InputError, KeyError, TypeError, ValueError):
+        return None
+    half = len(scores) // 2
+    return Verdict(tuple(scores[:half]), tuple(scores[half:]), tuple(images)) if half else None
 
 
 # --- rendering -------------------------------------------------------------------------------------------------------

@@ -17,7 +17,8 @@ from .files.errors import InputError
 from .files.locks import is_held
 from .files.reading import parse_json, read_json
 from .progress import Progress, take_event
-from .runs import COMMAND, input_folder, remembered_options
+from .render_check import Verdict, last_verdict
+from .runs import COMMAND, input_folder, remembered_options, side_folder
 from .scene_export import RECORD, read_export
 
 RUNNING, DONE, STOPPED, FAILED = "running", "done", "stopped", "failed"
@@ -43,6 +44,8 @@ class RunState:
     """Of `cloak train`, as the add-on gave them; Resume repeats them."""
     unseen: dict[str, float] = field(default_factory=dict)
     """Of the run's evaluation, if there is one: worst success over the detectors by control ("logo", "clothing")."""
+    check: Verdict | None = None
+    """Of its latest render check."""
     why: str = ""
     """Of a failed run: the reason in one line."""
     changed: float = 0.0
@@ -100,7 +103,8 @@ def read_state(run: Path) -> RunState:
     kept = _kept.get(run)
     if kept is None or kept[0] != stamps:
         kept = _kept[run] = stamps, _read(run, max(stamp[0] for stamp in stamps) / 1e9)
-    return replace(kept[1], state=RUNNING, why="") if is_running(run) else kept[1]
+    state = replace(kept[1], check=last_verdict(side_folder(run)))
+    return replace(state, state=RUNNING, why="") if is_running(run) else state
 
 
 def _stamp(path: Path) -> tuple[int, int]:

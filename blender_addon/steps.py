@@ -12,6 +12,8 @@ import bpy
 from . import jobs, run_list
 from .blend_paths import absolute
 from .body import active_body, require_upright
+from .colors import HEAT, is_dressed
+from .command_lines import differing_options
 from .faces import logo_names
 from .files.errors import InputError
 from .modifiers import modifiers_reason
@@ -47,6 +49,11 @@ def of_the_body(
         return body_reason(context) or reason(context, active_body(context))
 
     return asked
+
+
+def idle_reason(context: bpy.types.Context) -> str:
+    """Why no job can start that needs neither body nor settings."""
+    return jobs.busy()
 
 
 @of_the_body
@@ -104,6 +111,31 @@ def delete_reason(context: bpy.types.Context) -> str:
     return _chosen_reason(state) or (f"{state.title} is being trained: stop it first" if busy else "")
 
 
+def cancel_reason(context: bpy.types.Context) -> str:
+    """Why nothing can be cancelled."""
+    return "" if jobs.busy() else "Nothing is running"
+
+
+def extend_reason(context: bpy.types.Context) -> str:
+    """Why no training can go on from the chosen run's colours."""
+    state = selected_run(context)
+    reason = body_reason(context) or _chosen_reason(state) or train_reason(context)
+    if reason:
+        return reason
+    if state.state == RUNNING:
+        return f"{state.title} is being trained: stop it first"
+    return "" if (state.path / "colors.npy").is_file() else f"{state.title} has no colours yet"
+
+
+def kept_reason(context: bpy.types.Context) -> str:
+    """What Resume keeps of the chosen run though the panel says something else by now; "" when all is the same."""
+    state = selected_run(context)
+    if state is None or not state.resumable or refusal(train_request, settings_of(context)):
+        return ""
+    kept = differing_options(list(state.options), train_request(settings_of(context)).options())
+    return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
+
+
 @of_the_body
 def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the chosen run cannot go on."""
@@ -124,8 +156,52 @@ def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
 def result_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there are no colours to show."""
     if not obj.cloak.run:
-        return "Train first, or choose a run folder"
-    return "" if Path(absolute(obj.cloak.run), "colors.npy").is_file() else "No colours yet"
+        return f"'{obj.name}' has no training yet: press Start, or choose a run in the list"
+    run = Path(absolute(obj.cloak.run))
+    if not run.is_dir():
+        return f"{run}: no such run folder"
+    return "" if (run / "colors.npy").is_file() else f"{run.name}: no colours yet; wait for the first step"
+
+
+def wear_reason(context: bpy.types.Context) -> str:
+    """Why the body cannot be given, or be rid of, the colours."""
+    reason = result_reason(context)
+    return reason or ("Leave Edit Mode (Tab) to see the colours on the model" if context.mode != "OBJECT" else "")
+
+
+@of_the_body
+def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is no report to open."""
+    if not obj.cloak.run:
+        return "Choose a run in the list first"
+    run = Path(absolute(obj.cloak.run))
+    if (run / "report.html").is_file():
+        return ""
+    if not (run / "config.json").is_file():
+        return f"{run}: not a run folder (no config.json in it), so there is nothing to report"
+    return jobs.busy()
+
+
+@of_the_body
+def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the cloak cannot be checked in Cycles."""
+    if not is_dressed(obj):
+        return f"'{obj.name}' shows its own materials: switch the cloak on first"
+    return refusal(train_request, settings_of(context)) or jobs.busy()
+
+
+@of_the_body
+def heatmap_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot be asked which faces it looks at."""
+    return refusal(require_upright, obj) or refusal(train_request, settings_of(context)) or jobs.busy()
+
+
+@of_the_body
+def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no logo can be made of a heat map."""
+    if obj.data.attributes.get(HEAT) is None:
+        return f"'{obj.name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to take faces from the heat map" if obj.mode == "EDIT" else ""
 
 
 def export_summary(context: bpy.types.Context) -> str:

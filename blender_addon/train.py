@@ -33,7 +33,7 @@ if not __package__:
 
 from . import cycles_frames, properties, render_check, runs
 from .body import add_from_scene, require_body, subdivide
-from .command_lines import TrainRequest, absolute_detector, sample_command, train_command
+from .command_lines import TrainRequest, absolute_detector, differing_options, sample_command, train_command
 from .exchange.scenes import read_scene
 from .faces import import_face_list, logo_names
 from .files.errors import InputError
@@ -81,6 +81,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--config", default="", help="TOML file with further settings of cloak train")
     add("--python", default="", help="Python that has cloak_core (default: found)")
     add("--resume", action="store_true", help="go on with the run in --out")
+    add("--init", type=Path, metavar="RUN", help="begin with the colours of another run on the same logo")
     joined: list[str] = []
     for word in arguments:  # `--angles -10:10:5`: argparse would take the value for an option
         if joined and joined[-1] in ("--angles", "--frames"):
@@ -168,12 +169,15 @@ def main(arguments: list[str]) -> None:
     """Everything, in order."""
     options = parse(arguments)
     run = options.out.absolute()
-    folder = runs.input_folder(run)
-    if not options.resume and (run.exists() or folder.exists()):
+    if not options.resume and run.exists():
         raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
     for path, name in ((options.save, "--save"), (options.preview, "--preview")):
         require_writable(path and path.absolute(), name)
-    run.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        run.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {options.out}: {run.parent} cannot be made ({error.strerror})") from None
+    require_writable(run, "--out")
     if options.blend is not None:
         if not options.blend.is_file():
             raise InputError(f"--blend {options.blend}: no such file")
@@ -197,10 +201,17 @@ def train(
     """Export and train, with progress on standard output."""
     folder, words = runs.input_folder(run), request.options()
     words += ["--made-from", "sample:train"] if options.sample else []
+    words += [f"--init={options.init.absolute()}"] if options.init else []
     if options.resume and folder.is_dir():
-        done, words = read_export(folder), runs.remembered_options(folder.with_name(run.name))
+        done, begun = read_export(folder), runs.remembered_options(run)
         runs.require_same_topology(obj, done.topology)
+        kept = differing_options(begun, words)
+        if kept:
+            say(f"--resume keeps what the run was started with: {kept}")
+        words = begun
     else:
+        if folder.exists() and not run.exists():
+            runs.remove(run)  # what a start left that failed before the training began
         done = export(bpy.context, obj, logo, choice_of(options), folder, options.clothing)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")

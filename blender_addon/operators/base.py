@@ -52,6 +52,14 @@ class BodyOperator(CloakOperator):
 
     bl_options = WITH_UNDO
 
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        try:
+            active_body(context)
+        except InputError as error:
+            return str(error)
+        return ""
+
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         raise NotImplementedError
 

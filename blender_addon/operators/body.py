@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 
+from .. import steps
 from ..body import add_from_scene, subdivide
 from ..command_lines import sample_command
 from ..exchange.scenes import read_scene
@@ -57,6 +58,7 @@ class CLOAK_OT_add_sample_body(CloakOperator):
     """Add Cloak's sample body: people of varied shape as shape keys, one per frame, with named regions as logos"""
 
     bl_label = "Add Sample Body"
+    needs = staticmethod(steps.idle_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()

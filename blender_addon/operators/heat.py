@@ -10,8 +10,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .. import colors, faces
+from .. import colors, faces, steps
 from ..body import active_body, object_of, topology
+from ..colors import HEAT
 from ..command_lines import heatmap_command
 from ..exchange.heat import hottest_faces
 from ..exchange.scenes import write_scene
@@ -24,14 +25,12 @@ from ..properties import pose_choice, settings_of, train_request
 from ..scene_export import export_bodies
 from .base import BodyOperator, CloakOperator, push_undo
 
-HEAT = "cloak_heat"
-"""Float face attribute: the last heat map."""
-
 
 class CLOAK_OT_heatmap(CloakOperator):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
 
     bl_label = "Heatmap"
+    needs = staticmethod(steps.heatmap_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
@@ -74,6 +73,7 @@ class CLOAK_OT_logo_from_heat(BodyOperator):
     """Make a logo of the faces that move the detector most for their size"""
 
     bl_label = "New from Heatmap"
+    needs = staticmethod(steps.heat_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         attribute = obj.data.attributes.get(HEAT)

@@ -10,7 +10,7 @@ import numpy as np
 from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from .. import faces
+from .. import faces, steps
 from ..body import active_body, topology
 from ..exchange.face_lists import write_face_list
 from ..files.errors import InputError
@@ -65,6 +65,7 @@ class CLOAK_OT_logo_assign(LogoOperator):
     """Add the selected faces to the active logo"""
 
     bl_label = "Assign"
+    needs = staticmethod(steps.logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return mask | selected_faces(obj)
@@ -74,6 +75,7 @@ class CLOAK_OT_logo_unassign(LogoOperator):
     """Take the selected faces out of the active logo"""
 
     bl_label = "Remove"
+    needs = staticmethod(steps.logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return mask & ~faces.read_selection(obj)
@@ -83,6 +85,7 @@ class CLOAK_OT_logo_select(BodyOperator):
     """Select the faces of the active logo"""
 
     bl_label = "Select"
+    needs = staticmethod(steps.logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = active_logo(obj)
@@ -97,6 +100,7 @@ class CLOAK_OT_logo_remove(BodyOperator):
     """Delete the active logo; the faces themselves stay"""
 
     bl_label = "Delete Logo"
+    needs = staticmethod(steps.logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = active_logo(obj)
@@ -109,6 +113,7 @@ class CLOAK_OT_logo_mirror(BodyOperator):
     """Mirror the active logo across the object's X axis"""
 
     bl_label = "Mirror"
+    needs = staticmethod(steps.logo_reason)
 
     extend: BoolProperty(name="Extend", description="Keep the faces of this side as well", default=True)
 
@@ -130,6 +135,7 @@ class CLOAK_OT_logo_grow(LogoOperator):
     """Extend the active logo by the faces around it"""
 
     bl_label = "Grow"
+    needs = staticmethod(steps.logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return faces.grow(obj, mask)
@@ -139,6 +145,7 @@ class CLOAK_OT_logo_shrink(LogoOperator):
     """Take the outermost faces off the active logo"""
 
     bl_label = "Shrink"
+    needs = staticmethod(steps.logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         smaller = faces.shrink(obj, mask)
@@ -154,6 +161,7 @@ class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
     """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
 
     bl_label = "Export Face List"
+    needs = staticmethod(steps.logo_reason)
 
     filename_ext = ".npy"
     filter_glob: StringProperty(default="*.npy", options={"HIDDEN"})

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import bpy
 
-from .. import colors, render_check, runs
+from .. import colors, render_check, run_list, runs, steps
 from ..blend_paths import absolute
 from ..body import active_body, object_of
 from ..command_lines import check_command, report_command
-from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
 from ..preferences import chosen_python
 from ..properties import settings_of, train_request
@@ -19,9 +18,7 @@ from .base import WITH_UNDO, BodyOperator, CloakOperator
 
 
 def run_of(obj: bpy.types.Object) -> Path:
-    """The object's run folder; `InputError` when it has none."""
-    if not obj.cloak.run:
-        raise InputError(f"'{obj.name}' has no training yet: press Start, or choose a run folder")
+    """The object's run folder."""
     return Path(absolute(obj.cloak.run))
 
 
@@ -29,6 +26,7 @@ class CLOAK_OT_result_load(BodyOperator):
     """Bring the colours of the run folder onto the model"""
 
     bl_label = "Load Colours"
+    needs = staticmethod(steps.wear_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         result = runs.import_colors(context, obj, run_of(obj))
@@ -39,16 +37,30 @@ class CLOAK_OT_result_toggle(BodyOperator):
     """Switch between the cloak and the body's own materials"""
 
     bl_label = "Toggle Cloak"
+    needs = staticmethod(steps.wear_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if obj.mode == "EDIT":
-            raise InputError("Leave Edit Mode (Tab) to switch the cloak on or off")
         if colors.is_dressed(obj):
             colors.undress(obj)
             colors.show_attribute(context, obj, None)
             return f"'{obj.name}' shows its own materials"
         runs.import_colors(context, obj, run_of(obj))
         return f"'{obj.name}' wears the cloak"
+
+
+class CLOAK_OT_explain(CloakOperator):
+    """What a figure of the panel means"""
+
+    bl_label = "Explain"
+
+    tip: bpy.props.StringProperty(name="Tip", description="What the figure means")
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return properties.tip
+
+    def run(self, context: bpy.types.Context) -> str:
+        return self.tip
 
 
 class CLOAK_OT_use_standard_view(CloakOperator):
@@ -66,14 +78,13 @@ class CLOAK_OT_open_report(CloakOperator):
     """Open the run's report in the web browser, after making it if need be"""
 
     bl_label = "Open Report"
+    needs = staticmethod(steps.report_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         run = run_of(active_body(context))
         report = run / "report.html"
         if report.exists():
             return _open(report)
-        if not (run / "config.json").is_file():
-            raise InputError(f"{run}: not a run folder (no config.json in it), so there is nothing to report")
         require_idle()
         command = report_command(chosen_python(), run)
         launch(Job("Report", [command], runs.side_folder(run), "report", lambda job: _opened(job, report)))
@@ -94,12 +105,11 @@ class CLOAK_OT_render_check(CloakOperator):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
     bl_label = "Render Check"
+    needs = staticmethod(steps.check_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
         obj, settings = active_body(context), settings_of(context)
-        if not colors.is_dressed(obj):
-            raise InputError(f"'{obj.name}' shows its own materials: switch the cloak on first")
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.side_folder(run))
         request, python = train_request(settings), chosen_python()
@@ -116,12 +126,15 @@ def _judge(job: Job, plan: render_check.Plan, uid: int) -> str | None:
     if job.state != "done":
         return None
     verdict, obj = render_check.verdict(plan, job.outputs[1:]), object_of(uid)
+    job.is_bad_news = not verdict.holds
     if obj is not None:
-        obj.cloak.verdict = verdict
-    return verdict
+        obj.cloak.verdict = verdict.describe()
+    run_list.refresh(bpy.context)
+    return verdict.describe()
 
 
 CLASSES = (
+    CLOAK_OT_explain,
     CLOAK_OT_result_load,
     CLOAK_OT_result_toggle,
     CLOAK_OT_use_standard_view,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 4: start, cancel and resume a training, and what happens while it runs."""
+"""Operators of step 4: start, extend, cancel and resume a training, and what happens while it runs."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from ..blend_paths import blend_folder, portable
 from ..body import active_body
 from ..command_lines import train_command
 from ..exchange.face_lists import read_face_list
+from ..faces import logo_names
 from ..files.errors import InputError
 from ..jobs import Job, TrainingJob, launch, require_idle
 from ..preferences import chosen_python
 from ..properties import output_folder, pose_choice, settings_of, train_request
 from ..run_list import redraw
+from ..run_states import RunState
 from ..scene_export import export, read_export
 from ..steps import refusal
 from .base import CloakOperator, push_undo
@@ -32,18 +34,36 @@ class CLOAK_OT_train_start(CloakOperator):
     needs = staticmethod(steps.train_reason)
 
     def run(self, context: bpy.types.Context) -> str:
-        require_idle()
-        obj, settings = active_body(context), settings_of(context)
-        logo = active_logo(obj)
-        request, python = train_request(settings), chosen_python()
-        if obj.mode == "EDIT":
-            bpy.ops.object.mode_set(mode="OBJECT")
-        _remove_failed_start()
-        run = runs.new_run(output_folder(settings), obj.name, logo)
-        done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
-        runs.remember_options(run, request.options())
-        begin(obj, run, train_command(python, request.options(), done.scene, done.face_list, run))
-        return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}"
+        return start(context)
+
+
+class CLOAK_OT_train_extend(CloakOperator):
+    """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
+detector or other angles. The run itself stays as it is"""
+
+    bl_label = "Extend"
+    needs = staticmethod(steps.extend_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        return start(context, steps.selected_run(context))
+
+
+def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
+    """Export and train in a new run; from the colours of another run where one is given."""
+    require_idle()
+    obj, settings = active_body(context), settings_of(context)
+    logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
+    options, python = train_request(settings).options(), chosen_python()
+    options += [f"--init={begun.path}"] if begun else []
+    if obj.mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    _remove_failed_start()
+    run = runs.new_run(output_folder(settings), obj.name, logo)
+    done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
+    runs.remember_options(run, options)
+    begin(obj, run, train_command(python, options, done.scene, done.face_list, run))
+    begins = f", from the colours of {begun.title}" if begun else ""
+    return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}"
 
 
 def _remove_failed_start() -> None:
@@ -57,30 +77,29 @@ class CLOAK_OT_train_cancel(CloakOperator):
     """End the running job; a training ends after the current step and can be resumed"""
 
     bl_label = "Cancel"
+    needs = staticmethod(steps.cancel_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         job = jobs.current
-        if job is None or not job.running:
-            raise InputError("Nothing is running")
         job.cancel()
         return f"Stopping: {job.label}"
 
 
 class CLOAK_OT_train_resume(CloakOperator):
-    """Go on with this object's training from its last checkpoint"""
+    """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
 
     bl_label = "Resume"
     needs = staticmethod(steps.resume_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
-        obj, run = active_body(context), steps.selected_run(context).path
-        done = read_export(runs.input_folder(run))
+        obj, state = active_body(context), steps.selected_run(context)
+        done = read_export(runs.input_folder(state.path))
         runs.require_same_topology(obj, done.topology)
-        options = runs.remembered_options(run)
-        command = train_command(chosen_python(), options, done.scene, done.face_list, run)
-        begin(obj, run, [*command, "--resume"])
-        return f"Resuming {run}"
+        kept = steps.kept_reason(context)
+        command = train_command(chosen_python(), list(state.options), done.scene, done.face_list, state.path)
+        begin(obj, state.path, [*command, "--resume"])
+        return kept or f"Resuming {state.path}"
 
 
 def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
@@ -140,4 +159,4 @@ class Watch:
         return None
 
 
-CLASSES = (CLOAK_OT_train_start, CLOAK_OT_train_cancel, CLOAK_OT_train_resume)
+CLASSES = (CLOAK_OT_train_start, CLOAK_OT_train_extend, CLOAK_OT_train_cancel, CLOAK_OT_train_resume)

@@ -140,7 +140,7 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     (run / "colors.npy").unlink()
     with pytest.raises(InputError, match="no colours yet"):
         runs.read_run(run)
-    assert steps.result_reason(bpy.context) == "No colours yet"
+    assert "no colours yet" in steps.result_reason(bpy.context)
 
 
 def test_edit_mode_is_said(tmp_path):
@@ -158,7 +158,7 @@ def test_the_cloak_is_saved_with_the_file(tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "cloaked.blend"))
     obj = bpy.data.objects["Body"]
     assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 4, 50]], [1, 0, 0], atol=1e-6)
-    assert colors.is_dressed(obj) and obj.cloak.run == str(run)
+    assert colors.is_dressed(obj) and obj.cloak.run == f"//{run.name}"
 
 
 def test_ngons_take_their_colour_on_every_corner(tmp_path):

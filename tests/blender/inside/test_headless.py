@@ -76,8 +76,17 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, stub, monkeypatch):
     done = train(tmp_path, *some, "--logo", "chest", python=stub)
     assert done.returncode == 2 and "cloak: --detector builtin: no such thing here" in done.stderr
     monkeypatch.setenv("CLOAK_STUB", "crash")
-    done = train(tmp_path, "--blend", blend, "--out", "RUN2", "--logo", "chest", python=stub)
+    done = train(tmp_path, *some, "--logo", "chest", python=stub)  # the failed start before is not in its way
     assert done.returncode == 1 and "a defect" in done.stderr
+
+
+@pytest.mark.parametrize("out", ["/proc/nowhere/RUN", "file.txt/RUN", "/proc/RUN"])
+def test_a_place_that_cannot_be_written_is_one_line_and_code_2(tmp_path, stub, out):
+    (tmp_path / "file.txt").touch()
+    done = train(tmp_path, "--blend", save_body(tmp_path, [4]), "--logo", "chest", "--out", out, python=stub)
+    lines = [line for line in done.stderr.splitlines() if line.startswith("cloak: ")]
+    assert done.returncode == 2 and len(lines) == 1 and out.split("/")[-2] in lines[0], done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
@@ -96,7 +105,9 @@ def test_stopped_is_code_3_and_resume_finishes(tmp_path, stub, monkeypatch):
     _, stderr = process.communicate(timeout=30)
     assert process.returncode == 3 and b"Resume goes on from there" in stderr
     monkeypatch.setenv("CLOAK_STUB", "")
+    words[words.index("40")] = "50"
     done = train(tmp_path, *words, "--resume", "--save", "cloaked.blend")
+    assert "--resume keeps what the run was started with: steps 40 (not 50)" in done.stdout
     assert done.returncode == 0 and (tmp_path / "cloaked.blend").exists(), done.stderr
 
 

@@ -2,6 +2,7 @@
 
 import ast
 import threading
+import types
 import zipfile
 
 import bpy
@@ -118,3 +119,28 @@ def test_no_operator_runs_without_a_body():
             arguments = {"filepath": "/nonexistent/x.npy"} if name in ("logo_export", "logo_import") else {}
             with pytest.raises(RuntimeError, match="No active object: click the character's mesh"):
                 getattr(bpy.ops.cloak, name)(**arguments)
+
+
+def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, monkeypatch):
+    """The reason is the panel's own, and is asked for before anything runs."""
+    always = {"add_sample_body", "copy_install_line", "explain", "find_python", "test_python", "use_standard_view"}
+    offered = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
+    no_run = {"result_", "render_", "open_", "run_", "train_resume", "train_extend", "train_cancel", "logo_from_heat"}
+    assert not {name for name in offered if name.startswith(tuple(no_run))}
+    assert always | {"train_start", "heatmap", "logo_assign", "logo_export", "logo_stamp", "subdivide"} <= offered
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.ops.cloak.train_start()
+    for name in ("train_start", "heatmap", "add_sample_body", "test_python"):
+        with pytest.raises(RuntimeError, match=r"poll\(\).*Training is running: wait for it, or cancel it"):
+            getattr(bpy.ops.cloak, name)()
+    bpy.data.objects.remove(ready)
+    left = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
+    assert left == {"train_cancel", "copy_install_line", "explain", "find_python", "use_standard_view"}
+    with pytest.raises(RuntimeError, match=r"poll\(\).*No active object: click the character's mesh"):
+        bpy.ops.cloak.logo_export(filepath="/nonexistent/x.npy")
+
+
+def test_a_figures_tooltip_says_what_it_means():
+    from cloak.operators.result import CLOAK_OT_explain
+
+    assert CLOAK_OT_explain.description(bpy.context, types.SimpleNamespace(tip="Share of images")) == "Share of images"

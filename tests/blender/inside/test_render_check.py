@@ -1,13 +1,16 @@
 """Render check: a second Blender renders in Cycles from the training cameras; the detector's answers become a line."""
 
+import json
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from cloak import render_check
+from cloak import render_check, run_states
 from cloak.files.errors import InputError
-from conftest import run_job
+from cloak.jobs import Job
+from cloak.operators import result
+from conftest import folder_of, run_job
 from made import make_egg
 from test_colors import made_run
 
@@ -59,7 +62,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     photo.save()
     settings.backgrounds = str(photographs)
     bpy.ops.cloak.render_check()
-    job = run_job(120)
+    job = run_job(400)
     assert job.state == "done", (job.message, job.log.read_text()[-2000:])
     assert obj.cloak.verdict == job.message
     assert "detected in 0 of 2 renders with the cloak (highest score 0.10), in 2 without" in job.message
@@ -71,6 +74,37 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     assert with_cloak[middle][..., 0].mean() > 0.6 > 0.2 > with_cloak[middle][..., 1].mean()
     assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
     assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
+    kept = run_states.read_state(folder_of(obj)).check  # from the disk: undo and closing do not lose it
+    assert kept.holds and job.message == kept.describe() and job.message.startswith("The cloak holds. Cycles")
+    assert kept.images[1] == folder / "cloak +10.png" and not job.is_bad_news
+
+
+@pytest.mark.parametrize(
+    ("scores", "holds", "words"),
+    [
+        ((0.1, 0.2, 0.9, 0.8), True, "The cloak holds. Cycles: person detected in 0 of 2"),
+        ((0.7, 0.8, 0.9, 0.8), False, "The cloak failed. Cycles: person detected in 2 of 2"),
+        ((0.1, 0.6, 0.9, 0.8), False, "The cloak holds in 1 of 2 renders. Cycles: person detected in 1 of 2"),
+        ((0.1, 0.1, 0.2, 0.1), False, "This says nothing: the detector does not find the body without the cloak"),
+    ],
+)
+def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, words):
+    plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
+    plan.folder.mkdir()
+    verdict = render_check.verdict(plan, [json.dumps({"max_person": score}) for score in scores])
+    assert verdict.holds == holds and verdict.describe().startswith(words)
+    assert render_check.last_verdict(tmp_path) == verdict
+
+
+def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
+    """The panel ticks off jobs that are done and no bad news."""
+    obj = dressed(tmp_path)
+    plan = render_check.Plan(obj.name, tmp_path, (0,))
+    job = Job("Render check", [["true"]], tmp_path, "check", lambda job: result._judge(job, plan, obj.session_uid))
+    monkeypatch.setattr(Job, "_said", lambda self: json.dumps({"max_person": 0.9}))
+    job.outputs = ["", json.dumps({"max_person": 0.8})]
+    job.wait(10)
+    assert job.state == "done" and job.is_bad_news and "The cloak failed" in obj.cloak.verdict
 
 
 def test_it_wants_the_cloak_on(tmp_path, stub):

@@ -139,6 +139,34 @@ def test_a_body_that_was_changed_is_said_at_once(ready, monkeypatch):
     assert jobs.current.running
 
 
+# --- more steps -------------------------------------------------------------------------------------------------------
+
+
+def test_more_steps_for_a_run_that_is_done(ready):
+    """Resume has nothing to do and says so; Extend goes on from its colours in a new run."""
+    bpy.ops.cloak.train_start()
+    run_job()
+    first, settings = folder_of(ready), bpy.context.scene.cloak
+    settings.steps = 40
+    with pytest.raises(RuntimeError, match=r"is done \(20/20\): Extend trains on from its colours"):
+        bpy.ops.cloak.train_resume()
+    bpy.ops.cloak.train_extend()
+    job = run_job()
+    assert job.state == "done" and "40/40" in job.message and folder_of(ready) != first
+    assert {"--steps=40", f"--init={first}"} < set(runs.remembered_options(folder_of(ready)))
+    assert listed() == {"Body Brust_Ärmel": "done", "Body Brust_Ärmel 2": "done"}
+
+
+def test_resume_says_what_it_keeps(ready, monkeypatch):
+    cancelled_run(ready, monkeypatch)
+    assert steps.kept_reason(bpy.context) == ""
+    bpy.context.scene.cloak.steps, bpy.context.scene.cloak.preset = 40, "paper"
+    expected = "Resume keeps what Body Brust_Ärmel began with: preset best (not paper), steps 20 (not 40); Extend"
+    assert steps.kept_reason(bpy.context).startswith(expected)
+    bpy.ops.cloak.train_resume()
+    assert "20/20" in run_job().message
+
+
 # --- trainers that this Blender did not start -------------------------------------------------------------------------
 
 

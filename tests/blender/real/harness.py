@@ -1,6 +1,7 @@
 """What the scripts of this folder share: the installed extension, and steps between which Blender draws its window."""
 
 import os
+import subprocess
 import sys
 import traceback
 from collections.abc import Iterator
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import bpy
 
+HIDDEN = []
+"""Panels that `sidebar` took away."""
 MODULE = "bl_ext.user_default.cloak"
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
 
@@ -50,3 +53,66 @@ def until_done() -> Iterator[float]:
     while jobs.current.running:
         yield 0.2
     assert jobs.current.state == "done", jobs.current.message
+
+
+# --- the window -------------------------------------------------------------------------------------------------------
+
+
+def view_area():
+    return next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
+
+
+def override():
+    area = view_area()
+    region = next(r for r in area.regions if r.type == "WINDOW")
+    return bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region)
+
+
+def tidy():
+    """The 3D viewport alone, its sidebar on the Cloak tab, the body filling the view."""
+    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
+    with override():
+        bpy.ops.screen.screen_full_area(use_hide_panels=False)
+    area = view_area()
+    area.spaces.active.show_region_ui = True
+    area.spaces.active.overlay.show_floor = True
+
+
+def frame():
+    with override():
+        bpy.ops.view3d.view_axis(type="FRONT")
+        bpy.ops.view3d.view_selected()
+        bpy.ops.view3d.view_orbit(angle=0.35, type="ORBITRIGHT")
+
+
+def sidebar(*names):
+    """Show the Cloak tab, and of its panels only those named."""
+    yield from show_tab()
+    for cls in reversed(sys.modules["cloak.panel"].CLASSES):  # those inside others first
+        short = cls.__name__.removeprefix("CLOAK_PT_")
+        if short != cls.__name__ and short not in names and cls.is_registered:
+            bpy.utils.unregister_class(cls)
+            HIDDEN.append(cls)
+    yield from show_tab()
+
+
+def show_tab():
+    for _ in range(3):  # the tab is there once its panels have been drawn
+        area = view_area()
+        area.tag_redraw()
+        yield 0.5
+        next(r for r in area.regions if r.type == "UI").active_panel_category = "Cloak"
+
+
+def show_all():
+    """Bring back the panels that `sidebar` took away."""
+    while HIDDEN:
+        bpy.utils.register_class(HIDDEN.pop())
+
+
+def open_panel(name):
+    """A panel that is closed by default, open."""
+    cls = next(c for c in sys.modules["cloak.panel"].CLASSES if c.__name__ == f"CLOAK_PT_{name}")
+    bpy.utils.unregister_class(cls)
+    cls.bl_options = set()
+    bpy.utils.register_class(cls)

@@ -8,70 +8,22 @@ quits. Any error ends Blender with exit code 3.
 """
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import install, play, until_done
+from harness import frame, install, play, show_all, sidebar, tidy, until_done
 
 ZIP, STATE, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:4]
 PANELS = {
     "body": ("body", "logo"),
-    "logo": ("body", "logo"),
+    "logo": ("body", "logo", "stamp"),
     "poses": ("logo", "poses"),
-    "train": ("poses", "train"),
-    "result": ("train", "result"),
+    "train": ("poses", "train", "settings"),
+    "result": ("train", "runs", "result"),
 }
-HIDDEN = []
-
-
-def view_area():
-    return next(a for a in bpy.context.window_manager.windows[0].screen.areas if a.type == "VIEW_3D")
-
-
-def override():
-    area = view_area()
-    region = next(r for r in area.regions if r.type == "WINDOW")
-    return bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=region)
-
-
-def tidy():
-    """The 3D viewport alone, its sidebar on the Cloak tab, the body filling the view."""
-    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
-    with override():
-        bpy.ops.screen.screen_full_area(use_hide_panels=False)
-    area = view_area()
-    area.spaces.active.show_region_ui = True
-    area.spaces.active.overlay.show_floor = True
-
-
-def frame():
-    with override():
-        bpy.ops.view3d.view_axis(type="FRONT")
-        bpy.ops.view3d.view_selected()
-        bpy.ops.view3d.view_orbit(angle=0.35, type="ORBITRIGHT")
-
-
-def sidebar(*names):
-    """Show the Cloak tab, and of its panels only those named."""
-    yield from show_tab()
-    for cls in sys.modules["cloak.panel"].CLASSES:
-        short = cls.__name__.removeprefix("CLOAK_PT_")
-        if short != cls.__name__ and short not in names and cls.is_registered:
-            bpy.utils.unregister_class(cls)
-            HIDDEN.append(cls)
-    yield from show_tab()
-
-
-def show_tab():
-    for _ in range(3):  # the tab is there once its panels have been drawn
-        area = view_area()
-        area.tag_redraw()
-        yield 0.5
-        next(r for r in area.regions if r.type == "UI").active_panel_category = "Cloak"
 
 
 def steps():
@@ -111,8 +63,7 @@ def steps():
     yield 1.5
     Path(os.environ["SHOT_READY"]).touch()
     yield 4.0
-    for cls in HIDDEN:
-        bpy.utils.register_class(cls)
+    show_all()
     if STATE == "train":
         bpy.ops.cloak.train_cancel()
         while jobs.current.running:
