@@ -3,7 +3,7 @@ BIN := .venv/bin
 # A process for every core (up to eight: each takes a gigabyte), each with one thread.
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
-.PHONY: demo check test test-all lint extension dist
+.PHONY: demo check test test-all lint extension dist docs
 
 demo: .venv/.installed
 	$(BIN)/cloak demo --out runs/demo
@@ -31,12 +31,20 @@ dist: .venv/.installed-test
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
 
+# The site, in site/: opens from the disk.
+docs: .venv/.installed-docs
+	$(BIN)/python tools/build_docs.py
+
 .venv/.installed: pyproject.toml tools/setup.sh
 	tools/setup.sh
 	touch $@
 
 .venv/.installed-test: pyproject.toml tools/setup.sh
 	tools/setup.sh test
+	touch $@ .venv/.installed .venv/.installed-docs
+
+.venv/.installed-docs: pyproject.toml tools/setup.sh
+	tools/setup.sh docs
 	touch $@ .venv/.installed
 
 # Blender as a Python package, in an environment of its own: it cannot share one with today's numpy and torch.

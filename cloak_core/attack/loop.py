@@ -48,8 +48,11 @@ class RunResult:
     """How a run ended."""
 
     out: Path
+    """The run folder."""
     step: int
+    """Steps done, earlier parts of a resumed run included."""
     steps: int
+    """Steps that were asked for."""
     seconds: float
     """Training time, earlier parts of a resumed run included."""
     figures: StepFigures | None

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from rich.table import Table
 from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, out
+from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.zoo.entry import Entry
 
 
 @dataclass(kw_only=True)
@@ -68,18 +73,45 @@ class Show(Command):
 
 @dataclass(kw_only=True)
 class Export(Command):
-    """Write an entry as a run folder: colors.npy, logo.npy, config.json."""
+    """Write an entry as a run folder (colors.npy, logo.npy, config.json), or as one .glb of a body that wears it."""
 
     name: Positional[str]
     """Name of the entry."""
     out: Path
-    """New folder to write."""
+    """New folder to write; of a .glb, the file."""
+    format: Literal["run", "glb"] = "run"
+    """What to write."""
+    scene: str | None = None
+    """Of a .glb: the body, in its first pose (default: what the entry was trained on, where that ships too)."""
+    dpi: int = 150
+    """Of a .glb: pixels of its texture per inch of the body."""
 
     def run(self) -> dict:
         from cloak_core.zoo.shelf import entry
 
         found = entry(self.name)
-        return {"out": str(found.write_run(self.out)), "faces": len(found.ids), "name": found.record["name"]}
+        told = {"out": str(self.out), "faces": len(found.ids), "name": found.record["name"], "format": self.format}
+        if self.format == "run":
+            found.write_run(self.out)
+        else:
+            self._write_glb(found)
+        return told
+
+    def _write_glb(self, found: Entry) -> None:
+        from cloak_core.output.printing import write_worn
+
+        require_new(self.out)
+        if not 10 <= self.dpi <= 600:
+            raise InputError(f"--dpi {self.dpi}: one in [10, 600] is needed")
+        scene = self.scene or found.config["inputs"].get("scene")
+        if not scene:
+            raise InputError(f"--scene: say which body wears zoo:{found.record['name']} (its own does not ship)")
+        bodies = load_scene(scene)
+        if bodies.topology != found.config["topology"]:
+            raise InputError(
+                f"{scene}: topology {bodies.topology}, zoo:{found.record['name']} is for {found.config['topology']}"
+            )
+        write_worn(self.out, bodies, found.ids, found.colors, self.dpi)
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['out']}: {result['faces']} faces of zoo:{result['name']}")

@@ -45,7 +45,9 @@ class Detector(nn.Module):
     spec: str
     """What `load_detector` was given; loading it again gives the same detector."""
     differentiable: bool = True
+    """Whether detections carry a gradient to the images."""
     precision: Literal["float32", "bfloat16"] = "float32"
+    """What it computes in."""
     compiled: bool = False
     """Whether it runs through torch.compile."""
     partial_gradient: str = ""

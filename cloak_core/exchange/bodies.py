@@ -51,6 +51,7 @@ class Bodies:
     """For each outfit the name of the texture it wears, "" for one of plain faces; empty where all are plain. The
     `face_colors` of a textured outfit are the texture's means over the faces, for whoever needs one colour a face."""
     name: str = "scene"
+    """Of the scene."""
     recorded_topology: str | None = None
     """The hash its file records, for scenes whose polygons' loops are not stored."""
 
@@ -141,24 +142,29 @@ class Bodies:
 
     @property
     def pose_count(self) -> int:
+        """How many poses there are."""
         return len(self.vertices)
 
     @property
     def vertex_count(self) -> int:
+        """Vertices of one pose."""
         return self.vertices.shape[1]
 
     @property
     def triangle_count(self) -> int:
+        """Triangles of one pose."""
         return len(self.triangles)
 
     @cached_property
     def face_count(self) -> int:
+        """Faces: polygons where they are stored, else triangles."""
         if self.loop_total is not None:
             return len(self.loop_total)
         return int(self.triangle_face.max()) + 1 if len(self.triangle_face) else 0
 
     @property
     def outfit_count(self) -> int:
+        """How many sets of face colours there are."""
         return len(self.face_colors)
 
     @cached_property

@@ -84,6 +84,14 @@ def print_logo(
     return report | {"out": str(out)}
 
 
+def write_worn(
+    path: Path, bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"], dpi: int
+) -> None:
+    """One .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it."""
+    layout = lay_out(bodies, face_ids)
+    write_glb(path, bodies, bake(bodies, layout, dressed(bodies, face_ids, colors), dpi))
+
+
 def _what_comes_out(
     colors: Float32[np.ndarray, "L 3"], palette: Float[np.ndarray, "P 3"] | None, profile: Profile | None
 ) -> tuple[Float32[np.ndarray, "L 3"], Bool[np.ndarray, " L"], Float32[np.ndarray, "L 3"] | None]:

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.writing import write_text
+from cloak_core.files.writing import write_bytes, write_text
 from cloak_core.output.baking import Texture
 from cloak_core.scene.meshes.polygons import per_corner, polygon_loops
 
@@ -32,7 +32,7 @@ def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
         visual=trimesh.visual.TextureVisuals(unique[:, 1:], material),
         process=False,
     )
-    mesh.export(path, file_type="glb")
+    write_bytes(path, mesh.export(file_type="glb"))
 
 
 def png(image: np.ndarray) -> bytes:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 from cloak_core import library
@@ -168,3 +169,32 @@ def test_other_colours_are_judged_beside_the_runs_own(tmp_path):
     rates = library.evaluate(folder, bodies, profile=tmp_path / "p.npz", **how)["detectors"]["builtin"]
     assert rates["logo"]["mean_score"] == pytest.approx(rates["grey"]["mean_score"], abs=1e-6)
     assert (folder / "evaluation-printed").exists()
+
+
+@pytest.mark.slow
+def test_an_entry_becomes_a_body_that_wears_it(tmp_path, capsys):
+    def export(*words: str) -> int:
+        with pytest.raises(SystemExit) as end:
+            main(["zoo", "export", *words, "--format", "glb", "--dpi", "20", "--out", str(tmp_path / "worn.glb")])
+        return end.value.code
+
+    assert export("builtin-sample", "--scene", "sample:unseen") == 0
+    scene = trimesh.load(tmp_path / "worn.glb")
+    (mesh,) = scene.geometry.values()
+    bodies = sample_bodies("unseen")
+    assert len(mesh.faces) == bodies.triangle_count
+    assert np.allclose(mesh.bounds, [bodies.vertices[0].min(0), bodies.vertices[0].max(0)], atol=1e-5)
+    # Each face of the logo has its colour where its middle lies on the picture.
+    found, picture = (
+        entry("builtin-sample"),
+        np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"), np.float32),
+    )
+    triangle = np.flatnonzero(bodies.triangle_face == found.ids[100])[0]
+    u, v = mesh.visual.uv[mesh.faces[triangle]].mean(0)
+    seen = picture[int((1 - v) * picture.shape[0]), int(u * picture.shape[1])] / 255
+    assert np.abs(seen - found.colors[100]).max() < 0.1
+    assert export("builtin-sample") == 2 and "exists already" in capsys.readouterr().err
+    (tmp_path / "worn.glb").unlink()
+    assert export("transfer-anny") == 2 and "--scene: say which body" in capsys.readouterr().err
+    assert export("transfer-anny", "--scene", "sample") == 2 and "topology" in capsys.readouterr().err
+    assert not (tmp_path / "worn.glb").exists()

@@ -39,14 +39,23 @@ class TrainSettings:
     preset: Preset = "paper"
     """Where the settings come from."""
     run: RunSettings = field(default_factory=RunSettings)
+    """How long it is, and what it keeps."""
     views: ViewSettings = field(default_factory=ViewSettings)
+    """What the rendered images show of the body."""
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+    """What makes every image another one."""
     objective: LossSettings = field(default_factory=LossSettings)
+    """What training minimises."""
     pattern: PatternSettings = field(default_factory=PatternSettings)
+    """Which colours there may be, and how finely they may change."""
     surrogates: SurrogateSettings = field(default_factory=SurrogateSettings)
+    """What makes many of each detector."""
     optimization: OptimizerSettings = field(default_factory=OptimizerSettings)
+    """How the colours begin and move."""
     queries: QuerySettings = field(default_factory=QuerySettings)
+    """How a detector is asked that gives no gradient."""
     compute: ComputeSettings = field(default_factory=ComputeSettings)
+    """Where to compute."""
 
     def __post_init__(self) -> None:
         for name in COMPONENTS:

@@ -55,6 +55,7 @@ class Backgrounds:
         pictures: Sequence[Picture] = (),
     ) -> None:
         self.names = tuple(names)
+        """Of the images, in order."""
         self._draw = draw
         self.pictures = tuple(pictures) or tuple(map(Picture, self.names))
         """What the images are."""

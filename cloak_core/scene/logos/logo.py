@@ -38,6 +38,7 @@ class Logo:
     face_count: int
     """Faces of the whole body."""
     topology: str
+    """Hash of the mesh that it belongs to."""
     edges: np.ndarray
     """[E, 2] int64 positions in `face_ids`, lower first."""
     edge_lengths: np.ndarray

@@ -1,0 +1,78 @@
+"""Figures in prose are those of the record that they name, in a comment: `98 %<!-- FILE : PLACE -->`.
+
+FILE lies beside the page. PLACE in a .json: keys, with slashes between, an element of a list by its "name". In a .md:
+the first cells of a row, then `>` and a column; the first table that has both counts.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+CITED = re.compile(r"([^\n]*?)<!-- ([\w./-]+\.(?:json|md)) : (.+?) -->")
+FIGURE = re.compile(r"(-?\d[\d,]*(?:\.\d+)?)( %)?\D*$")
+
+
+def citations(text: str) -> list[tuple[str, str, str]]:
+    """Of each comment: the words before it in its line, the file, the place."""
+    return [(found[1], found[2], found[3]) for found in CITED.finditer(text)]
+
+
+def figure(words: str) -> tuple[str, bool]:
+    """The last figure in the words, and whether it is a percentage."""
+    found = FIGURE.search(words)
+    assert found, f"no figure before the comment: {words!r}"
+    return found[1].replace(",", ""), bool(found[2])
+
+
+def recorded(path: Path, place: str) -> tuple[float, bool]:
+    """What the record says, and whether as a percentage."""
+    if path.suffix == ".json":
+        value = json.loads(path.read_text("utf-8"))
+        for key in place.split("/"):
+            value = next(x for x in value if x["name"] == key) if isinstance(value, list) else value[key]
+        return float(value), False
+    cells, column = place.split(" > ")
+    header: list[str] = []
+    for line in path.read_text("utf-8").splitlines():
+        row = [cell.strip() for cell in line.strip("| ").split("|")] if line.startswith("|") else []
+        header = row if row and not header else header if row else []
+        first = [cell.strip() for cell in cells.split("|")]
+        if row[: len(first)] == first and column in header:
+            text, percent = figure(row[header.index(column)])
+            return float(text), percent
+    raise AssertionError(f"{path.name}: no row {cells!r} with a column {column!r}")
+
+
+def agrees(words: str, path: Path, place: str) -> bool:
+    """Whether a figure is the record's, rounded as the figure is."""
+    (text, percent), (value, in_percent) = figure(words), recorded(path, place)
+    digits = len(text.partition(".")[2])
+    value *= 100 ** (int(percent) - int(in_percent))
+    return abs(value - float(text)) <= 0.5 * 10**-digits + 1e-9
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_figures_are_those_of_the_records_they_name(page: Path) -> None:
+    for words, file, place in citations(page.read_text("utf-8")):
+        assert agrees(words, page.parent / file, place), f"{words[-60:]!r} is not {file} : {place}"
+
+
+def test_enough_figures_name_their_record() -> None:
+    assert sum(len(citations(page.read_text("utf-8"))) for page in PAGES) >= 40
+
+
+def test_a_stale_figure_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text('{"rows": [{"name": "x", "share": 0.937}], "time": 2.114}')
+    (tmp_path / "a.md").write_text(
+        "| a | b |\n|---|---|\n| x | 1 % |\n\n| a | n | c |\n|---|---|---|\n| x | 2 | 93.7 % |\n"
+    )
+    page = "2.1 ms<!-- a.json : time --> and 94 %<!-- a.json : rows/x/share --> or 0.94<!-- a.md : x | 2 > c -->"
+    assert [agrees(words, tmp_path / file, place) for words, file, place in citations(page)] == [True, True, True]
+    stale = page.replace("94 %", "93 %").replace("2.1", "2.2").replace("0.94", "0.9")
+    assert [agrees(words, tmp_path / file, place) for words, file, place in citations(stale)] == [False, False, True]
+    with pytest.raises(AssertionError, match="no row"):
+        agrees("1", tmp_path / "a.md", "y > b")

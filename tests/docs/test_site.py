@@ -1,0 +1,76 @@
+"""The site is built without a dead link, opens without a network, and leaves no public name without words."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import griffe
+import pytest
+
+import cloak_core
+from cloak_core.cli import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, str(ROOT / "tools" / "build_docs.py"), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, env=None)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "site"
+
+
+@pytest.mark.long
+def test_the_site_has_every_page_and_fetches_nothing(site: Path) -> None:
+    pages = {page.relative_to(site).as_posix(): page.read_text("utf-8") for page in site.rglob("*.html")}
+    assert {f"docs/{page.stem}.html" for page in (ROOT / "docs").glob("*.md")} <= set(pages)
+    fetched = {name: FETCHED.findall(text) for name, text in pages.items() if FETCHED.search(text)}
+    assert not fetched
+    assert "file-worker.js" in pages["docs/tutorial.html"]
+    assert (site / "assets" / "javascripts" / "file-worker.js").exists()
+
+
+@pytest.mark.long
+def test_the_reference_has_every_command_and_every_public_name(site: Path) -> None:
+    commands = (site / "docs" / "reference" / "commands.html").read_text("utf-8")
+    for name in COMMANDS:
+        assert f'id="cloak-{name.replace(" ", "-")}"' in commands, name
+    assert "--total-variation" not in commands and "--tv-weight" in commands
+    python = (site / "docs" / "reference" / "python.html").read_text("utf-8")
+    for name in cloak_core.__all__:
+        assert f'id="cloak_core.{name}"' in python, name
+
+
+@pytest.mark.long
+def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
+    """Strictness itself, on a site of one page."""
+    (tmp_path / "build" / "docs").mkdir(parents=True)
+    settings = (ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:")[0]
+    (tmp_path / "mkdocs.yml").write_text(settings, "utf-8")
+    page = tmp_path / "build" / "docs" / "index.md"
+
+    def build(text: str) -> int:
+        page.write_text(f"# Title\n\n{text}\n", "utf-8")
+        command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean"]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, check=False).returncode
+
+    assert build("[itself](index.md#title)") == 0
+    assert build("[dead](absent.md)") != 0
+    assert build("[dead](index.md#absent)") != 0
+    assert build("::: cloak_core.Absent") != 0
+
+
+@pytest.mark.slow
+def test_no_public_name_is_without_words() -> None:
+    package = griffe.load("cloak_core", search_paths=[ROOT], resolve_aliases=True)
+    bare = []
+    for name in cloak_core.__all__:
+        thing = package[name].final_target if package[name].is_alias else package[name]
+        members = thing.members.items() if thing.is_class else ()
+        own = [member for member, m in members if not (member.startswith("_") or m.is_alias or m.has_docstring)]
+        bare += [f"{name}.{member}" for member in own] + [name] * (not thing.has_docstring)
+    assert not bare

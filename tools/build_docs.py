@@ -1,0 +1,134 @@
+"""Build the site: `python tools/build_docs.py [FOLDER]` lays pages out in build/docs and has Zensical write site/.
+
+Pages lie there as in the repository, so that links hold in both places. The command line's page is made of the
+commands' own help, the one of `--json` of docs/schemas.json, the notebook's of the notebook.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TAKEN = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
+WIDTH = "96"
+SHIM = "https://unpkg.com/iframe-worker/shim"
+"""What the theme would fetch from elsewhere, so that the search works from the disk; ours does it instead."""
+
+
+def main() -> int:
+    """Lay out and build; the exit code is Zensical's, which is strict: a dead link or an unknown name fails."""
+    base = Path(sys.argv[1]).resolve() if len(sys.argv) > 1 else ROOT
+    lay_out(base / "build" / "docs")
+    if base != ROOT:  # what Zensical reads must lie in one folder
+        shutil.copy(ROOT / "mkdocs.yml", base)
+        (base / "cloak_core").symlink_to(ROOT / "cloak_core")
+    command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean"]
+    if code := subprocess.run(command, cwd=base, check=False).returncode:
+        return code
+    bring_worker(base / "site")
+    print(base / "site" / "index.html")
+    return 0
+
+
+def bring_worker(site: Path) -> None:
+    """Put our own script in place of the one from elsewhere, on every page."""
+    shutil.copy(ROOT / "tools" / "site" / "file-worker.js", site / "assets" / "javascripts")
+    for page in site.rglob("*.html"):
+        above = "../" * (len(page.relative_to(site).parts) - 1)
+        text = page.read_text("utf-8")
+        page.write_text(text.replace(SHIM, f"{above}assets/javascripts/file-worker.js"), "utf-8")
+
+
+def lay_out(pages: Path) -> None:
+    """All pages, fresh, in a folder of their own."""
+    shutil.rmtree(pages, ignore_errors=True)
+    pages.mkdir(parents=True)
+    for name in TAKEN:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, pages / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(source, pages)
+    reference = pages / "docs" / "reference"
+    (reference / "commands.md").write_text(commands_page(), "utf-8")
+    (reference / "json.md").write_text(json_page(), "utf-8")
+    (reference / "python.md").write_text(python_page(), "utf-8")
+    notebook = pages / "docs" / "notebooks" / "first_cloak.ipynb"
+    notebook.with_suffix(".md").write_text(notebook_page(notebook), "utf-8")
+
+
+def commands_page() -> str:
+    """Every command's help, as a terminal shows it."""
+    os.environ["COLUMNS"] = WIDTH
+    from cloak_core.cli import COMMANDS, load
+    from cloak_core.commands.parsing import parse
+
+    lines = ["# Command line", "", "What `--help` of each command says; it is made of the code.", ""]
+    lines += ["| command | what it does |", "|---|---|"]
+    for name in COMMANDS:
+        first = (load(name).__doc__ or "").strip().splitlines()[0].replace("|", "\\|")
+        lines.append(f"| [`cloak {name}`](#cloak-{name.replace(' ', '-')}) | {first} |")
+    for name in COMMANDS:
+        said = io.StringIO()
+        with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+            parse(load(name), name, ["--help"])
+        lines += ["", f"## cloak {name}", "", "```text", said.getvalue().rstrip(), "```"]
+    return "\n".join(lines) + "\n"
+
+
+def json_page() -> str:
+    """What each command prints under --json: a table of each schema."""
+    told = json.loads((ROOT / "docs" / "schemas.json").read_text("utf-8"))
+    lines = ["# What `--json` prints", "", *textwrap.wrap(told["description"], 118), ""]
+    lines += ["The same as JSON Schema, one under `$defs` for each command: [schemas.json](../schemas.json).", ""]
+    for name, schema in told["$defs"].items():
+        title = f"cloak {name}" if name in told["commands"] else name
+        lines += [f"## {title}", "", schema["description"], "", "| key | is | what |", "|---|---|---|"]
+        lines += [_row(key, value, key in schema.get("required", ())) for key, value in schema["properties"].items()]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _row(key: str, schema: dict, required: bool) -> str:
+    kind = schema.get("$ref", "").rpartition("/")[2] or schema.get("type", "")
+    kind = f"[{kind}](#{kind.replace(' ', '-')})" if "$ref" in schema else kind
+    kind = " or ".join(kind) if isinstance(kind, list) else kind
+    return f"| `{key}` | {kind}{'' if required else ', not always there'} | {schema.get('description', '')} |"
+
+
+def python_page() -> str:
+    """The public names of cloak_core, each with its docstring."""
+    import cloak_core
+
+    lines = [
+        "# Python",
+        "",
+        "The names that `import cloak_core` has; [the library](../library.md) shows them at work.",
+        "",
+    ]
+    for name in cloak_core.__all__:
+        lines += [f"::: cloak_core.{name}", ""]
+    return "\n".join(lines)
+
+
+def notebook_page(path: Path) -> str:
+    """A notebook's text and code, without what it printed."""
+    cells = json.loads(path.read_text("utf-8"))["cells"]
+    told = [f"The notebook itself: [{path.name}]({path.name})."]
+    for cell in cells:
+        text = "".join(cell["source"])
+        told.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+    told[0], told[1] = told[1], told[0]  # the heading comes first
+    return "\n\n".join(told) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
