@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .. import steps
 from ..body import add_from_scene, subdivide
@@ -14,11 +15,15 @@ from ..command_lines import sample_command
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
+from ..mesh_arrays import to_world
 from ..modifiers import applied_copy
 from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
 from .base import BodyOperator, CloakOperator, push_undo
 from .cursor import progress_cursor
+
+GAP = 0.3
+"""Between a new body and what stands beside it, in Blender's units."""
 
 
 class CLOAK_OT_subdivide(BodyOperator):
@@ -75,6 +80,9 @@ def _add(job: Job, scene: Path) -> str | None:
         return None
     bodies = read_scene(scene)
     obj = add_from_scene(bpy.context, bodies)
+    obj.name = obj.data.name = "Sample Body"
+    stand_clear(bpy.context, obj)
+    look_at_selected()
     settings = settings_of(bpy.context)
     settings.pose_source, settings.frame_step = "RANGE", 1
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
@@ -82,6 +90,35 @@ def _add(job: Job, scene: Path) -> str | None:
         obj.cloak.logo = "chest"
     push_undo("Add Sample Body")
     return f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
+
+
+def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Move a new body to the right until it stands in no other visible mesh, such as the cube of a new file."""
+    context.view_layer.update()
+    low, high = _bounds(obj)
+    meshes = [o for o in context.visible_objects if o.type == "MESH" and o != obj and len(o.data.vertices)]
+    start = low[0]
+    for other_low, other_high in sorted(map(_bounds, meshes), key=lambda box: box[0][0]):
+        if (low < other_high).all() and (other_low < high).all():
+            step = other_high[0] + GAP - low[0]
+            low[0], high[0] = low[0] + step, high[0] + step
+    obj.location.x += low[0] - start
+
+
+def _bounds(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner [3] of the object's box in the world."""
+    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
+    return corners.min(0), corners.max(0)
+
+
+def look_at_selected() -> None:
+    """Let every 3D viewport frame what is selected."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            region = next((r for r in area.regions if r.type == "WINDOW"), None)
+            if area.type == "VIEW_3D" and region is not None and not bpy.app.background:
+                with bpy.context.temp_override(window=window, area=area, region=region):
+                    bpy.ops.view3d.view_selected()
 
 
 CLASSES = (CLOAK_OT_subdivide, CLOAK_OT_apply_copy, CLOAK_OT_add_sample_body)

@@ -196,12 +196,25 @@ def test_a_scene_becomes_a_body_and_back():
     assert again.topology == bodies.topology
 
 
+def test_the_sample_body_does_not_stand_in_the_cube_of_a_new_file(stub):
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.ops.cloak.add_sample_body()
+    assert run_job().state == "done"
+    obj = bpy.context.object
+    assert obj.name == "Sample Body" and obj.select_get() and not cube.select_get()
+    assert obj.bound_box[0][0] + obj.location.x == pytest.approx(1.3)  # the cube ends at 1
+    bpy.ops.cloak.add_sample_body()
+    run_job()
+    assert bpy.context.object.location.x > obj.location.x + obj.dimensions.x
+
+
 def test_add_sample_body(stub):
     bpy.ops.cloak.add_sample_body()
     job = run_job()
     assert job.state == "done", job.message
     obj = bpy.context.view_layer.objects.active
-    assert obj.name == "Sample" and faces.logo_names(obj.data) == ["chest"]
+    assert obj.name == "Sample Body" and faces.logo_names(obj.data) == ["chest"]
     assert [k.name for k in obj.data.shape_keys.key_blocks] == ["Ann", "Bob"]
     settings = bpy.context.scene.cloak
     assert (settings.pose_source, settings.frame_start, settings.frame_end) == ("RANGE", 1, 2)

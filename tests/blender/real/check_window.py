@@ -79,6 +79,32 @@ def check_undo():
     print("undo of Grow: ok", flush=True)
 
 
+def check_undo_while_training():
+    from cloak import colors, jobs, run_list
+
+    settings = bpy.context.scene.cloak
+    settings.output, settings.steps, settings.live_seconds = FOLDER, 500, 0.5
+    bpy.context.view_layer.objects.active = body()
+    press(bpy.ops.cloak.logo_grow)
+    press(bpy.ops.cloak.train_start)
+    run = body().cloak.run
+    while not colors.is_dressed(body()):
+        assert jobs.current.running, jobs.current.message
+        yield 0.2
+    undo()
+    assert not colors.is_dressed(body()) and body().cloak.run == run, "undo must not forget the run"
+    while not colors.is_dressed(body()):
+        assert jobs.current.running, jobs.current.message
+        yield 0.2
+    press(bpy.ops.cloak.train_cancel)
+    while jobs.current.running:
+        yield 0.2
+    assert jobs.current.state == "stopped", jobs.current.message
+    run_list.refresh(bpy.context)
+    assert run_list.selected(bpy.context).state == "stopped"
+    print("undo while it trains: run kept, body dressed again: ok", flush=True)
+
+
 def check_training():
     from cloak import colors
 
@@ -111,6 +137,8 @@ def check_edit_mode():
             bpy.ops.view3d.view_selected()
             bpy.ops.mesh.select_all(action="DESELECT")
     yield 3.0  # figures follow when the user rests
+    while overlay.active_stats(body()) is None:  # counted after the first redraw
+        yield 0.2
     assert overlay.active_stats(body()).faces > 1.5 * size
     Path(os.environ["SHOT_READY"]).touch()
     yield 3.0
@@ -133,7 +161,7 @@ def steps():
     subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
     make_body()
     yield 0.5
-    for part in (check_undo, check_training, check_edit_mode, close_while_training):
+    for part in (check_undo, check_undo_while_training, check_training, check_edit_mode, close_while_training):
         yield from part()
         yield 0.5
 
