@@ -51,9 +51,7 @@ def print_logo(
     for options out of range.
     """
     out = Path(out)
-    _check(out, dpi, page, len(colors), len(face_ids))
-    if not 0 <= allowance <= MOST_ALLOWANCE:
-        raise InputError(f"an allowance of {100 * allowance:g} cm: 0 to {100 * MOST_ALLOWANCE:g} cm are possible")
+    _check(out, dpi, page, allowance, len(colors), len(face_ids))
     near, beyond, sent = _what_comes_out(colors, palette, profile)
     layout = lay_out(bodies, face_ids, own_pattern)
     shown = near if project or profile is not None else colors
@@ -66,20 +64,10 @@ def print_logo(
         write_glb(folder / "body.glb", bodies, texture)
         write_obj(folder / "body.obj", bodies, texture, "cloak.png")
         drawn = write_sheets(folder / "sheets.pdf", bodies, layout, sheets, page, title, allowance)
-        report = {
-            "faces": len(face_ids),
-            **_figures(layout),
-            "dpi": dpi,
-            "image": list(texture.image.shape[1::-1]),
-            "page": page,
-            **drawn,
-            "own_pattern": own_pattern,
-            "allowance_m": allowance,
-            "unprintable_colors": int(beyond.sum()),
-            "projected": bool(project or profile is not None),
-            "profile": profile is not None,
-            "pose": bodies.names[0],
-        }
+        report = {"faces": len(face_ids), **_figures(layout), "dpi": dpi, "image": list(texture.image.shape[1::-1])}
+        report |= {"page": page, **drawn, "own_pattern": own_pattern, "allowance_m": allowance}
+        report |= {"unprintable_colors": int(beyond.sum()), "projected": bool(project or profile is not None)}
+        report |= {"profile": profile is not None, "pose": bodies.names[0]}
         write_json(folder / "print.json", report)
     return report | {"out": str(out)}
 
@@ -104,13 +92,15 @@ def _what_comes_out(
     return near, np.abs(near - colors).max(axis=1) > TOLERANCE, sent
 
 
-def _check(out: Path, dpi: int, page: str, colors: int, faces: int) -> None:
+def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces: int) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already")
     if page not in PAGES:
         raise InputError(f"page {page}: {' or '.join(PAGES)}")
     if not DPI[0] <= dpi <= DPI[1]:
         raise InputError(f"{dpi} dpi: between {DPI[0]} and {DPI[1]} is possible")
+    if not 0 <= allowance <= MOST_ALLOWANCE:
+        raise InputError(f"an allowance of {100 * allowance:g} cm: 0 to {100 * MOST_ALLOWANCE:g} cm are possible")
     if colors != faces:
         raise InputError(f"colours for {colors} faces, but the logo has {faces}")
 
