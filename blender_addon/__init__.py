@@ -25,6 +25,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     overlay.register()
+    preferences.look_ahead()
 
 
 def unregister() -> None:

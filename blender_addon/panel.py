@@ -10,6 +10,7 @@ from .body import active_body
 from .colors import HEAT
 from .modifiers import modifiers_reason
 from .panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
+from .poses import lying_warning
 from .properties import settings_of
 
 
@@ -173,6 +174,8 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
                 column.operator("cloak.apply_copy")
         else:
             wrapped(column, context, steps.export_summary(context), icon="EXPORT")
+            if lying_warning(active_body(context)):
+                wrapped(column, context, lying_warning(active_body(context)), icon="ERROR")
 
 
 class CLOAK_PT_train(CloakPanel, bpy.types.Panel):

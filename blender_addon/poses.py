@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import bpy
+import numpy as np
+from mathutils import Vector
 
 from .files.errors import InputError
 
@@ -109,6 +111,47 @@ def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCu
         return []
     bags = (strip.channelbag(slot) for layer in action.layers for strip in layer.strips)
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
+# --- what a camera can see of them -----------------------------------------------------------------------------------
+
+
+DISTANCE = 2.2
+"""Metres from the middle of the body to the training cameras, unless a settings file says otherwise."""
+SMALLEST, LARGEST = 0.2, 2 * DISTANCE
+"""Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
+
+
+def extent(obj: bpy.types.Object) -> tuple[float, float, float]:
+    """Width, depth and height of the body as it stands now, in metres."""
+    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    return tuple((np.ptp(corners, axis=0) * bpy.context.scene.unit_settings.scale_length).tolist())
+
+
+def require_size(obj: bpy.types.Object) -> None:
+    """Raise `InputError` for a body that is too small or too large for cameras at a person's distance."""
+    largest = max(extent(obj))
+    what = f"'{obj.name}' measures {_length(largest)}"
+    how = "scale it to a person's size (S in the viewport), or set Unit Scale in the scene's properties"
+    if largest < SMALLEST:
+        raise InputError(f"{what}: {DISTANCE} m away it would be a few pixels; {how}")
+    if largest > LARGEST:
+        raise InputError(f"{what}: a camera {DISTANCE} m away would stand inside it; {how}")
+
+
+def _length(metres: float) -> str:
+    return f"{1000 * metres:.3g} mm" if metres < 1 else f"{metres:.3g} m"
+
+
+def lying_warning(obj: bpy.types.Object) -> str:
+    """What to know about a body that lies; "" for one that stands."""
+    width, depth, height = extent(obj)
+    if not 0 < height < 0.5 * max(width, depth):
+        return ""
+    return (
+        f"'{obj.name}' lies: it is {_length(max(width, depth))} long and {_length(height)} high. Detectors know people "
+        "who stand, so there may be nothing to hide: turn it upright (Z is up), or choose other poses"
+    )
 
 
 # --- stepping through them -------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import bpy
@@ -11,7 +12,9 @@ from bpy.props import StringProperty
 from .files.errors import InputError
 from .jobs import Job, busy, last_words, launch, require_idle
 from .operators.base import CloakOperator
-from .trainer_python import INSTALL_LINE, about_command, find_python, parse_about
+from .trainer_python import INSTALL_LINE, about_command, ask_ahead, find_python, forget_answers, parse_about
+
+CLICK_SECONDS = 0.2
 
 
 def preferences() -> CloakPreferences | None:
@@ -27,10 +30,22 @@ def user_folder(name: str) -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path=f"cloak/{name}", create=True))
 
 
+def look_ahead() -> None:
+    """Begin to look for the trainer's Python, so that nobody waits when it is needed."""
+    kept = preferences()
+    if not bpy.app.background:
+        ask_ahead(kept.python if kept else "")
+
+
+def _patience() -> float:
+    """Seconds that a click may wait for a Python to answer; without a window there is nobody to keep waiting."""
+    return threading.TIMEOUT_MAX if bpy.app.background else CLICK_SECONDS
+
+
 def chosen_python() -> str:
     """The Python to train with; remembered once found. Raises `InputError` with what to do."""
     kept = preferences()
-    python = find_python(kept.python if kept else "")
+    python = find_python(kept.python if kept else "", _patience())
     if kept and not kept.python:
         kept.python = python
     return python
@@ -45,6 +60,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         name="Trainer's Python",
         description="Python executable that has cloak_core installed; empty to look for one",
         subtype="FILE_PATH",
+        update=lambda self, context: look_ahead(),
     )
     answer: StringProperty(
         name="Answer", description="What the trainer said when it was last tested", options={"SKIP_SAVE"}
@@ -72,7 +88,8 @@ class CLOAK_OT_find_python(CloakOperator):
 
     def run(self, context: bpy.types.Context) -> str:
         kept = preferences()
-        python = find_python()
+        forget_answers()
+        python = find_python("", _patience())
         if kept:
             kept.python = python
         return f"Trainer's Python: {python}"

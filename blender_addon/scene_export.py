@@ -26,7 +26,7 @@ from .files.reading import read_json
 from .files.writing import new_folder, write_json
 from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
 from .modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
-from .poses import PoseChoice, armature_of, list_poses, visit
+from .poses import PoseChoice, armature_of, list_poses, require_size, visit
 
 RECORD = "export.json"
 
@@ -72,6 +72,7 @@ def export_bodies(
     """
     require_body(obj)
     require_upright(obj)
+    require_size(obj)
     objects = [obj, *(clothing_of(obj) if with_clothing else ())]
     for worn in objects[1:]:
         require_upright(worn)

@@ -17,7 +17,7 @@ from .command_lines import differing_options
 from .faces import logo_names
 from .files.errors import InputError
 from .modifiers import modifiers_reason
-from .poses import list_poses
+from .poses import list_poses, require_size
 from .properties import pose_choice, settings_of, train_request
 from .run_states import DONE, RUNNING, RunState, read_state
 from .scene_export import clothing_of
@@ -71,7 +71,8 @@ def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
 def poses_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the poses cannot be exported."""
     choice = pose_choice(settings_of(context))
-    return refusal(require_upright, obj) or refusal(list_poses, obj, choice) or modifiers_reason(obj)
+    reason = refusal(require_upright, obj) or refusal(require_size, obj) or refusal(list_poses, obj, choice)
+    return reason or modifiers_reason(obj)
 
 
 def train_reason(context: bpy.types.Context) -> str:

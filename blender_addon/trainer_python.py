@@ -9,6 +9,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from .files.errors import InputError
@@ -79,27 +81,66 @@ def trainer_reason(python: str) -> str:
     return "has no cloak_core" if answer.returncode == NO_TRAINER or not said else f"does not work: {said[-1][:200]}"
 
 
-@functools.lru_cache(maxsize=1)
 def _first_found() -> str:
     return next((python for python in candidates() if not trainer_reason(python)), "")
 
 
-def find_python(chosen: str = "") -> str:
+class _Question(threading.Thread):
+    """Asks Pythons about themselves without keeping Blender waiting; `answer` is None until it is known."""
+
+    def __init__(self, ask: Callable[[], str]) -> None:
+        super().__init__(name="cloak asks for a trainer", daemon=True)
+        self._ask = ask
+        self.answer: str | None = None
+        self.start()
+
+    def run(self) -> None:
+        self.answer = self._ask()
+
+
+_questions: dict[str, _Question] = {}
+"""By the chosen Python's path; "" is the search for any."""
+
+
+def ask_ahead(chosen: str = "") -> None:
+    """Begin to find out what `find_python` will want to know."""
+    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    if path is not None and path not in _questions:
+        _questions[path] = _Question(functools.partial(trainer_reason, path) if path else _first_found)
+
+
+def forget_answers() -> None:
+    """Ask again: something may have been installed."""
+    _questions.clear()
+
+
+def _answer(path: str, seconds: float) -> str | None:
+    ask_ahead(path)
+    question = _questions[path]
+    question.join(min(seconds, threading.TIMEOUT_MAX))
+    if question.answer is not None and bool(question.answer) == bool(path):
+        del _questions[path]  # a refusal, or nothing found: ask again the next time
+    return question.answer
+
+
+def find_python(chosen: str = "", seconds: float = threading.TIMEOUT_MAX) -> str:
     """The Python to train with: the chosen one, checked to exist, or the first that is found.
 
-    Raises `InputError` with what to do when there is none.
+    Waits so many seconds at most. A chosen Python that has not answered by then is taken at its word. Raises
+    `InputError` with what to do when there is none, or none yet.
     """
     if chosen:
         path = shutil.which(os.path.expanduser(chosen))
         if path is None:
             raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
-        reason = trainer_reason(path)
+        reason = _answer(path, seconds)
         if reason:
             raise InputError(f"Python '{chosen}' {reason}: install it there, or choose another in the preferences")
         return path
-    python = _first_found()
+    python = _answer("", seconds)
+    if python is None:
+        raise InputError("Still looking for a Python with cloak_core: try again in a moment")
     if not python:
-        _first_found.cache_clear()
         raise InputError("No Python with cloak_core found: install it, then choose it in the add-on's preferences")
     return python
 

@@ -7,7 +7,7 @@ from cloak import body, faces, scene_export, steps
 from cloak.exchange.face_lists import read_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
-from cloak.poses import PoseChoice, list_poses
+from cloak.poses import PoseChoice, list_poses, lying_warning
 from made import add_ngons, make_egg, make_grid, set_mode
 
 NOW = PoseChoice()
@@ -197,6 +197,30 @@ def test_outfit_comes_from_the_materials():
 
 
 # --- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(1 / 600, "measures 3 mm: 2.2 m away it would be a few pixels"), (150, "270 m: a camera 2.2 m")],
+)
+def test_sizes_that_no_camera_sees_are_said_in_step_3(scale, words):
+    obj = make_egg()
+    obj.scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    assert words in steps.poses_reason(bpy.context) and "Unit Scale" in steps.poses_reason(bpy.context)
+    with pytest.raises(InputError, match=words):
+        export(obj)
+    bpy.context.scene.unit_settings.scale_length = 1 / scale  # modelled in other units
+    assert steps.poses_reason(bpy.context) == "" and export(obj).pose_count == 1
+
+
+def test_a_body_that_lies_is_said():
+    obj = make_egg()
+    assert lying_warning(obj) == ""
+    obj.rotation_euler.x = np.pi / 2
+    bpy.context.view_layer.update()
+    assert "lies: it is 1.8 m long and 500 mm high" in lying_warning(obj)
+    assert steps.poses_reason(bpy.context) == ""  # said, not refused
 
 
 def test_a_pose_that_is_not_finite_is_named():

@@ -1,11 +1,13 @@
 """What the trainer is started with: a Python that has it, and settings that can work."""
 
 import re
+import time
 from pathlib import Path
 
 import bpy
 import pytest
 from cloak import command_lines, steps, trainer_python
+from cloak.files.errors import InputError
 from cloak.preferences import preferences
 from conftest import run_job
 
@@ -26,7 +28,7 @@ def test_missing_or_wrong_python(ready, python, words, tmp_path):
 
 def test_no_python_anywhere(ready, monkeypatch):
     preferences().python = ""
-    trainer_python._first_found.cache_clear()
+    trainer_python.forget_answers()
     monkeypatch.setattr(trainer_python, "candidates", lambda: [])
     with pytest.raises(RuntimeError, match="choose it in the add-on's preferences"):
         bpy.ops.cloak.train_start()
@@ -34,7 +36,7 @@ def test_no_python_anywhere(ready, monkeypatch):
 
 def test_python_is_found_and_remembered(ready, stub, monkeypatch):
     preferences().python = ""
-    trainer_python._first_found.cache_clear()
+    trainer_python.forget_answers()
     monkeypatch.setenv("CLOAK_PYTHON", str(stub))
     bpy.ops.cloak.find_python()
     assert preferences().python == str(stub)
@@ -44,6 +46,27 @@ def test_python_is_found_and_remembered(ready, stub, monkeypatch):
     preferences().python = str(stub)
     bpy.ops.cloak.copy_install_line()
     assert "pip install" in trainer_python.INSTALL_LINE
+
+
+def test_a_python_that_is_slow_to_answer_keeps_nobody_waiting(ready, tmp_path, monkeypatch):
+    """Not eight seconds of a frozen window: the answer comes while the user works."""
+    slow = tmp_path / "slow"
+    slow.write_text("#!/bin/sh\nsleep 1\nexit 9\n")
+    slow.chmod(0o755)
+    trainer_python.forget_answers()
+    monkeypatch.setattr(trainer_python, "candidates", lambda: [str(slow)])
+    start = time.monotonic()
+    with pytest.raises(InputError, match="Still looking for a Python with cloak_core"):
+        trainer_python.find_python("", 0.05)
+    assert trainer_python.find_python(str(slow), 0.05) == str(slow)  # the job itself will say what is wrong
+    assert time.monotonic() - start < 0.9
+    with pytest.raises(InputError, match="No Python with cloak_core found"):
+        trainer_python.find_python()
+    with pytest.raises(InputError, match="has no cloak_core"):
+        trainer_python.find_python(str(slow))
+    slow.write_text("#!/bin/sh\nexit 0\n")  # installed in the meantime
+    assert trainer_python.find_python() == trainer_python.find_python(str(slow)) == str(slow)
+    trainer_python.forget_answers()
 
 
 def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
