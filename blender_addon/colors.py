@@ -77,16 +77,21 @@ def cloak_colors(obj: bpy.types.Object, face_ids: np.ndarray, colors: np.ndarray
 
 def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str | None) -> None:
     """Let Solid shading show the colour attribute `name`; None returns the viewports to the body's own colours."""
-    mesh = obj.data
-    if name is None and OUTFIT in mesh.color_attributes:
+    if name is None and OUTFIT in obj.data.color_attributes:
         name = OUTFIT
     if name is not None:
-        mesh.color_attributes.active_color = mesh.color_attributes[name]
-        mesh.color_attributes.render_color_index = mesh.color_attributes.active_color_index
+        activate(obj, name)
     for window in context.window_manager.windows if context.window_manager else ():
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.spaces.active.shading.color_type = "VERTEX" if name else "MATERIAL"
+
+
+def activate(obj: bpy.types.Object, name: str) -> None:
+    """Make a colour attribute the one that viewports and renders show."""
+    attributes = obj.data.color_attributes
+    attributes.active_color = attributes[name]
+    attributes.render_color_index = attributes.active_color_index
 
 
 # --- materials -------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from .files.errors import InputError
 from .files.reading import read_json
 from .files.writing import write_json
 from .mesh_arrays import evaluated_mesh, image_pixels, read, to_world
-from .scene_export import clothing_of
+from .scene_export import clothing_of, undress
 
 THRESHOLD = 0.6
 """A person counts as detected at this score."""
@@ -90,7 +90,7 @@ def run_plan(path: Path) -> None:
     paths = image_paths(plan)
     for worn, batch in ((True, paths[: len(plan.angles)]), (False, paths[len(plan.angles) :])):
         if not worn:
-            colors.undress(obj)
+            undress(obj)
         for number, (angle, image) in enumerate(zip(plan.angles, batch, strict=True)):
             render_view(obj, image, angle)
             _composite(image, photographs[number % len(photographs)] if photographs else None)

@@ -25,6 +25,7 @@ from .exchange.face_lists import read_face_list
 from .files.errors import InputError
 from .files.reading import read_json
 from .files.writing import write_json
+from .garments import WornColors, read_garments
 from .scene_export import RECORD, read_export
 
 COMMAND = "command.json"
@@ -136,10 +137,14 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
         raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
     result = read_run(run)
     require_same_topology(obj, result.topology)
-    if len(result.face_ids) and result.face_ids[-1] >= len(obj.data.polygons):
-        raise InputError(f"{run}: face {result.face_ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
-    colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, result.face_ids, result.colors))
-    colors.dress(obj, result.face_ids)
+    worn = WornColors(read_garments(input_folder(run) / RECORD), result.face_ids)
+    mine = worn.on_body(len(obj.data.polygons))
+    ids = result.face_ids[mine]
+    if len(ids) and ids[-1] >= len(obj.data.polygons):
+        raise InputError(f"{run}: face {ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
+    worn.write(result.colors, dress=True)
+    colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, ids, result.colors[mine]))
+    colors.dress(obj, ids)
     colors.show_attribute(context, obj, colors.CLOAK)
     return result
 
@@ -148,7 +153,10 @@ class LiveColors:
     """Shows a growing run's colours on its object. What can be prepared is, so that an update only writes."""
 
     def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
-        self._run, self._topology, self._uid, self._ids = run, body_topology, obj.session_uid, face_ids
+        self._run, self._topology, self._uid = run, body_topology, obj.session_uid
+        self._worn = WornColors(read_garments(input_folder(run) / RECORD), face_ids)
+        self._mine = self._worn.on_body(len(obj.data.polygons))
+        self._ids = face_ids[self._mine]
         self._seen = 0
         self._base = colors.own_face_colors(obj)
 
@@ -170,7 +178,9 @@ class LiveColors:
         if stamp == self._seen and not naked:
             return False
         require_same_topology(obj, self._topology)
-        self._base[self._ids] = read_colors(path, count=len(self._ids))
+        values = read_colors(path, count=len(self._mine))
+        self._worn.write(values, dress=naked)
+        self._base[self._ids] = values[self._mine]
         colors.write_face_colors(obj, colors.CLOAK, self._base)
         if naked:
             colors.dress(obj, self._ids)

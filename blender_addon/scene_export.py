@@ -8,7 +8,7 @@ object other faces, its triangles are exported as evaluated and its faces as its
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import bpy
@@ -24,6 +24,7 @@ from .files.errors import InputError
 from .files.identity import sha256_arrays, sha256_record
 from .files.reading import read_json
 from .files.writing import new_folder, write_json
+from .garments import Garment
 from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
 from .modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
 from .poses import PoseChoice, armature_of, list_poses, require_size, visit
@@ -59,24 +60,30 @@ def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     return sorted(worn, key=lambda o: o.name)
 
 
-def export_bodies(
-    context: bpy.types.Context,
-    obj: bpy.types.Object,
-    choice: PoseChoice,
-    with_clothing: bool = False,
-    logo: str = "",
-) -> Bodies:
-    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was.
+def undress(obj: bpy.types.Object) -> None:
+    """Give the faces of the body and of its clothing their own material back."""
+    for worn in (obj, *clothing_of(obj)):
+        colors.undress(worn)
 
-    Clothing that wears the logo too is exported face by face, as the body is.
-    """
+
+def export_bodies(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, with_clothing: bool = False
+) -> Bodies:
+    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was."""
+    return _bodies_and_garments(context, obj, choice, clothing_of(obj) if with_clothing else [], "")[0]
+
+
+def _bodies_and_garments(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, clothing: list[bpy.types.Object], logo: str
+) -> tuple[Bodies, list[Garment]]:
+    """Bodies, and the clothing that wears the logo too: it is exported face by face, as the body is."""
     require_body(obj)
     require_upright(obj)
     require_size(obj)
-    objects = [obj, *(clothing_of(obj) if with_clothing else ())]
-    for worn in objects[1:]:
+    objects = [obj, *clothing]
+    for worn in clothing:
         require_upright(worn)
-    wearing = [obj, *(o for o in objects[1:] if logo and wears(o, logo))]
+    wearing = [obj, *(o for o in clothing if logo and logo_mask(o, logo).any())]
     poses = list_poses(obj, choice)
     frames: list[list[Part]] = []
     with visit(context, obj) as go:
@@ -88,19 +95,23 @@ def export_bodies(
                 graph = context.evaluated_depsgraph_get()
                 frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])
                 _require_same_topology(objects, frames)
-    worn = [_outfit(o, part) for o, part in zip(objects[1:], frames[0][1:], strict=True)]
+    worn = [_outfit(o, part) for o, part in zip(clothing, frames[0][1:], strict=True)]
     body = [_filled_up(outfit, frames[0][0].face_count) for outfit in colors.own_outfits(obj)]
     outfits = np.stack([np.concatenate([outfit, *worn]) for outfit in body])
     try:
-        return _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
+        bodies = _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
     except InputError as error:
         raise InputError(f"'{obj.name}': {error}") from None
+    starts = np.cumsum([0, *(part.face_count for part in frames[0])]).tolist()
+    found = ((o, start) for o, start in zip(objects, starts, strict=False) if o in wearing[1:])
+    return bodies, [Garment(o.name, start, len(o.data.polygons), topology(o)) for o, start in found]
 
 
-def wears(obj: bpy.types.Object, logo: str) -> bool:
-    """Whether an object has a logo of this name, or one of those joined by "+", with faces in it."""
+def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
+    """Mask [F] of a logo, or of those joined by "+", as far as the object has them."""
     names = [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
-    return any(name in logo_names(obj.data) and read_faces(obj, name).any() for name in names)
+    found = [read_faces(obj, name) for name in names if name in logo_names(obj.data)]
+    return np.logical_or.reduce([np.zeros(len(obj.data.polygons), bool), *found])
 
 
 def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, with_triangles: bool) -> Part:
@@ -211,8 +222,11 @@ def export(
     mask = require_logo(obj, logo)
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another output folder")
-    bodies = export_bodies(context, obj, choice, with_clothing)
-    ids = np.intersect1d(np.flatnonzero(mask), bodies.triangle_face)  # faces that a modifier takes away are not seen
+    clothing = clothing_of(obj) if with_clothing else []
+    bodies, garments = _bodies_and_garments(context, obj, choice, clothing, logo)
+    worn = [np.flatnonzero(logo_mask(bpy.data.objects[g.object], logo)) + g.first for g in garments]
+    ids = np.concatenate([np.flatnonzero(mask), *worn])
+    ids = np.intersect1d(ids, bodies.triangle_face)  # faces that a modifier takes away are not seen
     if not len(ids):
         raise InputError(f"No face of logo '{logo}' is left when '{obj.name}' is evaluated: look at its modifiers")
     done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count)
@@ -220,6 +234,7 @@ def export(
         write_scene(temporary / "scene", bodies, creator="cloak add-on")
         write_face_list(temporary / "logo.npy", ids, bodies.topology)
         record = {key: getattr(done, key) for key in ("object", "logo", "topology", "poses", "faces")}
+        record["garments"] = [asdict(garment) for garment in garments]
         write_json(temporary / RECORD, {"format": "cloak export", "version": 1, **record})
     return done
 

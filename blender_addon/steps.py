@@ -210,7 +210,11 @@ def export_summary(context: bpy.types.Context) -> str:
     obj, settings = active_body(context), settings_of(context)
     poses = len(list_poses(obj, pose_choice(settings)))
     text = f"{poses} pose{'s' * (poses != 1)} of {len(obj.data.polygons):,} faces"
+    worn = clothing_of(obj)
+    too = [o.name for o in worn if obj.cloak.logo in logo_names(o.data)]
     if settings.clothing:
-        worn = clothing_of(obj)
         text += f", clothing: {', '.join(o.name for o in worn) if worn else 'none found'}"
+        text += f"; the logo goes on over {', '.join(too)}" if too else ""
+    elif too:
+        text += f"; {', '.join(too)} has logo '{obj.cloak.logo}' too: Include Clothing trains it as one"
     return text

@@ -14,6 +14,7 @@ from ..command_lines import check_command, report_command
 from ..jobs import Job, launch, require_idle
 from ..preferences import chosen_python
 from ..properties import settings_of, train_request
+from ..scene_export import undress
 from .base import WITH_UNDO, BodyOperator, CloakOperator
 
 
@@ -41,7 +42,7 @@ class CLOAK_OT_result_toggle(BodyOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if colors.is_dressed(obj):
-            colors.undress(obj)
+            undress(obj)
             colors.show_attribute(context, obj, None)
             return f"'{obj.name}' shows its own materials"
         runs.import_colors(context, obj, run_of(obj))

@@ -3,8 +3,9 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, faces, scene_export, steps
-from cloak.exchange.face_lists import read_face_list
+from cloak import body, colors, faces, runs, scene_export, steps
+from cloak.exchange.colors import write_colors
+from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import PoseChoice, list_poses, lying_warning
@@ -156,6 +157,51 @@ def test_clothing_follows_the_body_and_keeps_its_faces_ids(tmp_path):
     assert done.topology == body.topology(obj) != bodies.topology
     bpy.context.scene.cloak.clothing = True
     assert "clothing: Shirt" in steps.export_summary(bpy.context)
+
+
+@pytest.mark.parametrize("levels", [0, 1])
+def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
+    """Colours come back to the object that each face belongs to, live and at the end, and Show Original takes both."""
+    obj = make_egg(12)
+    trousers, shirt = make_egg(8, 0.8, "A pair of trousers"), make_egg(10, 1.0, "Shirt")
+    if levels:
+        shirt.modifiers.new("Subdivision", "SUBSURF").levels = levels
+    for worn in (shirt, trousers):
+        worn.parent = obj
+    bpy.context.view_layer.objects.active = obj
+    faces.new_logo(obj, "chest", np.isin(np.arange(len(obj.data.polygons)), [3, 50]))
+    faces.new_logo(shirt, "chest", np.isin(np.arange(len(shirt.data.polygons)), [7, 9, 80]))
+    obj.cloak.logo = "chest"
+    bpy.context.view_layer.update()
+    assert "Shirt has logo 'chest' too: Include Clothing" in steps.export_summary(bpy.context)
+    bpy.context.scene.cloak.clothing = True
+    assert "the logo goes on over Shirt" in steps.export_summary(bpy.context)
+    run = tmp_path / "run"
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input", with_clothing=True)
+    bodies, before = read_scene(done.scene), len(obj.data.polygons) + len(trousers.data.polygons)
+    face_list = read_face_list(done.face_list, bodies)
+    assert face_list.ids.tolist() == [3, 50, before + 7, before + 9, before + 80]
+    assert bodies.face_count == before + len(shirt.data.polygons)
+    run.mkdir()
+    write_face_list(run / "logo.npy", face_list.ids, bodies.topology)
+    trained = np.random.default_rng(0).random((5, 3)).astype(np.float32)
+    write_colors(run / "colors.npy", trained)
+
+    def check() -> None:
+        assert np.allclose(colors.read_face_colors(obj, "Cloak")[[3, 50]], trained[:2], atol=1e-5)
+        assert np.allclose(colors.read_face_colors(shirt, "Cloak")[[7, 9, 80]], trained[2:], atol=1e-5)
+        assert colors.is_dressed(obj) and colors.is_dressed(shirt) and not colors.is_dressed(trousers)
+
+    live = runs.LiveColors(obj, run, done.topology, face_list.ids)
+    assert live.update(bpy.context)
+    check()
+    scene_export.undress(obj)
+    assert not colors.is_dressed(obj) and not colors.is_dressed(shirt)
+    runs.import_colors(bpy.context, obj, run)
+    check()
+    shirt.name = "Blouse"
+    with pytest.raises(InputError, match="'Shirt' wore the logo and is gone or has another name"):
+        runs.import_colors(bpy.context, obj, run)
 
 
 def test_clothing_on_the_same_armature_is_found():
