@@ -158,9 +158,13 @@ def lost_its_cloak(obj: bpy.types.Object) -> bool:
 
 def own_material_slots(obj: bpy.types.Object) -> np.ndarray:
     """[F] int32: each face's material slot, without the cloak."""
-    mesh = obj.data
+    return own_slots_of(obj, obj.data)
+
+
+def own_slots_of(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
+    """The same, read from a copy of the object's mesh, which has no materials of its own."""
     slots = _read_slots(mesh)
-    slot, own = _cloak_slot(mesh), mesh.attributes.get(OWN_MATERIAL)
+    slot, own = _cloak_slot(obj.data), mesh.attributes.get(OWN_MATERIAL)
     if slot is not None and own is not None and len(own.data) == len(slots):
         slots = np.where(slots == slot, read(own.data, "value", dtype=np.int32), slots)
     return slots

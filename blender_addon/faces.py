@@ -194,6 +194,7 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
         raise InputError("No faces to take: select faces in Edit Mode (or stamp a picture) first")
     name = name.strip().lstrip(".") or "Logo"
     taken = {attribute.name for attribute in obj.data.attributes} | NOT_LOGOS
+    taken |= {group.name for group in obj.vertex_groups}  # Blender keeps one set of names for both
     unique, number = name, 1
     while unique in taken:
         unique, number = f"{name}.{number:03d}", number + 1

@@ -81,6 +81,10 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
         side = row.column(align=True)
         side.operator("cloak.logo_new", text="", icon="ADD")
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
+        row = column.row(align=True)
+        for what, choice in (("material", "slot"), ("group", "group")):
+            row.operator_menu_enum(f"cloak.logo_from_{what}", choice)
+        row.operator("cloak.logo_from_island")
         for names in (("assign", "unassign", "select"), ("mirror", "grow", "shrink"), ("export", "import")):
             row = column.row(align=True)
             for name in names:
@@ -123,6 +127,9 @@ class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
         if settings.stamp_from == "FRONT":
             box.prop(settings, "stamp_center")
             box.prop(settings, "stamp_offset")
+        presets = column.row(align=True)
+        presets.operator("cloak.stamp_paper", text="Paper's Letter").kind = "TEXT"
+        presets.operator("cloak.stamp_paper", text="Paper's Smiley").kind = "SMILEY"
         row = box.row(align=True)
         row.operator("cloak.logo_stamp", text="Stamp New Logo").target = "NEW"
         row.operator("cloak.logo_stamp", text="Add").target = "ADD"

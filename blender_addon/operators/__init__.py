@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import body, heat, logo, result, runs, stamp, start_stop
+from . import body, heat, logo, pick, result, runs, stamp, start_stop
 
 CLASSES = (
     *body.CLASSES,
     *logo.CLASSES,
+    *pick.CLASSES,
     *stamp.CLASSES,
     *heat.CLASSES,
     *start_stop.CLASSES,
