@@ -51,6 +51,10 @@ def chosen_python() -> str:
     return python
 
 
+def _python_chosen(kept: CloakPreferences, context: bpy.types.Context) -> None:
+    look_ahead()
+
+
 class CloakPreferences(bpy.types.AddonPreferences):
     """Which trainer to use."""
 
@@ -60,7 +64,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         name="Trainer's Python",
         description="Python executable that has cloak_core installed; empty to look for one",
         subtype="FILE_PATH",
-        update=lambda self, context: look_ahead(),
+        update=_python_chosen,
     )
     answer: StringProperty(
         name="Answer", description="What the trainer said when it was last tested", options={"SKIP_SAVE"}

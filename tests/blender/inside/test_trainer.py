@@ -69,6 +69,12 @@ def test_a_python_that_is_slow_to_answer_keeps_nobody_waiting(ready, tmp_path, m
     trainer_python.forget_answers()
 
 
+def test_choosing_another_python_raises_nothing(stub, capfd):
+    """Blender prints what goes wrong in an update and goes on."""
+    preferences().python = "/bin/true"
+    assert "Traceback" not in "".join(capfd.readouterr())
+
+
 def test_test_says_what_is_wrong(ready, stub, monkeypatch, tmp_path):
     bad = tmp_path / "half"
     bad.write_text(
