@@ -1,6 +1,6 @@
 """The folder of one hardening: who writes into it, and what it was begun with.
 
-config.json  events.jsonl  checkpoint/  hardened.cfg  hardened.weights  hardened.licence.txt  cancel
+config.json  events.jsonl  checkpoint/  hardened.* (files of the detector's family)  hardened.licence.txt  cancel
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import environment
 from cloak_core.defend.pool import Given
 from cloak_core.defend.settings import HardenSettings
-from cloak_core.defend.students import Student
+from cloak_core.defend.student import Student
 from cloak_core.detectors.protocol import detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError

@@ -23,7 +23,7 @@ from cloak_core.attack.stopping import StopRequest, stop_request
 from cloak_core.defend.folder import HardenFolder, harden_config, open_folder
 from cloak_core.defend.pool import Given, Pool
 from cloak_core.defend.settings import HardenSettings
-from cloak_core.defend.students import Student
+from cloak_core.defend.student import Student
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
@@ -60,7 +60,7 @@ def harden(
     resume: bool = False,
     on_event: OnEvent | None = None,
 ) -> HardenResult:
-    """Harden the student into the folder `out`: hardened.cfg, hardened.weights and their licence, beside config.json,
+    """Harden the student into the folder `out`: a file of its family, hardened.*, and its licence, beside config.json,
     events.jsonl and checkpoint/ as a training's run has them.
 
     photographs: pictures with people, of whom the detector is to report what it reported; no labels. given: cloaks that
@@ -132,9 +132,8 @@ class Hardening:
     def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor) -> dict[str, float]:
         """One update; returns the loss and its parts, each a mean over its own images."""
         student, count, kept = self.student, len(cloaked), min(self.settings.clean, len(cloaked))
-        with torch.no_grad():
-            wanted = student.maps(student.teacher, torch.cat([clean, pictures]))
-        wanted = [torch.cat([maps[:count], maps[:kept], maps[count:]]) for maps in wanted]
+        shown = torch.arange(count + len(pictures), device=clean.device)
+        wanted = student.wanted(torch.cat([clean, pictures]), torch.cat([shown[:count], shown[:kept], shown[count:]]))
         images = torch.cat([cloaked, clean[:kept], pictures])
         surer = torch.arange(len(images), device=images.device) < len(images) - len(pictures)
         student.detector.requires_grad_(True)

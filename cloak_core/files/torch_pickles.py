@@ -12,14 +12,17 @@ import math
 import re
 import zipfile
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from .errors import InputError, first_line
 from .reading import MAX_BYTES, check_directory, open_regular
 from .unpickling import ADMITTED, ArrayUnpickler
+from .writing import replace_file
 
 MAX_PICKLE_BYTES = 64 << 20
 """Of the pickle alone, without the numbers."""
@@ -56,7 +59,7 @@ def _tensor(storage: np.ndarray, offset: int, shape: tuple, strides: tuple, *unu
     if offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True)) >= len(storage):
         raise ValueError("a tensor beyond its numbers")
     steps = [step * storage.itemsize for step in strides]
-    return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=False)
+    return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=storage.flags.writeable)
 
 
 def _parameter(data: object, *unused: object) -> object:
@@ -130,6 +133,41 @@ def read_torch_pickle(path: Path) -> object:
         raise
     except Exception as error:  # damage shows itself as almost any error of zipfile, pickle and numpy
         raise InputError(f"{path}: not a whole file of torch.save ({first_line(error)[:160]})") from None
+
+
+class _Rewriter(TorchUnpickler):
+    """The numbers can be written to, and are remembered by their members of the archive."""
+
+    def persistent_load(self, pid: object) -> np.ndarray:
+        known = len(self.storages)
+        numbers = super().persistent_load(pid)
+        if len(self.storages) > known:
+            if pid[1].dtype == "bfloat16":
+                raise InputError(f"{self.path}: keeps its numbers in bfloat16, which cannot be written here")
+            numbers = self.storages[pid[2]] = numbers.copy()
+        return numbers
+
+
+def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], None]) -> None:
+    """Write a file of torch.save again with other numbers: `change` is given what `read_torch_pickle` gives, and writes
+    into its arrays. Whatever is no number stays as it is, the pickle to the byte.
+
+    InputError as `read_torch_pickle`, and for numbers in bfloat16.
+    """
+    read_torch_pickle(source)  # refuses what is to be refused
+    with open_regular(source, MAX_BYTES) as file, zipfile.ZipFile(file) as archive:
+        (pickled,) = (name for name in archive.namelist() if name == "data.pkl" or name.endswith("/data.pkl"))
+        folder = pickled.removesuffix("data.pkl")
+        unpickler = _Rewriter(io.BytesIO(archive.read(pickled)), source, archive, folder)
+        change(unpickler.load())
+        changed = {f"{folder}data/{key}": numbers.tobytes() for key, numbers in unpickler.storages.items()}
+
+        def write(out: BinaryIO) -> None:
+            with zipfile.ZipFile(out, "w") as written:
+                for member in archive.infolist():
+                    written.writestr(member.filename, changed.get(member.filename) or archive.read(member))
+
+        replace_file(target, write)
 
 
 def _read_archive(file: io.BufferedIOBase, path: Path) -> object:

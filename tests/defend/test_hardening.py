@@ -16,7 +16,8 @@ from cloak_core.defend.hardening import HardenResult, harden
 from cloak_core.defend.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.defend.pool import Given, Pool
 from cloak_core.defend.settings import HardenSettings
-from cloak_core.defend.students import NAME, Student, open_student
+from cloak_core.defend.student import NAME, Student
+from cloak_core.defend.students import open_student
 from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
@@ -99,9 +100,9 @@ def test_a_folder_that_is_there_is_not_taken_for_another(
 
 
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
-    with pytest.raises(InputError, match="cannot train 'torchvision' yet, only builtin and darknet"):
-        open_student("torchvision:fcos_resnet50_fpn:random")
-    with pytest.raises(InputError, match="cannot train 'jpeg=75' yet"):
+    with pytest.raises(InputError, match="cannot train 'python', only builtin, darknet, torchvision and ultralytics"):
+        open_student("python:d2go.py:load")
+    with pytest.raises(InputError, match="cannot train 'jpeg=75', only builtin"):
         open_student("jpeg=75:builtin")
 
 

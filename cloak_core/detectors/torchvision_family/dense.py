@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 from torchvision.models.detection import FCOS
+from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.ssd import SSD
 from torchvision.ops import clip_boxes_to_image
 
@@ -20,9 +21,7 @@ class DenseDetector(TorchvisionDetector):
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         batch, placement = self.prepare(images)
-        features = self.model.backbone(batch.tensors)
-        levels = [features] if isinstance(features, Tensor) else list(features.values())
-        outputs = {key: at_least_float32(value) for key, value in self.model.head(levels).items()}
+        outputs, levels = self.raw(batch)
         anchors = self.model.anchor_generator(batch, levels)[0]
         scores = self._scores(outputs)
         counts = _anchors_per_level(levels, len(anchors))
@@ -32,6 +31,12 @@ class DenseDetector(TorchvisionDetector):
         boxes = self._decode(deltas, anchors[rows])
         boxes = placement.restore(clip_boxes_to_image(boxes, batch.image_sizes[0]))
         return Detections(boxes=boxes.view(*kept.shape, 4), scores=scores.gather(1, kept))
+
+    def raw(self, batch: ImageList) -> tuple[dict[str, Float[Tensor, "B A _"]], list[Tensor]]:
+        """What the heads say before any activation, at least float32, of every anchor; and the feature maps."""
+        features = self.model.backbone(batch.tensors)
+        levels = [features] if isinstance(features, Tensor) else list(features.values())
+        return {key: at_least_float32(value) for key, value in self.model.head(levels).items()}, levels
 
     def _scores(self, outputs: dict[str, Tensor]) -> Float[Tensor, "B A"]:
         logits = outputs["cls_logits"]

@@ -15,6 +15,7 @@ from cloak_core.detectors.specs import Request
 from cloak_core.detectors.torchvision_family.dense import DenseDetector
 from cloak_core.detectors.torchvision_family.two_stage import TwoStageDetector
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import replace_file
 
 RANDOM = "random"
 """As a checkpoint: seeded random weights, for timing and tests."""
@@ -71,6 +72,15 @@ def load_torchvision(request: Request) -> Detector:
     detector.packages = ("torchvision",)
     detector.freeze()
     return detector
+
+
+def write_torchvision(path: Path, name: str, model: nn.Module) -> None:
+    """Write an unfolded model's weights so that `torchvision:NAME:PATH` is that model again: a plain state dict."""
+    state = {key: value.detach().cpu() for key, value in model.state_dict().items()}
+    if name in EPS_ZERO and all(m.eps == 0 for m in model.modules() if isinstance(m, nn.BatchNorm2d)):
+        # By their absence a reader tells the official checkpoints, and what was made of them.
+        state = {key: value for key, value in state.items() if not key.endswith("num_batches_tracked")}
+    replace_file(path, lambda file: torch.save(state, file))
 
 
 def _read(name: str, path: Path, classes: int) -> tuple[nn.Module, int]:

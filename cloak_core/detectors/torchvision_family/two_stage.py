@@ -22,16 +22,12 @@ class TwoStageDetector(TorchvisionDetector):
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         batch, placement = self.prepare(images)
-        features = self.model.backbone(batch.tensors)
-        features = {"0": features} if isinstance(features, Tensor) else features
-        proposals, objectness = self._propose(batch, features)
-        head = self.model.roi_heads
-        pooled = head.box_roi_pool(features, proposals, batch.image_sizes)
-        logits, deltas = head.box_predictor(head.box_head(pooled))
-        deltas = at_least_float32(deltas.unflatten(1, (-1, 4))[:, self.person])
-        size = batch.image_sizes[0]
-        boxes = clip_boxes_to_image(head.box_coder.decode_single(deltas, torch.cat(proposals)), size)
-        scores = at_least_float32(logits).softmax(dim=-1)[:, self.person]
+        features = self.features(batch)
+        proposals, objectness = self.propose(batch, features, *self.of_anchors(features))
+        logits, deltas = self.of_proposals(batch, features, proposals)
+        coder, size = self.model.roi_heads.box_coder, batch.image_sizes[0]
+        boxes = clip_boxes_to_image(coder.decode_single(deltas[:, self.person], torch.cat(proposals)), size)
+        scores = logits.softmax(dim=-1)[:, self.person]
         scores = scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
         counts = [len(part) for part in proposals]
         return Detections(
@@ -40,12 +36,38 @@ class TwoStageDetector(TorchvisionDetector):
             proposal_scores=pad_sequence(objectness, batch_first=True),
         )
 
-    def _propose(self, batch: ImageList, features: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        """Per image, proposals [n, 4] (constants, as in the model) and their objectness [n] (differentiable)."""
+    def features(self, batch: ImageList) -> dict[str, Float[Tensor, "B C _ _"]]:
+        """Feature maps by level."""
+        found = self.model.backbone(batch.tensors)
+        return {"0": found} if isinstance(found, Tensor) else found
+
+    def of_anchors(
+        self, features: dict[str, Float[Tensor, "B C _ _"]]
+    ) -> tuple[list[Float[Tensor, "B _ _ _"]], list[Float[Tensor, "B _ _ _"]]]:
+        """What the first stage says of every anchor, by level: logits of an object, and where its box is from there."""
+        return self.model.rpn.head(list(features.values()))
+
+    def of_proposals(
+        self, batch: ImageList, features: dict[str, Float[Tensor, "B C _ _"]], proposals: list[Float[Tensor, "_ 4"]]
+    ) -> tuple[Float[Tensor, "n K"], Float[Tensor, "n K 4"]]:
+        """What the second stage says of proposals, those of all images in a row: logits of the classes, the background
+        first, and for each class where its box is from there."""
+        head = self.model.roi_heads
+        pooled = head.box_roi_pool(features, proposals, batch.image_sizes)
+        logits, deltas = head.box_predictor(head.box_head(pooled))
+        return at_least_float32(logits), at_least_float32(deltas.unflatten(1, (-1, 4)))
+
+    def propose(
+        self,
+        batch: ImageList,
+        features: dict[str, Float[Tensor, "B C _ _"]],
+        logits: list[Float[Tensor, "B _ _ _"]],
+        deltas: list[Float[Tensor, "B _ _ _"]],
+    ) -> tuple[list[Float[Tensor, "_ 4"]], list[Float[Tensor, "_"]]]:
+        """Per image, from `of_anchors`, the proposals (constants, as in the model), best first, and their objectness
+        (differentiable)."""
         rpn = self.model.rpn
-        levels = list(features.values())
-        logits, deltas = rpn.head(levels)
-        anchors = rpn.anchor_generator(batch, levels)
+        anchors = rpn.anchor_generator(batch, list(features.values()))
         counts = [level[0].numel() for level in logits]
         flat_logits, flat_deltas = concat_box_prediction_layers(logits, deltas)
         boxes = rpn.box_coder.decode(at_least_float32(flat_deltas.detach()), anchors).view(len(anchors), -1, 4)

@@ -6,6 +6,7 @@ Nothing of it is run and no class that it names is imported: see `files.torch_pi
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import MAX_BYTES, open_regular
-from cloak_core.files.torch_pickles import read_torch_pickle
+from cloak_core.files.torch_pickles import read_torch_pickle, rewrite_torch_pickle
 from cloak_core.files.unpickling import Record
 
 MAX_DEPTH, MAX_MODULES = 64, 1 << 16
@@ -61,6 +62,23 @@ def read_checkpoint(path: Path) -> Checkpoint:
     except (KeyError, IndexError, AttributeError, TypeError, ValueError, OverflowError) as error:
         # Records hold whatever the file says.
         raise InputError(f"{path}: its model is damaged ({type(error).__name__}: {first_line(error)[:80]})") from None
+
+
+def replace_weights(source: Path, target: Path, parameters: Mapping[str, Tensor]) -> None:
+    """Write `source` again as `target` with these parameters, by name, in the place of its model's; all else stays as
+    it is. InputError: as `read_checkpoint`; a parameter that it does not have in this shape."""
+
+    def replace(content: object) -> None:
+        modules: dict[str, Record] = {}
+        _collect(_model(content, source), "", modules, source)
+        for name, value in parameters.items():
+            module, _, own = name.rpartition(".")
+            there = modules[module].state["_parameters"].get(own) if module in modules else None
+            if not isinstance(there, np.ndarray) or there.shape != tuple(value.shape):
+                raise InputError(f"{source}: has no {name} of {tuple(value.shape)}")
+            there[...] = value.detach().cpu().numpy()
+
+    rewrite_torch_pickle(source, target, replace)
 
 
 def _understood(content: object, path: Path, digest: str) -> Checkpoint:

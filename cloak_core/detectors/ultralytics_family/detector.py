@@ -52,8 +52,8 @@ class UltralyticsDetector(Detector):
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
         """What the network says of its own input."""
-        output = self.network(inputs)
-        return output if isinstance(output, Decoded) else queries(output[1], inputs)
+        output, head = self.network(inputs), self.network.model[-1]
+        return head.decode(output) if isinstance(head, DenseHead | AnchorHead) else queries(output[1], inputs)
 
 
 def load_ultralytics(request: Request) -> UltralyticsDetector:

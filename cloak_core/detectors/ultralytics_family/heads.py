@@ -16,6 +16,9 @@ from torch import Tensor, nn
 from cloak_core.detectors.onnx_family.layouts import Decoded, corners
 from cloak_core.detectors.protocol import at_least_float32
 
+Maps = list[tuple[Tensor, Tensor]]
+"""For each branch and stride, what the network says before any activation: of boxes [B, 4 * bins, h, w], and of classes
+[B, K, h, w]."""
 BRANCHES = (("cv2", "cv3"), ("one2one_cv2", "one2one_cv3"))
 """Of ultralytics' heads: the convolutions for boxes and for classes, one-to-many and one-to-one."""
 
@@ -33,22 +36,25 @@ class DenseHead(nn.Module):
         there = [[getattr(head, name, None) for name in names] for names in BRANCHES]
         self.branches = nn.ModuleList(nn.ModuleList(pair) for pair in there if None not in pair)
         self.strides = [float(stride) for stride in head.stride]
+        self.replaced = (head,)
+        """The package's own, which has the same weights; in a tuple, so that it is no part of this one."""
 
-    def forward(self, features: list[Tensor]) -> Decoded:
-        """Feature maps [B, C, h, w], one a stride -> boxes in pixels of the network's input, classes [B, N, K]."""
-        found = [self._branch(features, boxes, classes) for boxes, classes in self.branches]
-        return Decoded(*(torch.cat(parts, dim=1) for parts in zip(*found, strict=True)))
+    def forward(self, features: list[Tensor]) -> Maps:
+        """Feature maps [B, C, h, w], one a stride -> what every branch says of each: boxes, classes."""
+        return [
+            (box(x), kind(x))
+            for boxes, classes in self.branches
+            for x, box, kind in zip(features, boxes, classes, strict=True)
+        ]
 
-    def _branch(
-        self, features: list[Tensor], boxes: nn.ModuleList, classes: nn.ModuleList
-    ) -> tuple[Float[Tensor, "B N 4"], Float[Tensor, "B N K"]]:
-        corner, probability = [], []
-        for x, stride, box, kind in zip(features, self.strides, boxes, classes, strict=True):
-            sides = _expectation(_rows(box(x)).unflatten(-1, (4, -1)))
-            middle = _cells(x).flatten(0, 1) + 0.5
+    def decode(self, maps: Maps) -> Decoded:
+        """Boxes in pixels of the network's input, classes [B, N, K]."""
+        corner = []
+        for (box, _), stride in zip(maps, self.strides * len(self.branches), strict=True):
+            sides = distances(box)
+            middle = _cells(box).flatten(0, 1) + 0.5
             corner.append(torch.cat([middle - sides[..., :2], middle + sides[..., 2:]], dim=-1) * stride)
-            probability.append(_rows(kind(x)).sigmoid())
-        return torch.cat(corner, dim=1), torch.cat(probability, dim=1)
+        return Decoded(torch.cat(corner, dim=1), torch.cat([rows(kind).sigmoid() for _, kind in maps], dim=1))
 
 
 class AnchorHead(nn.Module):
@@ -73,16 +79,20 @@ class AnchorHead(nn.Module):
         self.m = nn.ModuleList(nn.Conv2d(c, anchors.shape[1] * (5 + classes), 1) for c in channels)
         self.register_buffer("anchors", anchors)
 
-    def forward(self, features: list[Tensor]) -> Decoded:
-        """Feature maps [B, C, h, w], one a stride -> boxes in pixels of the network's input, classes, objectness."""
+    def forward(self, features: list[Tensor]) -> list[Float[Tensor, "B _ _ _"]]:
+        """Feature maps [B, C, h, w], one a stride -> [B, A * (4 + 1 + classes), h, w]."""
+        return [conv(x) for x, conv in zip(features, self.m, strict=True)]
+
+    def decode(self, maps: list[Float[Tensor, "B _ _ _"]]) -> Decoded:
+        """Boxes in pixels of the network's input, classes, objectness."""
         found = []
-        for x, conv, stride, anchors in zip(features, self.m, self.strides, self.anchors, strict=True):
-            raw = at_least_float32(conv(x)).unflatten(1, (len(anchors), -1)).permute(0, 1, 3, 4, 2).sigmoid()
+        for x, stride, anchors in zip(maps, self.strides, self.anchors, strict=True):
+            raw = at_least_float32(x).unflatten(1, (len(anchors), -1)).permute(0, 1, 3, 4, 2).sigmoid()
             centre = (raw[..., :2] * 2 - 0.5 + _cells(x)) * stride
             size = (raw[..., 2:4] * 2) ** 2 * anchors[:, None, None]
             found.append(torch.cat([centre, size, raw[..., 4:]], dim=-1).flatten(1, 3))
-        rows = torch.cat(found, dim=1)
-        return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
+        joined = torch.cat(found, dim=1)
+        return Decoded(corners(joined[..., :4]), joined[..., 5:], joined[..., 4])
 
 
 def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
@@ -93,7 +103,8 @@ def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
     return Decoded(corners(boxes) * pixels, logits.sigmoid())
 
 
-def _rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
+def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
+    """A map as one row for each of its cells, at least float32."""
     return at_least_float32(x).flatten(2).transpose(1, 2)
 
 
@@ -105,8 +116,10 @@ def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
     return torch.stack([columns, rows], dim=-1)
 
 
-def _expectation(sides: Float[Tensor, "B n 4 bins"]) -> Float[Tensor, "B n 4"]:
-    """Distances to the four sides, in cells: the mean of a distribution over 0, 1, 2 ..., or the one number given."""
+def distances(box: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n 4"]:
+    """Of every cell to the four sides of its box, in cells: the mean of a distribution over 0, 1, 2 ..., or the one
+    number given."""
+    sides = rows(box).unflatten(-1, (4, -1))
     if sides.shape[-1] == 1:
         return sides.squeeze(-1)
     return sides.softmax(dim=-1) @ torch.arange(sides.shape[-1], device=sides.device, dtype=sides.dtype)

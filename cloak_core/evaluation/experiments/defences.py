@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.defended.detector import defend
+from cloak_core.detectors.defended.table import read_head
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.controls import CLOTHING, STANDARD
 from cloak_core.evaluation.experiments.drawing import errors, rates_along_x
@@ -35,9 +36,11 @@ ATTACKS = {
 
 
 def measure(lab: Lab) -> Numbers:
-    given, rows = lab.materials.detectors, []
+    given, rows, heads = lab.materials.detectors, [], lab.options.defence or DEFENCES
+    for head in heads:
+        read_head(head, f"{head}:{lab.specs[0]}")  # before anything is trained
     for spec in lab.specs:
-        behind = {NONE: spec} | {head: f"{head}:{spec}" for head in DEFENCES}
+        behind = {NONE: spec} | {head: f"{head}:{spec}" for head in heads}
         defended = {name: defend(given[spec], head) for head, name in behind.items() if head != NONE}
         mine = _lab_of(lab, given | defended)
         for head, name in behind.items():

@@ -33,6 +33,8 @@ class Options:
     """Repetitions of every training, each with another seed (default: 1 with --quick, else 3)."""
     seed: int = 0
     """Every random draw derives from it; repetitions count on from it."""
+    defence: UseAppendAction[tuple[str, ...]] = ()
+    """Of `defences`: these, as they stand before a detector, jpeg=50 (default: seven of them)."""
     batch: Own[int | None] = None
     """Images per update; None: what the preset says."""
     images_per_view: Own[int | None] = None
