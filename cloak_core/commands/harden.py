@@ -30,7 +30,7 @@ class Harden(Command):
     """
 
     spec: Positional[str]
-    """Detector to harden: builtin or darknet:CFG:WEIGHTS."""
+    """Detector to harden: builtin, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE] or ultralytics:FILE.pt."""
     out: Path
     """Folder to write; a new one unless --resume."""
     resume: bool = False

@@ -96,8 +96,9 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
 def _check(recorded: dict, config: dict, path: Path) -> None:
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
+    usual = asdict(HardenSettings())  # what a setting that is younger than the folder was before there was a choice
     before, now = (
-        {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
+        {f"--{name.replace('_', '-')}": value for name, value in (usual | c["settings"]).items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
         | {name: c[name] for name in ("backgrounds", "photographs", "cloaks")}
         for c in (recorded, config)

@@ -138,7 +138,9 @@ class Hardening:
         surer = torch.arange(len(images), device=images.device) < len(images) - len(pictures)
         student.detector.requires_grad_(True)
         each = student.distance(images, wanted, surer, self.settings.sure)
-        loss = each.mean()
+        weights = torch.ones_like(each)
+        weights[:count] = self.settings.cloaked_weight
+        loss = (weights * each).sum() / weights.sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         length = torch.nn.utils.clip_grad_norm_(self.parameters, CLIP)

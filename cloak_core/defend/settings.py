@@ -21,6 +21,9 @@ class HardenSettings:
     """Rendered images per update, in a cloak."""
     clean: Annotated[int, Within(0, 4096)] = 3
     """The first so many of them are shown in their own clothes, too."""
+    cloaked_weight: Annotated[float, Within(0, 1000, "(]")] = 1.0
+    """How much an image in a cloak counts beside one without and a picture: more makes the detector more robust, less
+    keeps more of its answers without cloaks."""
     pictures: Annotated[int, Within(0, 4096)] = 2
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     cloaks: Annotated[int, Within(1, 256)] = 4

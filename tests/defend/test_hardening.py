@@ -99,6 +99,23 @@ def test_a_folder_that_is_there_is_not_taken_for_another(
         hardened(student, tmp_path / "out", **({"steps": 1} | changes))
 
 
+def test_a_folder_that_is_older_than_a_setting_goes_on(student: Student, tmp_path: Path) -> None:
+    hardened(student, tmp_path / "out", steps=1)
+    config = json.loads((tmp_path / "out" / "config.json").read_text())
+    del config["settings"]["cloaked_weight"]
+    (tmp_path / "out" / "config.json").write_text(json.dumps(config))
+    assert hardened(student, tmp_path / "out", resume=True, steps=1).step == 1
+    with pytest.raises(InputError, match=r"begun with other --cloaked-weight = 1.0, not 2.0"):
+        hardened(student, tmp_path / "out", resume=True, steps=1, cloaked_weight=2.0)
+
+
+def test_cloaked_images_count_as_much_as_asked(student: Student, tmp_path: Path) -> None:
+    hardened(student, tmp_path / "out", steps=1, cloaked_weight=3.0)
+    step = json.loads((tmp_path / "out" / "events.jsonl").read_text().splitlines()[1])
+    wanted = (3 * 2 * step["cloaked"] + 2 * step["clean"] + step["pictures"]) / (3 * 2 + 2 + 1)
+    assert step["cloaked"] != step["clean"] and step["loss"] == pytest.approx(wanted, rel=1e-5)
+
+
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
     with pytest.raises(InputError, match="cannot train 'python', only builtin, darknet, torchvision and ultralytics"):
         open_student("python:d2go.py:load")

@@ -96,14 +96,17 @@ def test_a_student_learns_what_its_teacher_says_and_is_written_as_its_like(spec:
 
     disturb(student)
     statistics = [m.running_mean.clone() for m in student.network.modules() if isinstance(m, nn.BatchNorm2d)]
-    optimizer, losses = torch.optim.AdamW(list(student.detector.requires_grad_(True).parameters()), 3e-5), []
+    parameters, losses = list(student.detector.requires_grad_(True).parameters()), []
     for _ in range(4):
         each = student.distance(shown, wanted)
         assert each.shape == (3,) and torch.allclose(each[0], each[2], rtol=1e-3)
-        optimizer.zero_grad()
-        each.mean().backward()
-        optimizer.step()
+        slopes = torch.autograd.grad(each.mean(), parameters, allow_unused=True)
         losses.append(float(each.detach().mean()))
+        used = [(w, slope) for w, slope in zip(parameters, slopes, strict=True) if slope is not None]
+        length = 0.1 * losses[-1] / sum(float(slope.square().sum()) for _, slope in used)  # a tenth off, were it linear
+        with torch.no_grad():
+            for weights, slope in used:
+                weights -= length * slope
     assert losses[0] > 10 * before and losses[-1] < 0.95 * losses[0]
     after = [m.running_mean for m in student.network.modules() if isinstance(m, nn.BatchNorm2d)]
     assert all(torch.equal(*pair) for pair in zip(statistics, after, strict=True))
@@ -116,8 +119,9 @@ def test_a_student_learns_what_its_teacher_says_and_is_written_as_its_like(spec:
     half = spec.startswith("ultralytics") and ".yaml" not in spec and "best" in spec  # the precision of the file
     near = {"atol": 2e-3, "rtol": 0.02} if half else {"atol": 1e-4, "rtol": 1e-3}
     torch.testing.assert_close(again.scores, own.scores, **near)
-    if ".yaml" not in spec:
-        assert not torch.allclose(again.scores, was.scores, **near)
+    if ".yaml" not in spec:  # of such a one the scores are too small to tell
+        off, learned = (float((one.scores.sum(1) - own.scores.sum(1)).abs().max()) for one in (again, was))
+        assert off < 0.5 * learned
     licence = (tmp_path / "out" / f"{NAME}.licence.txt").read_text()
     assert written in licence and ("AGPL-3.0" if "ultralytics" in spec else "BSD-3-Clause") in licence
 

@@ -36,6 +36,25 @@ def test_words_say_where_less_does_more() -> None:
     assert "strongest is adaptive, 100 steps" in tell(numbers(0.6, 0.05))[1]
 
 
+def test_several_hardened_ones_are_told_apart_and_their_trade_is_drawn() -> None:
+    specs = ["builtin", "builtin:/a/weak/hardened.weights", "builtin:/a/strong/hardened.weights"]
+    rows = [
+        row(ADAPTIVE, success, logo=logo) | {"detector": spec, "trained_on": spec, "clean_recall": recall}
+        for spec, success, recall in zip(specs, (0.9, 0.4, 0.1), (0.99, 0.98, 0.9), strict=True)
+        for logo in (CHEST, SHIRT)[: 1 if spec == "builtin" else 2]
+    ]
+    found = Numbers(rows, {"angles": 11})
+    assert [words.partition(":")[0] for words in tell(found)[1:]] == [
+        "builtin",
+        "builtin hardened (weak)",
+        "builtin hardened (strong)",
+    ]
+    recalls, alarms = draw(found)["trade"].axes
+    points = [(bar.lines[0].get_xdata()[0], bar.lines[0].get_ydata()[0]) for bar in recalls.containers]
+    assert points == [(0.99, 0.9), (0.98, 0.4), (0.98, 0.4), (0.9, 0.1), (0.9, 0.1)]
+    assert all(bar.lines[0].get_xdata()[0] == 0.01 for bar in alarms.containers)
+
+
 def test_the_figure_has_the_curve_and_the_search() -> None:
     (figure,) = draw(numbers(0.12, 0.05)).values()
     assert [list(line.get_xdata()) for line in figure.axes[0].get_lines()] == [[100, 400], [400]]

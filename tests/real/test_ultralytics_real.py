@@ -7,8 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.defend.students import open_student
 from cloak_core.detectors.check import check_image, read_image
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.protocol import state_hash
 
 # Asked without importing it: what it patches would stay so for the tests that follow.
 if find_spec("ultralytics") is None:
@@ -46,3 +48,15 @@ def test_the_original_pickle_stretched(shared) -> None:
     detector = load_detector(f"ultralytics:{folder / 'detectors' / 'yolov5n.pt'}@stretch")
     found = check_image(detector, folder / "photos" / "person.jpg")
     assert found["max_person"] == pytest.approx(0.789, abs=0.05)  # of the twin, with another resampling
+
+
+def test_the_original_pickle_is_written_again_with_other_numbers(shared, tmp_path) -> None:
+    spec = f"ultralytics:{shared / 'data' / 'detectors' / 'yolov5n.pt'}@64"
+    student = open_student(spec)
+    again = load_detector(student.write(student.network.state_dict(), tmp_path, 0))
+    assert state_hash(again) == state_hash(student.teacher)  # its parameters are in half precision, and stay so
+    with torch.no_grad():
+        student.network.model[-1].m[0].bias += 1
+    other = load_detector(student.write(student.network.state_dict(), tmp_path, 0))
+    moved = other.network.model[-1].m[0].bias - again.network.model[-1].m[0].bias
+    torch.testing.assert_close(moved, torch.ones_like(moved), atol=0.01, rtol=0)

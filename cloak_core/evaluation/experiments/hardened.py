@@ -7,21 +7,23 @@ it away: an attack without gradients or one made on another detector does better
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.experiments.drawing import band, look
+from cloak_core.evaluation.experiments.drawing import band, errors, look
 from cloak_core.evaluation.experiments.lab import MULTI, Lab
 from cloak_core.evaluation.experiments.logos import chest_thighs, shirt_trousers
 from cloak_core.evaluation.experiments.numbers import Numbers, Rows, group, select
 from cloak_core.evaluation.experiments.repeats import Repeats, rounded
-from cloak_core.evaluation.figures import WIDTH, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.figures import INK, WIDTH, legend_above, new_figure, percent_axis
 from cloak_core.evaluation.rates import average_precision
-from cloak_core.evaluation.report.words import interval, percent, said, short_name
+from cloak_core.evaluation.report.words import interval, percent, said, short_names
 
 TITLE = "Detectors before and after hardening, under cloaks trained anew against each"
 LEAST_IMAGES = 300
@@ -86,11 +88,12 @@ def tell(numbers: Numbers) -> list[str]:
         f"Cloaks are trained against each detector itself and judged on unseen bodies and backgrounds at "
         f"{numbers.facts['angles']} azimuths in -10..10; clean recall is that of the same images in own clothing."
     ]
-    return words + [f"{short_name(spec)}: {_of_one(rows)}" for spec, rows in group(numbers.rows, "detector").items()]
+    names = _names(numbers)
+    return words + [f"{names[spec]}: {_of_one(rows, names)}" for spec, rows in group(numbers.rows, "detector").items()]
 
 
-def _of_one(rows: Rows) -> str:
-    chest = sorted(select(rows, logo=CHEST, attack=ADAPTIVE), key=lambda row: row["steps"])
+def _of_one(rows: Rows, names: Mapping[str, str]) -> str:
+    chest = _attacks(rows, CHEST)
     last = chest[-1]
     hidden = [
         f"on {row['logo']} {said(row)}, at its own threshold {percent(row['success_own'])}"
@@ -106,31 +109,63 @@ def _of_one(rows: Rows) -> str:
         parts.append(f"By the attack's steps: {curve}.")
     others = [row for row in rows if row["attack"] in (TRANSFERRED, SEARCH)]
     if others:
-        parts.append("; ".join(_other(row) for row in others) + ".")
+        parts.append("; ".join(_other(row, names) for row in others) + ".")
     if suspects := [row for row in (*others, *chest[:-1]) if row["success"] > last["high"]]:
         worst = max(suspects, key=lambda row: row["success"])
         parts.append(
-            f"The strongest is {_other(worst)}, clearly above the longest adaptive one: its gradient is a poor guide, "
-            "and the adaptive figure is too kind."
+            f"The strongest is {_other(worst, names)}, clearly above the longest adaptive one: its gradient is a poor "
+            "guide, and the adaptive figure is too kind."
         )
     return " ".join(parts)
 
 
-def _other(row: dict) -> str:
-    made = f" from {short_name(row['trained_on'])}" if row["attack"] == TRANSFERRED else ""
+def _other(row: dict, names: Mapping[str, str]) -> str:
+    made = f" from {names[row['trained_on']]}" if row["attack"] == TRANSFERRED else ""
     bounds = interval([row["low"], row["high"]])
     return f"{row['attack']}{made}, {row['steps']} steps: {percent(row['success'])} ({bounds})"
 
 
 def draw(numbers: Numbers) -> dict[str, Figure]:
+    by_detector = group(numbers.rows, "detector")
+    names = _names(numbers)
     figure, (axis,) = new_figure(WIDTH, 3.0)
-    for k, (spec, rows) in enumerate(group(numbers.rows, "detector").items()):
-        chest = sorted(select(rows, logo=CHEST, attack=ADAPTIVE), key=lambda row: row["steps"])
-        band(axis, [float(row["steps"]) for row in chest], chest, short_name(spec), **look(k))
+    for k, (spec, rows) in enumerate(by_detector.items()):
+        chest = _attacks(rows, CHEST)
+        band(axis, [float(row["steps"]) for row in chest], chest, names[spec], **look(k))
         for row in select(rows, attack=SEARCH):
-            label = f"{short_name(spec)}, random search"
+            label = f"{names[spec]}, random search"
             axis.plot([row["steps"]], [row["success"]], ls="", marker="x", color=look(k)["color"], label=label)
     percent_axis(axis)
     axis.set_xlabel(f"updates of a new cloak on {CHEST} (random search: as many images)")
     legend_above(figure)
-    return {"steps": figure}
+    return {"steps": figure} | ({"trade": _trade(by_detector, names)} if len(by_detector) > 1 else {})
+
+
+def _names(numbers: Numbers) -> dict[str, str]:
+    return short_names(row[key] for row in numbers.rows for key in ("detector", "trained_on"))
+
+
+def _attacks(rows: Rows, logo: str) -> Rows:
+    """The adaptive attacks on a logo, the longest last."""
+    return sorted(select(rows, logo=logo, attack=ADAPTIVE), key=lambda row: row["steps"])
+
+
+def _trade(by_detector: dict[str, Rows], names: Mapping[str, str]) -> Figure:
+    """What robustness costs: success of the longest adaptive attacks against clean recall and against false alarms, a
+    point for each detector, open for the larger logo."""
+    figure, axes = new_figure(WIDTH, 3.0, 2, sharey=True)
+    for axis, key, words in zip(axes, ("clean_recall", "false_alarms"), ("clean recall", "false alarms"), strict=True):
+        for k, (spec, rows) in enumerate(by_detector.items()):
+            color, marker = look(k)["color"], look(k)["marker"]
+            for logo, filling in ((CHEST, color), (SHIRT, "none")):
+                label = names[spec] if logo == CHEST else None
+                for row in _attacks(rows, logo)[-1:]:
+                    shape = {"fmt": marker, "color": color, "mfc": filling, "label": label, "lw": 1.2}
+                    axis.errorbar([row[key]], [row["success"]], yerr=errors([row]), clip_on=False, **shape)
+        axis.xaxis.set_major_formatter(PercentFormatter(1, decimals=1))
+        axis.xaxis.set_major_locator(MaxNLocator(5))
+        axis.set_xlabel(f"{words} at {THRESHOLD:g}")
+    axes[0].plot([], [], ls="", marker="o", mfc="none", color=INK, label=f"on {SHIRT}")
+    percent_axis(axes[0])
+    legend_above(figure)
+    return figure

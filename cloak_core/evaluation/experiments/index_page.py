@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from markupsafe import Markup
@@ -9,7 +10,7 @@ from markupsafe import Markup
 from cloak_core.evaluation.experiments.registry import EXPERIMENTS, finished
 from cloak_core.evaluation.report.page import HERE as REPORT
 from cloak_core.evaluation.report.page import data_uri, environment
-from cloak_core.evaluation.report.words import interval, percent, short_name
+from cloak_core.evaluation.report.words import interval, percent, short_names
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 from cloak_core.files.writing import write_text
@@ -100,18 +101,19 @@ def table(rows: list[dict]) -> dict:
     """Heads and cells of a table; shares as percent, the two ends of an interval in one column."""
     keys = [key for key in dict.fromkeys(key for row in rows for key in row) if key not in INTERVALS.values()]
     heads = ["95 % interval" if key == "low" else HEADS.get(key, key.replace("_", " ")) for key in keys]
-    return {"heads": heads, "rows": [[cell(key, row) for key in keys] for row in rows]}
+    names = short_names(str(row[key]) for row in rows for key in SPECS if row.get(key) is not None)
+    return {"heads": heads, "rows": [[cell(key, row, names) for key in keys] for row in rows]}
 
 
-def cell(key: str, row: dict) -> str:
-    """A value as a table shows it."""
+def cell(key: str, row: dict, names: Mapping[str, str]) -> str:
+    """A value as a table shows it; `names`: of detectors, by their specs."""
     value = row.get(key)
     if value is None:
         return "–"
     if key in INTERVALS:
         return interval([value, row[INTERVALS[key]]])
     if key in SPECS:
-        return short_name(str(value))
+        return names[str(value)]
     if isinstance(value, (str, bool)):
         return str(value)
     if isinstance(value, int):

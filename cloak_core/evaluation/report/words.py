@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import PureWindowsPath
 
 from cloak_core.detectors.defended.table import split_defence
@@ -50,6 +52,20 @@ def short_name(spec: str) -> str:
     name = first.partition("@")[0]
     name = PureWindowsPath(name).stem if {"/", "\\", "."} & set(first) else name
     return f"{family} {name}" + (f" @{size}" if size else "")
+
+
+def short_names(specs: Iterable[str]) -> dict[str, str]:
+    """The short name of each spec; where several have the same, with the folder of its file, or else the whole spec."""
+    names = {spec: short_name(spec) for spec in dict.fromkeys(specs)}
+    for told in (_with_folder, str):
+        count = Counter(names.values())
+        names = {spec: name if count[name] == 1 else told(spec) for spec, name in names.items()}
+    return names
+
+
+def _with_folder(spec: str) -> str:
+    file = PureWindowsPath(split_spec(spec)[-1].partition("@")[0])
+    return f"{short_name(spec)} ({file.parent.name or file.stem})"
 
 
 def said(row: dict) -> str:
