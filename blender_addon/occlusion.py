@@ -38,7 +38,7 @@ def seen(
     def cell_of(places: np.ndarray) -> np.ndarray:
         return np.clip(np.floor((places - low) / cell), 0, side - 1).astype(np.int64)
 
-    cells, triangles = _cells_touched(cell_of(least[:, :2]), cell_of(most[:, :2]), side)
+    cells, triangles = cells_touched(cell_of(least[:, :2]), cell_of(most[:, :2]), side)
     wanted = cell_of(points[:, :2]) @ np.array([1, side])
     farthest = np.full(side * side, np.inf)
     np.minimum.at(farthest, wanted, points[:, 2])
@@ -58,7 +58,7 @@ def seen(
     return visible
 
 
-def _cells_touched(low: np.ndarray, high: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+def cells_touched(low: np.ndarray, high: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     """The cells under each bounding box [T, 2] of cells, one after the other, and the box of each."""
     columns, rows = (high - low + 1).T
     box, place = _ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)

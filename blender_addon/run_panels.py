@@ -128,6 +128,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         row.operator("cloak.render_check", icon="RENDER_STILL")
+        column.operator("cloak.bake", icon="IMAGE_DATA")
         self.progress(context, "Render check", "Report")
         state = run_list.selected(context)
         if not reason and state is not None and state.check is not None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import body, heat, logo, pick, result, runs, stamp, start_stop
+from . import bake, body, heat, logo, pick, result, runs, stamp, start_stop
 
 CLASSES = (
     *body.CLASSES,
@@ -12,4 +12,5 @@ CLASSES = (
     *start_stop.CLASSES,
     *runs.CLASSES,
     *result.CLASSES,
+    *bake.CLASSES,
 )

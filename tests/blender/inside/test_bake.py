@@ -1,0 +1,63 @@
+"""Step 5, out of Blender: the cloak as an image on the body's own texture coordinates."""
+
+import bpy
+import numpy as np
+import pytest
+from cloak import bake, colors
+from made import make_egg
+
+
+def dressed_egg() -> tuple[bpy.types.Object, np.ndarray]:
+    obj = make_egg(12)
+    trained = np.random.default_rng(0).random((len(obj.data.polygons), 3)).astype(np.float32)
+    colors.write_face_colors(obj, colors.CLOAK, trained)
+    return obj, trained
+
+
+def unwrap(obj) -> np.ndarray:
+    """Each face in a cell of its own; returns the middles [F, 2]."""
+    side = int(np.ceil(len(obj.data.polygons) ** 0.5))
+    layer = obj.data.uv_layers.new(name="UV")
+    middles = []
+    for polygon in obj.data.polygons:
+        low = np.array([polygon.index % side, polygon.index // side]) / side
+        ring = [(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)]
+        for loop, corner in zip(polygon.loop_indices, ring, strict=False):
+            layer.uv[loop].vector = low + np.array(corner) / side
+        middles.append(low + np.array([0.5, 0.4]) / side)
+    return np.array(middles)
+
+
+def test_each_face_finds_its_colour_in_the_image():
+    obj, trained = dressed_egg()
+    middles = unwrap(obj)
+    bpy.ops.cloak.bake(size=512)
+    image = bpy.data.images["Body cloak"]
+    pixels = np.array(image.pixels[:], np.float32).reshape(512, 512, 4)
+    x, y = (middles * 512).astype(int).T
+    assert np.abs(pixels[y, x, :3] - trained).max() < 1.01 / 255 and (pixels[y, x, 3] == 1).all()
+    assert image.packed_file is not None
+    material = bpy.data.materials["Body cloak"]
+    assert material.asset_data is not None
+    obj.data.materials.clear()
+    obj.data.materials.append(material)
+    assert np.abs(colors.own_face_colors(obj) - trained).max() < 1.01 / 255  # it shows what was baked
+
+
+def test_texels_are_shared_out_exactly():
+    places = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]], [[0, 0], [0.5, 0], [0, 0.5]]], np.float32)
+    face, claims = bake.rasterize(places[:2], np.array([0, 1]), 8)
+    row, column = np.mgrid[:8, :8]
+    assert (face[column > row] == 0).all() and (face[column < row] == 1).all()
+    assert (claims[column != row] == 1).all() and (claims[column == row] == 2).all()
+    assert bake.rasterize(places, np.array([0, 1, 2]), 8)[1].max() == 3
+    assert not bake.rasterize(places + 5, np.array([0, 1, 2]), 8)[1].any()
+
+
+def test_what_is_missing_is_said():
+    make_egg(8)
+    with pytest.raises(RuntimeError, match="Train, or load colours, first"):
+        bpy.ops.cloak.bake()
+    dressed_egg()
+    with pytest.raises(RuntimeError, match="no UV map: unwrap it first"):
+        bpy.ops.cloak.bake()
