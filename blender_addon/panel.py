@@ -83,8 +83,8 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
         row = column.row(align=True)
         for what, choice in (("material", "slot"), ("group", "group")):
-            row.operator_menu_enum(f"cloak.logo_from_{what}", choice)
-        row.operator("cloak.logo_from_island")
+            row.operator_menu_enum(f"cloak.logo_from_{what}", choice, text=what.capitalize())
+        row.operator("cloak.logo_from_island", text="Island")
         for names in (("assign", "unassign", "select"), ("mirror", "grow", "shrink"), ("export", "import")):
             row = column.row(align=True)
             for name in names:
