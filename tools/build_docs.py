@@ -92,14 +92,16 @@ def json_page() -> str:
     for name, schema in told["$defs"].items():
         title = f"cloak {name}" if name in told["commands"] else name
         lines += [f"## {title}", "", schema["description"], "", "| key | is | what |", "|---|---|---|"]
-        lines += [_row(key, value, key in schema.get("required", ())) for key, value in schema["properties"].items()]
+        rows = schema["properties"].items()
+        lines += [_row(key, value, key in schema.get("required", ()), told["commands"]) for key, value in rows]
         lines.append("")
     return "\n".join(lines)
 
 
-def _row(key: str, schema: dict, required: bool) -> str:
-    kind = schema.get("$ref", "").rpartition("/")[2] or schema.get("type", "")
-    kind = f"[{kind}](#{kind.replace(' ', '-')})" if "$ref" in schema else kind
+def _row(key: str, schema: dict, required: bool, commands: list[str]) -> str:
+    kind = schema.get("type", "")
+    if name := schema.get("$ref", "").rpartition("/")[2]:
+        kind = f"[{name}](#{('cloak ' * (name in commands) + name).replace(' ', '-')})"
     kind = " or ".join(kind) if isinstance(kind, list) else kind
     return f"| `{key}` | {kind}{'' if required else ', not always there'} | {schema.get('description', '')} |"
 

@@ -61,7 +61,8 @@ if numba is not None:
         def on_end(self, event: event.Event) -> None:
             pass
 
-    event.register("numba:compile", _Saying())
+    _saying = _Saying()
+    event.register("numba:compile", _saying)
 
 
 _OPTIONS = {"nogil": True, "error_model": "numpy"}

@@ -17,6 +17,9 @@ from cloak_core.exchange.scenes import write_scene
 from cloak_core.scene.people.samples import sample_bodies
 from tests.docs.blocks import PAGES, ROOT, commands, words
 
+RUN_PAGES = pytest.mark.skipif(
+    not os.environ.get("CLOAK_RUN_PAGES"), reason="set CLOAK_RUN_PAGES=1: minutes of work on a quiet machine"
+)
 LOOK = {"size": "96", "samples": "1", "threads": "1"}
 REDUCED = {
     "train": LOOK | {"steps": "2", "batch": "2", "translation": "4", "preview-every": "0", "snapshot-every": "1"},
@@ -157,6 +160,7 @@ def run_there(folder: Path, command: list[str]) -> None:
         os.chdir(before)
 
 
+@RUN_PAGES
 @pytest.mark.long
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_commands_of_a_page_run(page: Path, desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -197,6 +201,7 @@ def validate(name: str, printed: str) -> None:
         jsonschema.Draft202012Validator(SCHEMAS | {"$ref": f"#/$defs/{name}"}).validate(json.loads(printed))
 
 
+@RUN_PAGES
 @pytest.mark.long
 def test_what_json_prints_is_what_the_schemas_say(desk: Path, capsys: pytest.CaptureFixture) -> None:
     lines = [line.split() for line in PRINTED]

@@ -2,11 +2,13 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
-from numba.core import caching
+from numba.core import caching, event
 
 from cloak_core.bench.growth import sphere
+from cloak_core.render import compiled
 from cloak_core.render.compiled import loop, torch_alone
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
@@ -41,3 +43,22 @@ print(float(ViewBank(sphere(600)).view(0, Camera(width=48, height=64)).weight.su
         torch_own = float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum())
     assert without == torch_own
     assert abs(float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
+
+
+@pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])
+def test_that_loops_are_being_compiled_is_said_once(folder, often, monkeypatch, caplog) -> None:
+    monkeypatch.setattr(compiled._saying, "said", False)
+
+    def compiling(module: str) -> None:
+        dispatcher = SimpleNamespace(
+            py_func=SimpleNamespace(__module__=module), stats=SimpleNamespace(cache_path=folder)
+        )
+        with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
+            pass
+
+    compiling("somebody.elses")
+    assert not caplog.records
+    for _ in range(2):
+        compiling("cloak_core.render.loops")
+    (record,) = caplog.records
+    assert "compiling the loops that draw, " + often in record.getMessage()
