@@ -125,11 +125,12 @@ def test_crowded_pixels_are_cut_into_cells_and_stay_exact() -> None:
 
 
 def test_pixels_that_are_given_up_are_counted_and_never_overfull() -> None:
-    """Needles across one another, in a thousandth of a pixel: thousands of parts in the one cell."""
+    """Needles across one another before a square, in a thousandth of a pixel: thousands of parts in the one cell."""
     rng = np.random.default_rng(3)
-    start, end = rng.integers(0, GRID // 40, (2, 2, 900))
+    start, end = rng.integers(0, GRID // 40, (2, 2, 300))
     x, y = (np.stack([start[i], end[i], end[i] + 30], -1).ravel() for i in range(2))
-    case = x, y, rng.uniform(0.1, 1, 2700), np.arange(2700).reshape(-1, 3)
+    x, y = (np.concatenate([t, np.array(corners) * (GRID // 40)]) for t, corners in ((x, [0, 1, 0]), (y, [0, 0, 1])))
+    case = x, y, np.append(rng.uniform(0.1, 1, 900), [0.05] * 3), np.arange(903).reshape(-1, 3)
     with pytest.warns(CrowdedPixels, match="1 pixels"):
         found = shares(case, 1)
     assert 1e-4 < sum(found.values()) <= 1 / 32**2

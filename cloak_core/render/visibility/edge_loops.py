@@ -1,5 +1,6 @@
 """Open edges of the pieces in a cell, as loops for the CPU: those that no other piece's triangle shares on their other
-side. How many pieces lie over a point changes at open edges alone, so few of them tell much about many pieces."""
+side. How many pieces lie over a point changes at open edges alone, so few of them tell much about many pieces: whether
+they overlap, and which hang together in a sheet."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from cloak_core.render.covering_loops import doubled_area
 from cloak_core.render.visibility.overlap_loops import edge_number, may_cross
 from cloak_core.render.visibility.polygon_loops import TOUCH, line_through
 
-LINE, OWNER, ENDS = 4, 7, 8
+_LINE, OWNER, _ENDS = 4, 7, 8
 """In a segment's numbers, after the two ends of what lies in the cell: its line, its piece, the corners of its edge."""
 SEGMENT = 10
 
@@ -89,10 +90,10 @@ def _segment(segments, count, x, y, p, q, at, i):
             one, other = -start / step, (1 - start) / step
             first, last = max(first, min(one, other)), min(last, max(one, other))
     own = segments[count]
-    own[LINE], own[LINE + 1], own[LINE + 2] = line_through(x0, y0, x1, y1)
+    own[_LINE], own[_LINE + 1], own[_LINE + 2] = line_through(x0, y0, x1, y1)
     own[0], own[1] = x0 + first * (x1 - x0), y0 + first * (y1 - y0)
     own[2], own[3] = x0 + last * (x1 - x0), y0 + last * (y1 - y0)
-    own[OWNER], own[ENDS], own[ENDS + 1] = i, p, q
+    own[OWNER], own[_ENDS], own[_ENDS + 1] = i, p, q
     return (last > first) & (abs(own[2] - own[0]) + abs(own[3] - own[1]) > TOUCH)
 
 
@@ -134,8 +135,8 @@ def _depth_inside(x, y, corners, left, top):
 @inner
 def _cross(x, y, one, other):
     """Whether two segments may cross or touch other than where edges end in one corner."""
-    for i in range(ENDS, ENDS + 2):
-        for j in range(ENDS, ENDS + 2):
+    for i in range(_ENDS, _ENDS + 2):
+        for j in range(_ENDS, _ENDS + 2):
             p, q = np.int64(one[i]), np.int64(other[j])
             if (x[p] == x[q]) & (y[p] == y[q]):
                 return False
@@ -149,6 +150,6 @@ def _cross(x, y, one, other):
 @inner
 def _beside(one, other):
     """Whether one segment lies on one side of the other's line."""
-    a, b, c = other[LINE], other[LINE + 1], other[LINE + 2]
+    a, b, c = other[_LINE], other[_LINE + 1], other[_LINE + 2]
     start, end = a * one[0] + b * one[1] + c, a * one[2] + b * one[3] + c
     return (min(start, end) > TOUCH) | (max(start, end) < -TOUCH)
