@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cloak_core.render.compiled import use_loops
 from cloak_core.render.flat import flatten
-from cloak_core.render.fragments import Fragments, Points
+from cloak_core.render.fragments import Fragments
 from cloak_core.render.projection import Screen, Window
 from cloak_core.render.visibility import area_loops
 from cloak_core.render.visibility.areas import seen_areas
@@ -52,4 +52,4 @@ def area_fragments(
         real = whole.to(torch.float64)
         parts = [(whole, whole, whole, real, real.new_zeros(2, 0))]
     view, pixel, triangle, area, center = (torch.cat(column, -1) for column in zip(*parts, strict=True))
-    return Fragments(view, pixel, triangle, area.float(), Points(view, triangle, *center))
+    return Fragments(view, pixel, triangle, area.float(), *center)

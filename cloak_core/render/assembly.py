@@ -89,9 +89,8 @@ def view_by_loops(
     about = normal, position, material(light), uv_of, face_of, split_faces and not textured
 
     def rows_of(found: Fragments) -> tuple:
-        places = arrays(found.pixel, found.triangle, found.area, found.points.x, found.points.y)
-        offset = np.empty((2, 0), np.float32) if found.offset is None else arrays(found.offset)[0]
-        return matrix(*places, offset, corner, space, camera, *about)
+        places = arrays(found.pixel, found.triangle, found.area, found.x, found.y)
+        return matrix(*places, corner, space, camera, *about)
 
     parts = spread(rows_of, bands, count)
     pixels, coverage, specular = (_join([rows[i] for rows, _ in parts]) for i in range(3))

@@ -24,28 +24,27 @@ def material(light: Light) -> tuple[float, ...]:
 
 @loop
 def matrix(
-    pixel, triangle, area, x, y, offset, corner, space, camera, normals, light, material, uv_of, face_of, by_face
+    pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, face_of, by_face
 ):  # fmt: skip
     """The rows of a view's matrix from its fragments, sorted by pixel: pixel, coverage and highlight of each row; row
     offsets, face, weight and texture coordinates of its entries. The arguments are those of `light_all` and `fold`."""
     out = np.empty((4 if uv_of.shape[2] else 2, len(triangle)), np.float32)
-    light_all(triangle, area, x, y, offset, corner, space, camera, normals, light, material, uv_of, out)
+    light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out)
     return fold(pixel, area, out[1], face_of[triangle], out[0], out[2:], by_face)
 
 
 @loop
-def light_all(triangle, area, x, y, offset, corner, space, camera, normals, light, material, uv_of, out):
+def light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out):
     """Weight, highlight and, where there are textures, coordinates of each fragment into the rows of `out` [2 or 4, N].
 
-    x, y: a point of each fragment's triangle, pixels; offset [2, N]: from there to where the fragment is lit, or
-    [2, 0]. space: view space coordinates [3, V]; camera: focal length and the image's middle, pixels; normals [3, V]
-    and light [3]: in view space; material: see `material`; uv_of: texture coordinates [2, 3, T] or [2, 3, 0].
+    x, y: where each fragment is lit, pixels; space: view space coordinates [3, V]; camera: focal length and the
+    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material`; uv_of: texture coordinates [2, 3, T] or [2, 3, 0].
     """
     focal, middle_x, middle_y = camera
     ax, ay, az = space[0], space[1], space[2]
     nx_of, ny_of, nz_of = normals[0], normals[1], normals[2]
     lx, ly, lz = light[0], light[1], light[2]
-    step, moved, textured = 1 / focal, offset.shape[1] > 0, uv_of.shape[2] > 0
+    step, textured = 1 / focal, uv_of.shape[2] > 0
     for i in range(len(triangle)):
         t = triangle[i]
         p, q, r = corner[0, t], corner[1, t], corner[2, t]
@@ -56,20 +55,13 @@ def light_all(triangle, area, x, y, offset, corner, space, camera, normals, ligh
         w0, w1, w2 = _weights(crosses, dx, dy)
         total = w0 + w1 + w2
         if total == 0:  # seen exactly edge-on: its first corner stands in
-            w0, w1, w2, near, depth = 1.0, 0.0, 0.0, 1.0, az[p]
+            w0, w1, w2, depth = 1.0, 0.0, 0.0, az[p]
         else:
-            scale, near = 1 / total, 1.0
-            depth = (w0 * az[p] + w1 * az[q] + w2 * az[r]) * scale
-            if moved:
-                dx += offset[0, i] * step
-                dy -= offset[1, i] * step
-                w0, w1, w2 = _weights(crosses, dx, dy)
-                # Behind the camera the plane has no depth; only slivers' planes reach there, between their own pixels.
-                near = max((w0 + w1 + w2) * scale, 1e-6)
-                depth /= near
+            scale = 1 / total
             w0, w1, w2 = w0 * scale, w1 * scale, w2 * scale
+            depth = w0 * az[p] + w1 * az[q] + w2 * az[r]
         if textured:
-            out[2, i], out[3, i] = _texture_coordinates(uv_of, t, w1 / near, w2 / near)
+            out[2, i], out[3, i] = _texture_coordinates(uv_of, t, w1, w2)
         nx = w0 * nx_of[p] + w1 * nx_of[q] + w2 * nx_of[r]
         ny = w0 * ny_of[p] + w1 * ny_of[q] + w2 * ny_of[r]
         nz = w0 * nz_of[p] + w1 * nz_of[q] + w2 * nz_of[r]
