@@ -16,9 +16,9 @@ from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.values import Range
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
-from cloak_core.render.backdrop import lay_backdrop
-from cloak_core.render.compositing import Canvas, Photometric, blank, true_boxes
-from cloak_core.render.dressing import DressedView
+from cloak_core.render.images.backdrop import lay_backdrop
+from cloak_core.render.images.compositing import Canvas, Photometric, blank, true_boxes
+from cloak_core.render.images.dressing import DressedView
 from cloak_core.render.threads import own_threads_kept, spread, workers
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds

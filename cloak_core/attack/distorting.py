@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from cloak_core.detectors.filters import TO_YCC, blurred, through_jpeg, windowed
-from cloak_core.render.compositing import Canvas, pixels_of
+from cloak_core.render.images.compositing import Canvas, pixels_of
 
 OCCLUDER_SIDES = (0.15, 0.45)
 """Sides of an occluder as shares of the body's box."""

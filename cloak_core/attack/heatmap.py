@@ -10,7 +10,7 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose
+from cloak_core.render.images.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera

@@ -31,9 +31,9 @@ from cloak_core.bench.views import cached_render, machine, timed, torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.render.area import CrowdedPixels
-from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
+from cloak_core.render.visibility.area import CrowdedPixels
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 VISIBLE = 0.02

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from cloak_core.bench.polygons import Polygons, cut
-from cloak_core.render.clipping import clip
-from cloak_core.render.projection import GRID, Screen
+from cloak_core.render.visibility.clipping import clip
+from cloak_core.render.visibility.projection import GRID, Screen
 
 _CHUNK = 1 << 17
 _WHOLE = 1e-9

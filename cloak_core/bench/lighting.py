@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.shading import Light
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 Reals = Float64[np.ndarray, " N"]

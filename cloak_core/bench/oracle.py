@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.render.clipping import clip
-from cloak_core.render.projection import GRID, Screen
+from cloak_core.render.visibility.clipping import clip
 from cloak_core.render.visibility.keys import DEPTH_BITS
+from cloak_core.render.visibility.projection import GRID, Screen
 
 
 @dataclass(frozen=True)

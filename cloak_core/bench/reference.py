@@ -19,10 +19,10 @@ from torch import Tensor
 from cloak_core.bench.exact import OutOfReach, Seen, seen_areas
 from cloak_core.bench.lighting import TwinLight
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.dressing import View
-from cloak_core.render.projection import Screen, project
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.visibility.projection import Screen, project
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import is_closed, is_outward
 

@@ -11,7 +11,7 @@ import trimesh
 from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.projection import GRID, GUARD, Screen, project
+from cloak_core.render.visibility.projection import GRID, GUARD, Screen, project
 from cloak_core.scene.cameras import Camera
 
 HALF = GRID // 2

@@ -20,11 +20,11 @@ from cloak_core.bench.views import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.dressing import View
-from cloak_core.render.projection import GRID, project
-from cloak_core.render.rasterizer import rasterize
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.visibility.projection import GRID, project
+from cloak_core.render.visibility.rasterizer import rasterize
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 
 IMAGE = 1e-6

@@ -20,7 +20,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose
+from cloak_core.render.images.compositing import compose
 from cloak_core.render.view_files import StoredViews
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera

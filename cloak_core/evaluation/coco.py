@@ -21,8 +21,8 @@ from cloak_core.evaluation.pictures import to_pil
 from cloak_core.evaluation.stage import Stage
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.projection import GRID
+from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.visibility.projection import GRID
 from cloak_core.scene.pictures import save_picture
 
 ANNOTATIONS = "annotations.json"

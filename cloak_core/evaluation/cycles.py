@@ -26,8 +26,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.shading import NormalOperator
+from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.weights.shading import NormalOperator
 from cloak_core.scene.blender.executable import ADD_ON, bpy_version, find_bpy
 from cloak_core.scene.pictures import read_picture
 

@@ -13,7 +13,7 @@ from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from cloak_core.render.texture import look_up
+from cloak_core.render.weights.texture import look_up
 from cloak_core.scene.geometry import sum_by_face
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import read_picture

@@ -13,10 +13,10 @@ from torch import Tensor
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluation.measurement import Trials
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.compositing import Canvas, compose, true_boxes
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.shading import Light
+from cloak_core.render.images.compositing import Canvas, compose, true_boxes
+from cloak_core.render.images.dressing import DressedView
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.logos.logo import Logo

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.dressing import View
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 
 FRAME = 640

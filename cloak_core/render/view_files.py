@@ -16,7 +16,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.dressing import View
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 
 LIMIT_BYTES = 1 << 30

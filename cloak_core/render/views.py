@@ -18,16 +18,17 @@ from torch import Tensor
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache, MemoryCache
 from cloak_core.files.errors import InputError
-from cloak_core.render.area import area_fragments
-from cloak_core.render.assembly import Lit, assemble, view_by_loops
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.dressing import DressedView, View, dress
-from cloak_core.render.fragments import Fragments, light_fragments, merge_samples
-from cloak_core.render.projection import Screen, Window, project
-from cloak_core.render.rasterizer import Visibility, bounding_window, rasterize, row_bands
-from cloak_core.render.shading import Light, NormalOperator
+from cloak_core.render.images.dressing import DressedView, dress
 from cloak_core.render.threads import even, one_thread, spread, workers
 from cloak_core.render.view_files import StoredViews
+from cloak_core.render.visibility.area import area_fragments
+from cloak_core.render.visibility.projection import Screen, Window, project
+from cloak_core.render.visibility.rasterizer import Visibility, bounding_window, rasterize, row_bands
+from cloak_core.render.weights.assembly import Lit, assemble, view_by_loops
+from cloak_core.render.weights.fragments import Fragments, light_fragments, merge_samples
+from cloak_core.render.weights.shading import Light, NormalOperator
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.geometry import is_closed, is_outward
 

@@ -14,8 +14,8 @@ from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers.bank import PEERS
 from cloak_core.bench.reference import EXACT, reference
 from cloak_core.files.errors import InputError
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 

@@ -9,8 +9,8 @@ from cloak_core.bench.growth import sphere
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.polygons import Polygons, cut
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.projection import GRID
-from cloak_core.render.shading import Light
+from cloak_core.render.visibility.projection import GRID
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 

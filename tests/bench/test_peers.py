@@ -7,8 +7,8 @@ import pytest
 
 from cloak_core.bench.growth import sphere
 from cloak_core.bench.peers.bank import PEERS, PeerBank, available, usable
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 CAMERAS = {

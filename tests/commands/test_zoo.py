@@ -18,7 +18,7 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
-from cloak_core.render.texture import look_up
+from cloak_core.render.weights.texture import look_up
 from cloak_core.scene.logos.logo import load_logo, make_logo
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.zoo.entry import Entry, names, read_entry, write_entry

@@ -21,7 +21,7 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.compositing import compose
+from cloak_core.render.images.compositing import compose
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo, select_region
 from cloak_core.scene.people.samples import sample_bodies

@@ -17,7 +17,7 @@ from cloak_core.output.print_sheets import PAGES, pages, tiles
 from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
 from cloak_core.output.printing import print_logo
 from cloak_core.output.seams import find_borders
-from cloak_core.render.compositing import compose
+from cloak_core.render.images.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_areas

@@ -16,7 +16,7 @@ from cloak_core.detectors.specs import parse_spec
 from cloak_core.evaluation.inference import max_score_on
 from cloak_core.files.errors import InputError
 from cloak_core.pretrain.builtin_training import train_builtin
-from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.images.compositing import compose, true_boxes
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.cameras import Camera

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.render.compositing import compose
-from cloak_core.render.shading import Light
+from cloak_core.render.images.compositing import compose
 from cloak_core.render.views import ViewBank
 from cloak_core.render.visibility.keys import inverse_depth
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(azimuth=-10.0)

@@ -13,13 +13,13 @@ from bodies_made import sphere
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import matrix_of, reference
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.area import CrowdedPixels, area_fragments
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.flat import flatten
-from cloak_core.render.projection import GRID, Window
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
 from cloak_core.render.visibility import area_loops, areas, overlap_loops, samples, settle_loops
+from cloak_core.render.visibility.area import CrowdedPixels, area_fragments
+from cloak_core.render.visibility.flat import flatten
+from cloak_core.render.visibility.projection import GRID, Window
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)

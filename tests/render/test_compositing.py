@@ -7,7 +7,7 @@ import pytest
 import torch
 from bodies_made import sphere
 
-from cloak_core.render.compositing import Photometric, compose, true_boxes
+from cloak_core.render.images.compositing import Photometric, compose, true_boxes
 from cloak_core.render.views import ViewBank
 from cloak_core.scene.cameras import Camera
 
@@ -110,7 +110,7 @@ def test_clamped_sums_pass_no_gradient_and_bounds_do(views) -> None:
 
 
 def test_black_colours_at_the_bound_still_learn() -> None:
-    from cloak_core.render.shading import Light
+    from cloak_core.render.weights.shading import Light
 
     bank = ViewBank(sphere(), Light(ambient=1.0, diffuse=0.0, specular=0.0), samples=1)
     view = bank.dress(0, CAMERA, np.arange(sphere().face_count))

@@ -13,12 +13,12 @@ from bodies_made import sphere
 from torch import Tensor
 from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
-from cloak_core.render import painting
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.compositing import Canvas, Photometric
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.shading import Light
+from cloak_core.render.images import painting
+from cloak_core.render.images.compositing import Canvas, Photometric
+from cloak_core.render.images.dressing import DressedView
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 

@@ -10,10 +10,10 @@ from bodies_made import sphere
 from cloak_core.bench.oracle import screen_of
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.projection import GRID, GUARD
-from cloak_core.render.rasterizer import rasterize
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.visibility.projection import GRID, GUARD
+from cloak_core.render.visibility.rasterizer import rasterize
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(distance=2.6, azimuth=20.0, width=45, height=37)

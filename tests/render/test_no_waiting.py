@@ -5,9 +5,9 @@ from bodies_made import sphere
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.compositing import Photometric, compose
-from cloak_core.render.shading import Light
+from cloak_core.render.images.compositing import Photometric, compose
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 WAITS = {

@@ -9,9 +9,9 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.compositing import Canvas, Photometric, blank, pixels_of
-from cloak_core.render.shading import Light
+from cloak_core.render.images.compositing import Canvas, Photometric, blank, pixels_of
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
 HEIGHT, WIDTH = 44, 60

@@ -7,10 +7,10 @@ import torch
 from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.projection import GRID, GUARD, Window, project
-from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.visibility import samples
 from cloak_core.render.visibility.keys import inverse_depth
+from cloak_core.render.visibility.projection import GRID, GUARD, Window, project
+from cloak_core.render.visibility.rasterizer import rasterize
 from cloak_core.scene.cameras import Camera
 
 HALF = GRID // 2

@@ -8,10 +8,10 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.compositing import compose
-from cloak_core.render.shading import Light
-from cloak_core.render.texture import look_up, texture_coordinates
+from cloak_core.render.images.compositing import compose
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.texture import look_up, texture_coordinates
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.meshes.subdivision import subdivide
 from cloak_core.scene.meshes.textures import dress_in_textures

@@ -14,9 +14,9 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache
 from cloak_core.render import view_files as stored
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.dressing import View
-from cloak_core.render.shading import Light
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(distance=4.0, azimuth=20.0, width=60, height=50)

@@ -10,8 +10,8 @@ from bodies_made import sphere
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render import views as views_module
-from cloak_core.render.shading import Light, NormalOperator, shade
 from cloak_core.render.views import ViewBank
+from cloak_core.render.weights.shading import Light, NormalOperator, shade
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(distance=4.0, azimuth=20.0, width=60, height=50)

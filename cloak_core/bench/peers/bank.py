@@ -16,12 +16,12 @@ from cloak_core.bench.peers.opengl import OpenGL
 from cloak_core.bench.peers.protocol import Peer, Target
 from cloak_core.bench.reference import closed_outward
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.dressing import View
-from cloak_core.render.projection import Screen, Window
-from cloak_core.render.rasterizer import Visibility, bounding_window
-from cloak_core.render.shading import Light
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.render.visibility.keys import DEPTH_BITS, EMPTY, ID_BITS
+from cloak_core.render.visibility.projection import Screen, Window
+from cloak_core.render.visibility.rasterizer import Visibility, bounding_window
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Camera
 
 PEERS: tuple[type[Peer], ...] = (Embree, Mitsuba, OpenGL, Open3D)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import loop
-from cloak_core.render.projection import Window
 from cloak_core.render.visibility.overlap_loops import NOTHING, by_place, find_candidates, find_pieces
+from cloak_core.render.visibility.projection import Window
 from cloak_core.render.visibility.settle_loops import settle
 
 MOST_PAIRS = 1 << 20

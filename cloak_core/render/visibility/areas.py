@@ -19,9 +19,9 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from cloak_core.render.flat import FlatTriangles
-from cloak_core.render.projection import GRID, Window
+from cloak_core.render.visibility.flat import FlatTriangles
 from cloak_core.render.visibility.polygons import Line, Polygons
+from cloak_core.render.visibility.projection import GRID, Window
 from cloak_core.render.visibility.samples import Edges, canonical, chunk_size, expand
 
 NOTHING = 1e-9

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import inner
-from cloak_core.render.covering_loops import doubled_area
+from cloak_core.render.visibility.covering_loops import doubled_area
 from cloak_core.render.visibility.overlap_loops import edge_number, may_cross
 from cloak_core.render.visibility.polygon_loops import TOUCH, line_through
 

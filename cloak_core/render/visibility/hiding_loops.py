@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import inner
-from cloak_core.render.covering_loops import doubled_area, in_order
+from cloak_core.render.visibility.covering_loops import doubled_area, in_order
 from cloak_core.render.visibility.edge_loops import find_open, root
 from cloak_core.render.visibility.polygon_loops import TOUCH, copy, cut, line_through, measure, reach
 

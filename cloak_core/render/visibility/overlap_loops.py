@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import inner, loop
-from cloak_core.render.covering_loops import doubled_area, in_order
-from cloak_core.render.projection import GRID
+from cloak_core.render.visibility.covering_loops import doubled_area, in_order
+from cloak_core.render.visibility.projection import GRID
 
 NOTHING = 1e-9
 """Share of a pixel below which a piece is dropped."""

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from cloak_core.render.flat import FlatTriangles
+from cloak_core.render.visibility.flat import FlatTriangles
 from cloak_core.render.visibility.keys import DEPTH_BITS, ID_BITS, LIMIT
 
 

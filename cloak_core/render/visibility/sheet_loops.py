@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import inner, loop
-from cloak_core.render.covering_loops import doubled_area
+from cloak_core.render.visibility.covering_loops import doubled_area
 from cloak_core.render.visibility.edge_loops import OWNER, SEGMENT, find_open, nothing_overlaps, root
 from cloak_core.render.visibility.overlap_loops import WHOLE, slopes
 

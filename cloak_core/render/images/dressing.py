@@ -1,4 +1,4 @@
-"""A view as a sparse matrix, and a view dressed for a logo: everything else filled in."""
+"""A view dressed for a logo: everything else filled in."""
 
 from __future__ import annotations
 
@@ -10,39 +10,12 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
-from cloak_core.render import dressing_loops
 from cloak_core.render.compiled import arrays, use_loops
+from cloak_core.render.images import dressing_loops
 from cloak_core.render.sparse import csr, offsets
-from cloak_core.render.texture import look_up
+from cloak_core.render.weights.texture import look_up
+from cloak_core.render.weights.view import View
 from cloak_core.scene.cameras import Vector
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One pose seen by one camera: N covered pixels, E fragments, as a sparse matrix pixels x faces (CSR)."""
-
-    height: int
-    width: int
-    pixels: Int64[Tensor, " N"]
-    """Flat index y * W + x, ascending."""
-    coverage: Float32[Tensor, " N"]
-    """Share of the pixel that the body covers, in (0, 1]."""
-    specular: Float32[Tensor, " N"]
-    """Highlight, the same in all channels."""
-    crow: Int64[Tensor, " N1"]
-    """N + 1 row offsets."""
-    face: Int64[Tensor, " E"]
-    weight: Float32[Tensor, " E"]
-    """What a face's colour is multiplied by: its share of the pixel times its light."""
-    uv: Float32[Tensor, "2 E"] | None = None
-    """Where bodies have textures: texture coordinates in the middle of what is seen of the triangle in the pixel;
-    there is an entry for each triangle of a face then."""
-
-    @cached_property
-    def box(self) -> tuple[int, int, int, int]:
-        """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
-        box = dressing_loops.box if use_loops(self.pixels.device) else _box
-        return box(self.pixels, self.coverage, self.width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +121,3 @@ def _split(
         place.index_select(0, entry),
         weight.index_select(0, entry),
     )
-
-
-def _box(pixels: Tensor, coverage: Tensor, width: int) -> tuple[int, int, int, int]:
-    inside = pixels[coverage >= 0.5]
-    if not len(inside):
-        return 0, 0, 0, 0
-    y = torch.div(inside, width, rounding_mode="floor")
-    x = inside - y * width
-    x0, x1, y0, y1 = torch.stack([x.min(), x.max(), y.min(), y.max()]).tolist()
-    return x0, y0, x1 + 1, y1 + 1

@@ -13,13 +13,13 @@ import torch
 from jaxtyping import Float32, Float64, Int64
 from torch import Tensor
 
-from cloak_core.render import fragments_loops
 from cloak_core.render.compiled import arrays, use_loops
-from cloak_core.render.projection import Screen
-from cloak_core.render.rasterizer import Visibility
-from cloak_core.render.shading import Light, shade
-from cloak_core.render.texture import texture_coordinates
 from cloak_core.render.visibility.keys import EMPTY, ID_BITS, triangle_ids
+from cloak_core.render.visibility.projection import Screen
+from cloak_core.render.visibility.rasterizer import Visibility
+from cloak_core.render.weights import fragments_loops
+from cloak_core.render.weights.shading import Light, shade
+from cloak_core.render.weights.texture import texture_coordinates
 
 
 @dataclass(frozen=True)

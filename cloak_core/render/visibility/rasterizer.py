@@ -16,11 +16,11 @@ from torch import Tensor
 
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.covering_loops import cover as cover_by_loops
-from cloak_core.render.flat import flatten
-from cloak_core.render.projection import GRID, Screen, Window
 from cloak_core.render.threads import even, spread
+from cloak_core.render.visibility.covering_loops import cover as cover_by_loops
+from cloak_core.render.visibility.flat import flatten
 from cloak_core.render.visibility.keys import EMPTY, ID_BITS, triangle_ids
+from cloak_core.render.visibility.projection import GRID, Screen, Window
 from cloak_core.render.visibility.samples import cover
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)

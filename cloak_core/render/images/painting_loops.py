@@ -15,12 +15,12 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.painting import Shifts
-from cloak_core.render.photometric import Photometric
+from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.images.painting import Shifts
+from cloak_core.render.images.photometric import Photometric
 
 if TYPE_CHECKING:
-    from cloak_core.render.compositing import Canvas
+    from cloak_core.render.images.compositing import Canvas
 
 ZERO, ONE = np.float32(0), np.float32(1)
 

@@ -17,10 +17,10 @@ from jaxtyping import Float32, Int64, Integer
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
-from cloak_core.render import painting, painting_loops
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.photometric import Photometric
+from cloak_core.render.images import painting, painting_loops
+from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.images.photometric import Photometric
 
 __all__ = ["Canvas", "Photometric", "blank", "compose", "pixels_of", "true_boxes"]
 

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float64, Int32, Int64
 from torch import Tensor
 
-from cloak_core.render.clipping import clip
-from cloak_core.render.projection import Screen
+from cloak_core.render.visibility.clipping import clip
+from cloak_core.render.visibility.projection import Screen
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.projection_loops import project as project_by_loop
+from cloak_core.render.visibility.projection_loops import project as project_by_loop
 from cloak_core.scene.cameras import Camera, Vector
 
 GRID = 1 << 16

@@ -16,12 +16,12 @@ import torch
 from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
-from cloak_core.render.dressing import DressedView
-from cloak_core.render.photometric import Photometric
+from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.images.photometric import Photometric
 from cloak_core.render.sparse import csr
 
 if TYPE_CHECKING:
-    from cloak_core.render.compositing import Canvas
+    from cloak_core.render.images.compositing import Canvas
 
 Shifts = Integer[Tensor, "B 2"]
 

@@ -14,7 +14,7 @@ from cloak_core.render.compiled import arrays, loop
 from cloak_core.scene.cameras import Vector
 
 if TYPE_CHECKING:
-    from cloak_core.render.dressing import View
+    from cloak_core.render.weights.view import View
 
 ZERO, HALF, ONE, WHITE = np.float32(0), np.float32(0.5), np.float32(1), np.float32(255)
 
@@ -113,23 +113,3 @@ def _look_up(texture, u, v):
         green += np.float32(texture[i, j, 1]) * share
         blue += np.float32(texture[i, j, 2]) * share
     return red / WHITE, green / WHITE, blue / WHITE
-
-
-def box(pixels: Int64[Tensor, " N"], coverage: Float32[Tensor, " N"], width: int) -> tuple[int, int, int, int]:
-    """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
-    return _box(*arrays(pixels, coverage), width)
-
-
-@loop
-def _box(pixels, coverage, width):
-    x0, x1, first, last = width, 0, -1, -1
-    start = 0
-    for n in range(len(pixels)):
-        if coverage[n] < HALF:
-            continue
-        pixel = pixels[n]
-        if pixel >= start + width:
-            start = pixel // width * width
-        x0, x1 = min(x0, pixel - start), max(x1, pixel - start + 1)
-        first, last = pixel if first < 0 else first, pixel
-    return (x0, first // width, x1, last // width + 1) if first >= 0 else (0, 0, 0, 0)

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float64, Int32, Int64
 from torch import Tensor
 
-from cloak_core.render.projection import GRID, GUARD, snap
+from cloak_core.render.visibility.projection import GRID, GUARD, snap
 
 _CORNERS = 8
 """A triangle cut by five planes has at most this many."""

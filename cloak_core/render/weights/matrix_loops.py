@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import loop
-from cloak_core.render.shading import Light
-from cloak_core.render.texture import INSET
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.texture import INSET
 
 _TINY = 1e-20
 UNSEEN = 1e-12
@@ -38,7 +38,8 @@ def light_all(triangle, area, x, y, corner, space, camera, normals, light, mater
     """Weight, highlight and, where there are textures, coordinates of each fragment into the rows of `out` [2 or 4, N].
 
     x, y: where each fragment is lit, pixels; space: view space coordinates [3, V]; camera: focal length and the
-    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material`; uv_of: texture coordinates [2, 3, T] or [2, 3, 0].
+    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material`; uv_of: texture
+    coordinates [2, 3, T] or [2, 3, 0].
     """
     focal, middle_x, middle_y = camera
     ax, ay, az = space[0], space[1], space[2]

@@ -14,11 +14,11 @@ from jaxtyping import Bool, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.flat import flatten
-from cloak_core.render.fragments import Fragments
-from cloak_core.render.projection import Screen, Window
 from cloak_core.render.visibility import area_loops
 from cloak_core.render.visibility.areas import seen_areas
+from cloak_core.render.visibility.flat import flatten
+from cloak_core.render.visibility.projection import Screen, Window
+from cloak_core.render.weights.fragments import Fragments
 
 
 class CrowdedPixels(UserWarning):

@@ -11,13 +11,13 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays
-from cloak_core.render.dressing import View
-from cloak_core.render.fragments import Fragments
-from cloak_core.render.matrix_loops import material, matrix
-from cloak_core.render.projection import Screen
-from cloak_core.render.shading import Light
 from cloak_core.render.sparse import offsets
 from cloak_core.render.threads import spread
+from cloak_core.render.visibility.projection import Screen
+from cloak_core.render.weights.fragments import Fragments
+from cloak_core.render.weights.matrix_loops import material, matrix
+from cloak_core.render.weights.shading import Light
+from cloak_core.render.weights.view import View
 
 
 @dataclass(frozen=True, eq=False)

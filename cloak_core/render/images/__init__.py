@@ -1,0 +1,1 @@
+"""From views to images and back: dressing for a logo, painting, compositing."""
