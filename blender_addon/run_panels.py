@@ -88,7 +88,7 @@ class CLOAK_PT_compare(CloakPanel, bpy.types.Panel):
 COMPARED = 8
 """Runs, the latest ones."""
 COLUMNS = {
-    "Seen": "Share of the last training images in which the detector does not report the body, a running mean",
+    "Old": "Share of the last training images in which the detector does not report the body, a running mean",
     "New": "The same on bodies and backgrounds that training never saw, measured by `cloak evaluate`, of several "
     "detectors the worst",
     "Own": "The control: the body in its own clothing, on the same images. A cloak is worth what it has more",

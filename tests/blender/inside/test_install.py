@@ -129,6 +129,7 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
     assert not {name for name in offered if name.startswith(tuple(no_run))}
     assert always | {"train_start", "heatmap", "logo_assign", "logo_export", "logo_stamp", "subdivide"} <= offered
     monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.context.scene.cloak.steps = 300
     bpy.ops.cloak.train_start()
     for name in ("train_start", "heatmap", "add_sample_body", "test_python"):
         with pytest.raises(RuntimeError, match=r"poll\(\).*Training is running: wait for it, or cancel it"):

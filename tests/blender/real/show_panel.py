@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import frame, install, play, show_all, sidebar, tidy, until_done
+from harness import frame, install, open_panel, play, show_all, sidebar, tidy, until_done
 
 ZIP, STATE, PYTHON, FOLDER = sys.argv[sys.argv.index("--") + 1 :][:4]
 PANELS = {
@@ -24,6 +24,7 @@ PANELS = {
     "train": ("poses", "train", "settings"),
     "result": ("train", "runs", "result"),
 }
+OPENED = {"logo": "stamp", "train": "settings"}
 
 
 def steps():
@@ -59,6 +60,8 @@ def steps():
                 yield 0.2
         else:
             yield from until_done()
+    if STATE in OPENED:
+        open_panel(OPENED[STATE])
     yield from sidebar(*PANELS[STATE])
     yield 1.5
     Path(os.environ["SHOT_READY"]).touch()
