@@ -93,7 +93,8 @@ def desk(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("photos", "PHOTOS", "STAND-INS"):
         (folder / name).mkdir()
         for sort in ("with", "without"):
-            shutil.copy(data / "photos" / "person.jpg", folder / name / f"ann-hall-{sort}.jpg")
+            (folder / name / sort).mkdir()
+            shutil.copy(data / "photos" / "person.jpg", folder / name / sort / "ann.jpg")
     noise = np.random.default_rng(0)
     for name in ("DIR", "DIR2", "OTHERS", "backgrounds", "BACKGROUNDS"):
         (folder / name).mkdir()
@@ -119,7 +120,7 @@ def desk(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         for end in (".npy", ".json"):
             shutil.copy(folder / f"chest{end}", (folder / name).with_suffix("").with_name(Path(name).stem + end))
     shutil.copy(folder / "chest.npy", folder / "LOGO")
-    run_there(folder, reduced(words("cloak train --scene SCENE --logo chest.npy --backgrounds DIR --out RUN")[1:]))
+    run_there(folder, reduced(words("cloak train --scene sample:train[0:2] --logo chest.npy --out RUN")[1:]))
     shutil.copy(folder / "RUN" / "colors.npy", folder / "FILE.npy")
     for name in ("free", "k8", "through"):
         (folder / name).symlink_to("RUN")
