@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.props import CollectionProperty, IntProperty, PointerProperty, StringProperty
 
 from . import jobs
@@ -143,6 +144,13 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
+@persistent
+def _forget_click(*_: object) -> None:
+    """Another file is open: what was clicked in the last one counts no more."""
+    global _selected
+    _selected = ""
+
+
 CLASSES = (CloakRun, CloakWindow)
 
 
@@ -150,6 +158,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.WindowManager.cloak = PointerProperty(type=CloakWindow)
+    bpy.app.handlers.load_post.append(_forget_click)
     if not bpy.app.background:
         bpy.app.timers.register(_watch, first_interval=REFRESH_SECONDS, persistent=True)
 
@@ -157,6 +166,7 @@ def register() -> None:
 def unregister() -> None:
     if bpy.app.timers.is_registered(_watch):
         bpy.app.timers.unregister(_watch)
+    bpy.app.handlers.load_post.remove(_forget_click)
     del bpy.types.WindowManager.cloak
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
