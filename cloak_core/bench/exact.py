@@ -70,7 +70,7 @@ class _Pieces:
 def seen_areas(screen: Screen, triangles: Int64[Tensor, "3 T"], cull: bool) -> Seen:
     """All that is seen of one view on the CPU. Raises `OutOfReach` beyond `MAX_PAIRS` overlapping pairs.
 
-    triangles, cull: as for `render.rasterizer.rasterize`.
+    triangles, cull: as for `render.visibility.rasterizer.rasterize`.
     """
     flat = _flat(screen, triangles, cull)
     pieces = _pieces(flat, screen.width, screen.height)

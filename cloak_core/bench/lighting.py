@@ -1,4 +1,4 @@
-"""The light's plain twin: the formula that `render.shading` documents, in float64, ray by ray in world space."""
+"""The light's plain twin: the formula of `render.weights.shading`, in float64, ray by ray in world space."""
 
 from __future__ import annotations
 

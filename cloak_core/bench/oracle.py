@@ -2,7 +2,7 @@
 
 Slow and obviously right; the tests and `cloak bench stability` hold the rasterizer against it. Edge functions of
 snapped coordinates stay below 2^62, so int64 is exact. The depth of a covered sample is worked out in Python floats,
-one operation after the other, by the formula that `render.rasterizer` documents.
+one operation after the other, by the formula that `render.visibility.rasterizer` documents.
 """
 
 from __future__ import annotations
