@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from PIL import Image
 
 from cloak_core.detectors.defended.detector import DefendedDetector, defend
@@ -99,6 +100,22 @@ def test_what_rounds_passes_its_gradient_straight_through() -> None:
     for defence in (Bits(2.0), Jpeg(20.0)):
         (gradient,) = torch.autograd.grad(defence(pixels), pixels, upstream)
         torch.testing.assert_close(gradient, upstream)
+
+
+@pytest.mark.parametrize("levels", [None, 8])
+def test_the_median_of_nine_by_minima_and_maxima_is_the_median(levels: int | None) -> None:
+    pixels = torch.rand(2, 3, 17, 13, generator=torch.Generator().manual_seed(0))
+    pixels = pixels if levels is None else (pixels * levels).round() / levels  # many ties
+    pixels.requires_grad_()
+    height, width = pixels.shape[2:]
+    around = F.pad(pixels, (1,) * 4, mode="replicate")
+    nine = [around[:, :, y : y + height, x : x + width] for y in range(3) for x in range(3)]
+    plain, ours = torch.stack(nine).median(dim=0).values, Median(3)(pixels)
+    assert torch.equal(ours, plain)
+    if levels is None:  # where pixels tie, the gradient is shared; at the border, replicated pixels do
+        inner = (slice(None), slice(None), slice(1, -1), slice(1, -1))
+        gradients = [torch.autograd.grad(found[inner].sum(), pixels, retain_graph=True)[0] for found in (ours, plain)]
+        assert torch.equal(gradients[0][:, :, 2:-2, 2:-2], gradients[1][:, :, 2:-2, 2:-2])
 
 
 def test_bits_and_median_are_what_they_say() -> None:
