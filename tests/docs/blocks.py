@@ -29,7 +29,9 @@ def lines(page: Path) -> list[str]:
 
 def words(line: str) -> list[str]:
     """A line's words, as a shell has them; without brackets around what may be left out, nor `...` but for a value."""
-    found = shlex.split(line.replace(" [--", " --").replace("] --", " --"), comments=True)
+    found = shlex.split(re.sub(r" \[(--[^\]]*)\]", r" \1", line), comments=True)
+    if found[-1:] == ["..."]:
+        found.pop()
     return [word for before, word in zip(["", *found], found, strict=False) if word != "..." or before.startswith("--")]
 
 

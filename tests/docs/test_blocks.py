@@ -12,14 +12,13 @@ from PIL import Image
 
 from cloak_core.cli import find, load, main
 from cloak_core.commands import parsing
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.exchange.scenes import write_scene
+from cloak_core.output import printing
 from cloak_core.scene.people.samples import sample_bodies
 from tests.docs.blocks import PAGES, ROOT, commands, words
 
-RUN_PAGES = pytest.mark.skipif(
-    not os.environ.get("CLOAK_RUN_PAGES"), reason="set CLOAK_RUN_PAGES=1: minutes of work on a quiet machine"
-)
 LOOK = {"size": "96", "samples": "1", "threads": "1"}
 REDUCED = {
     "train": LOOK | {"steps": "2", "batch": "2", "translation": "4", "preview-every": "0", "snapshot-every": "1"},
@@ -42,9 +41,10 @@ NOT_RUN = {
     "Anny's cache takes 0.8 GB": lambda c: "import-anny" in c,
     "needs a cluster, and is in tests/jobs": lambda c: "--ray" in c,
     "ultralytics, which is in tests/real": lambda c: any(word.startswith("ultralytics:") for word in c),
-    "a service of the reader's": lambda c: any("endpoint.py" in word for word in c),
+    "thousands of questions to a detector": lambda c: "--black-box-queries" in c or "REFINED" in c,
+    "colours of the reader's": lambda c: "FILE.npy" in c or "zoo:NAME" in c,
     "needs photographs of a printed chart": lambda c: "--measured" in c or "PRINTED" in " ".join(c) or "AGAIN" in c,
-    "needs a body with a UV map": lambda c: "texture.png" in c,
+    "needs a body with a UV map": lambda c: "texture.png" in c or "--pieces" in c,
     "needs a list of pictures and boxes": lambda c: "--boxes" in c,
     "needs files of the reader's": lambda c: any(word.endswith((".obj", ".pkl")) for word in c),
 }
@@ -55,6 +55,23 @@ NETS = {
     "XL": "yolo-fastest-1.1-xl",
 }
 SPECS = {"A": "builtin", "B": "darknet:a.cfg:a.weights@96", "C": "builtin@64", "D": "builtin@128", "SPEC": "builtin"}
+
+
+@pytest.fixture(autouse=True)
+def laid_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages print the same few logos again and again, and flattening one takes most of the time."""
+
+    def lay_out(bodies: Bodies, ids: np.ndarray) -> object:
+        key = (bodies.vertices[0].tobytes(), np.asarray(ids).tobytes())
+        if key not in LAID_OUT:
+            LAID_OUT[key] = really(bodies, ids)
+        return LAID_OUT[key]
+
+    really = printing.lay_out
+    monkeypatch.setattr(printing, "lay_out", lay_out)
+
+
+LAID_OUT: dict = {}
 
 
 def why_not(command: list[str]) -> str | None:
@@ -73,8 +90,9 @@ def test_every_command_of_a_page_is_understood(page: Path) -> None:
 
 def elided(name: str, options: list[str]) -> list[str]:
     """What `...` stands for in `cloak train --palette FILE ...`: the options that a command cannot do without."""
-    needed = {"train": ("scene", "logo", "out"), "logo select": ("scene", "out")}.get(name, ())
-    return [word for option in needed if f"--{option}" not in options for word in (f"--{option}", "x")]
+    logo = "worn.npy" if any(word.startswith("zoo:") for word in options) else "chest.npy"
+    needed = {"scene": "sample:train[0:2]", "logo": logo, "out": "NEW"} if name == "train" else {}
+    return [word for key, value in needed.items() if f"--{key}" not in options for word in (f"--{key}", value)]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +108,10 @@ def desk(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "bodies_anny.npz").symlink_to(data / "bodies_anny.npz")
     for name in ("photo.jpg", "person.jpg"):
         shutil.copy(data / "photos" / "person.jpg", folder / name)
-    for name in ("photos", "PHOTOS", "STAND-INS"):
+    (folder / "photos").mkdir()
+    shutil.copy(data / "photos" / "person.jpg", folder / "photos")
+    (folder / "docs" / "images").mkdir(parents=True)
+    for name in ("PHOTOS", "STAND-INS"):
         (folder / name).mkdir()
         for sort in ("with", "without"):
             (folder / name / sort).mkdir()
@@ -116,12 +137,13 @@ def desk(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "examples").symlink_to(ROOT / "examples")
     (folder / "mine.py").symlink_to(ROOT / "examples" / "my_detector.py")
     run_there(folder, words("cloak logo select --scene SCENE --region chest+thighs --out chest.npy")[1:])
-    for name in ("LOGO", "ct.npy", "shirt.npy", "a.npy"):
+    run_there(folder, words("cloak logo select --scene sample:train --region shirt+trousers --out worn.npy")[1:])
+    run_there(folder, words("cloak logo select --scene bodies_anny.npz --region shirt_trousers --out shirt.npy")[1:])
+    for name in ("ct.npy", "a.npy"):
         for end in (".npy", ".json"):
             shutil.copy(folder / f"chest{end}", (folder / name).with_suffix("").with_name(Path(name).stem + end))
     shutil.copy(folder / "chest.npy", folder / "LOGO")
     run_there(folder, reduced(words("cloak train --scene sample:train[0:2] --logo chest.npy --out RUN")[1:]))
-    shutil.copy(folder / "RUN" / "colors.npy", folder / "FILE.npy")
     for name in ("free", "k8", "through"):
         (folder / name).symlink_to("RUN")
     return folder
@@ -140,6 +162,7 @@ def reduced(command: list[str]) -> list[str]:
         if not skipping:
             before = kept[-1] if kept else ""
             kept.append(SPECS.get(word, word) if before in ("--detector", "--judge") else word)
+    kept += elided(name, options)
     return [*name.split(), *kept, *(word for key, value in changes.items() for word in (f"--{key}", value))]
 
 
@@ -161,7 +184,6 @@ def run_there(folder: Path, command: list[str]) -> None:
         os.chdir(before)
 
 
-@RUN_PAGES
 @pytest.mark.long
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_commands_of_a_page_run(page: Path, desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
@@ -191,7 +213,7 @@ PRINTED = [
     "zoo list",
     "zoo export builtin-sample --out ENTRY",
     "film RUN --scene UNSEEN --out film.gif",
-    "judge photos --detector builtin",
+    "judge PHOTOS --detector builtin",
 ]
 ELSEWHERE = {"assess", "harden", "transfer", "calibrate"}
 """Too long here; tests/evaluation, tests/defend and tests/output look at their keys."""
@@ -202,7 +224,6 @@ def validate(name: str, printed: str) -> None:
         jsonschema.Draft202012Validator(SCHEMAS | {"$ref": f"#/$defs/{name}"}).validate(json.loads(printed))
 
 
-@RUN_PAGES
 @pytest.mark.long
 def test_what_json_prints_is_what_the_schemas_say(desk: Path, capsys: pytest.CaptureFixture) -> None:
     lines = [line.split() for line in PRINTED]
