@@ -61,10 +61,10 @@ SPECS = {"A": "builtin", "B": "darknet:a.cfg:a.weights@96", "C": "builtin@64", "
 def laid_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages print the same few logos again and again, and flattening one takes most of the time."""
 
-    def lay_out(bodies: Bodies, ids: np.ndarray) -> object:
-        key = (bodies.vertices[0].tobytes(), np.asarray(ids).tobytes())
+    def lay_out(bodies: Bodies, ids: np.ndarray, *how: object) -> object:
+        key = (bodies.vertices[0].tobytes(), np.asarray(ids).tobytes(), how)
         if key not in LAID_OUT:
-            LAID_OUT[key] = really(bodies, ids)
+            LAID_OUT[key] = really(bodies, ids, *how)
         return LAID_OUT[key]
 
     really = printing.lay_out
