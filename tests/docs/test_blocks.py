@@ -12,10 +12,9 @@ from PIL import Image
 
 from cloak_core.cli import find, load, main
 from cloak_core.commands import parsing
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.exchange.scenes import write_scene
-from cloak_core.output import printing
+from cloak_core.output import print_sheets
 from cloak_core.scene.people.samples import sample_bodies
 from tests.docs.blocks import PAGES, ROOT, commands, words
 
@@ -58,20 +57,10 @@ SPECS = {"A": "builtin", "B": "darknet:a.cfg:a.weights@96", "C": "builtin@64", "
 
 
 @pytest.fixture(autouse=True)
-def laid_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pages print the same few logos again and again, and flattening one takes most of the time."""
-
-    def lay_out(bodies: Bodies, ids: np.ndarray, *how: object) -> object:
-        key = (bodies.vertices[0].tobytes(), np.asarray(ids).tobytes(), how)
-        if key not in LAID_OUT:
-            LAID_OUT[key] = really(bodies, ids, *how)
-        return LAID_OUT[key]
-
-    really = printing.lay_out
-    monkeypatch.setattr(printing, "lay_out", lay_out)
-
-
-LAID_OUT: dict = {}
+def few_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cloak over shirt and trousers takes a hundred sheets; two are enough here."""
+    cut = print_sheets.tiles
+    monkeypatch.setattr(print_sheets, "tiles", lambda *how: cut(*how)[:2])
 
 
 def why_not(command: list[str]) -> str | None:
