@@ -40,7 +40,7 @@ def main() -> int:
 
 def bring_worker(site: Path) -> None:
     """Put our own script in place of the one from elsewhere, on every page."""
-    shutil.copy(ROOT / "tools" / "site" / "file-worker.js", site / "assets" / "javascripts")
+    shutil.copy(ROOT / "tools" / "file-worker.js", site / "assets" / "javascripts")
     for page in site.rglob("*.html"):
         above = "../" * (len(page.relative_to(site).parts) - 1)
         text = page.read_text("utf-8")
