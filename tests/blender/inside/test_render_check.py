@@ -1,12 +1,11 @@
 """Render check: a second Blender renders in Cycles from the training cameras; the detector's answers become a line."""
 
 import json
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from cloak import render_check, run_states
+from cloak import render_check, run_states, runs
 from cloak.files.errors import InputError
 from cloak.jobs import Job
 from cloak.operators import result
@@ -66,7 +65,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     assert job.state == "done", (job.message, job.log.read_text()[-2000:])
     assert obj.cloak.verdict == job.message
     assert "detected in 0 of 2 renders with the cloak (highest score 0.10), in 2 without" in job.message
-    folder = Path(obj.cloak.run + ".input", "render check 1")
+    folder = runs.side_folder(folder_of(obj)) / "render check 1"
     with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
     assert with_cloak.shape == (416, 416, 4) and (with_cloak[..., 3] == 1).all()
     assert np.allclose(with_cloak[0, 0], [0, 0, 1, 1], atol=2 / 255)  # the photograph behind
