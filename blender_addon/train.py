@@ -10,6 +10,7 @@ Exit codes: 0 done, 2 bad input (one line that names it), 3 stopped, 1 a defect.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import os
 import shutil
@@ -272,9 +273,10 @@ def run_as_script(arguments: list[str]) -> int:
 
 
 def leave(code: int) -> None:
-    """End this process with an exit code."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    """End this process with an exit code, also where nobody reads its words any more."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(BrokenPipeError):
+            stream.flush()
     if bpy.app.binary_path:
         sys.exit(code)
     # The bpy package may wait for ever in its own destructors at a regular exit (a condition variable still in use).
@@ -284,4 +286,8 @@ def leave(code: int) -> None:
 
 if __name__ == "__main__":
     given = sys.argv[1:] if bpy.app.binary_path == "" else []
-    leave(run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given))
+    try:
+        ended = run_as_script(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else given)
+    except BrokenPipeError:
+        ended = 1  # nobody reads what it says; left to the interpreter, the bpy package would never end
+    leave(ended)
