@@ -1,6 +1,7 @@
 """Render check: a second Blender renders in Cycles from the training cameras; the detector's answers become a line."""
 
 import json
+from pathlib import Path
 
 import bpy
 import numpy as np
