@@ -18,7 +18,6 @@ import time
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch, Batcher
@@ -26,7 +25,7 @@ from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_chec
 from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
 from cloak_core.attack.loop import RunResult
 from cloak_core.attack.objective import Objective, StepFigures
-from cloak_core.attack.query_prior import QueryPrior
+from cloak_core.attack.query_prior import QueryPrior, random_cells
 from cloak_core.attack.run_folder import RunFolder
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest
@@ -185,12 +184,9 @@ class Search:
 
     def _random_directions(self, count: int, random: np.random.Generator) -> Float[np.ndarray, "B L 3"]:
         found = np.empty((count, len(self.centres), 3), np.float32)
-        low, high = np.log(np.minimum(CELLS, len(self.centres)))
         for direction in found:
-            cells = round(np.exp(random.uniform(low, high)))
-            about = self.centres[random.choice(len(self.centres), cells, replace=False)]
-            signs = random.choice(np.float32([-1, 1]), (cells, 3))
-            direction[:] = signs[cKDTree(about).query(self.centres)[1]]
+            cell = random_cells(self.centres, CELLS, random)
+            direction[:] = random.choice(np.float32([-1, 1]), (int(cell.max()) + 1, 3))[cell]
         return found
 
     def _follow(self, estimate: Float[Tensor, "L 3"]) -> None:

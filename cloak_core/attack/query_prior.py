@@ -21,6 +21,17 @@ CELLS = (64, 1024)
 """Fewest and most cells over which a gradient is averaged: single faces' gradients are mostly of this one image."""
 
 
+def random_cells(
+    centres: Float[np.ndarray, "L 3"], bounds: tuple[int, int], random: np.random.Generator
+) -> Int[np.ndarray, " L"]:
+    """The cell of every face, numbered from 0: the one around the nearest of some random faces, fewest and most of
+    which are the `bounds`, their number drawn evenly in its logarithm."""
+    low, high = np.log(np.minimum(bounds, len(centres)))
+    count = round(np.exp(random.uniform(low, high)))
+    about = centres[random.choice(len(centres), count, replace=False)]
+    return cKDTree(about).query(centres)[1]
+
+
 class QueryPrior:
     """Directions from surrogates' gradients. InputError: a surrogate gives none."""
 
@@ -38,13 +49,11 @@ class QueryPrior:
         cells; 0 where the image does not show the cell."""
         count = len(self.objective.detectors)
         gradient = self._gradient(batch, colors, step, random.integers(count, size=len(batch)))
-        low, high = np.log(np.minimum(CELLS, len(self.centres)))
         found = torch.empty_like(gradient)
         for row, one in zip(found, gradient, strict=True):
-            cells = round(np.exp(random.uniform(low, high)))
-            about = self.centres[random.choice(len(self.centres), cells, replace=False)]
-            cell = torch.from_numpy(cKDTree(about).query(self.centres)[1]).to(one.device)
-            row.copy_(torch.zeros_like(one[:cells]).index_add_(0, cell, one).sign()[cell])
+            cell = torch.from_numpy(random_cells(self.centres, CELLS, random)).to(one.device)
+            sums = torch.zeros_like(one[: int(cell.max()) + 1])
+            row.copy_(sums.index_add_(0, cell, one).sign()[cell])
         return found
 
     def _gradient(
