@@ -9,20 +9,17 @@ the clock, and in brackets what all of Blender's threads worked, which is the la
 the one that can be compared on a busy one. "subdivide" is done once.
 """
 
-import json
-import os
 import statistics
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import install
+from harness import install, print_figures
 
 WORDS = sys.argv[sys.argv.index("--") + 1 :]
 ZIP, SCENE, SIZES = WORDS[0], WORDS[1], [int(word) for word in WORDS[2:]] or [55_000, 300_000]
@@ -114,19 +111,4 @@ def measure() -> dict:
     return figures
 
 
-def main() -> None:
-    try:
-        print(json.dumps(measure(), indent=1), flush=True)
-    except Exception:
-        traceback.print_exc()
-        os._exit(3)
-    if bpy.app.background:
-        os._exit(0)
-    Path(os.environ["SHOT_READY"]).touch()
-    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=3)
-
-
-if bpy.app.background:
-    main()
-else:
-    bpy.app.timers.register(main, first_interval=1.5)
+print_figures(measure)

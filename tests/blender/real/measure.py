@@ -6,20 +6,17 @@
 Prints one JSON object; medians and maxima of REPEATS, in milliseconds.
 """
 
-import json
-import os
 import statistics
 import sys
 import tempfile
 import time
-import traceback
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from harness import install
+from harness import install, print_figures
 
 ZIP = sys.argv[sys.argv.index("--") + 1]
 REPEATS, FACES, POSES = 9, 55_000, 12
@@ -130,19 +127,4 @@ def redraw() -> None:
     bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=1)
 
 
-def main() -> None:
-    try:
-        print(json.dumps(measure(), indent=1), flush=True)
-    except Exception:
-        traceback.print_exc()
-        os._exit(3)
-    if bpy.app.background:
-        os._exit(0)
-    Path(os.environ["SHOT_READY"]).touch()
-    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=3)
-
-
-if bpy.app.background:
-    main()
-else:
-    bpy.app.timers.register(main, first_interval=1.5)
+print_figures(measure)
