@@ -24,7 +24,9 @@ lint: .venv/.installed-test
 	$(BIN)/ruff check .
 
 extension: .venv/.installed-test .venv-blender/.installed
-	.venv-blender/bin/python tools/build_extension.py
+	rm -rf build/trainer
+	$(BIN)/python -m build --wheel --no-isolation --outdir build/trainer >/dev/null
+	.venv-blender/bin/python tools/build_extension.py --trainer build/trainer/*.whl
 
 # What is uploaded: the wheel and the sources, checked.
 dist: .venv/.installed-test

@@ -11,7 +11,10 @@ from .colors import HEAT
 from .modifiers import modifiers_reason
 from .panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from .poses import lying_warning
+from .preferences import trainer_answer, trainer_reason
 from .properties import settings_of
+
+TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
 
 
 class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
@@ -39,6 +42,22 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         row.prop(settings_of(context), "triangulate", toggle=True)
         self.layout.operator("cloak.add_sample_body", icon="ADD")
         self.progress(context, "Sample body")
+        self._trainer(context)
+
+    def _trainer(self, context: bpy.types.Context) -> None:
+        """Who will train, or what to do about it that nobody can."""
+        reason = trainer_reason()
+        if reason:
+            wrapped(self.layout, context, reason, icon="ERROR")
+            row = self.layout.row(align=True)
+            row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
+            row.operator("cloak.find_python", text="", icon="VIEWZOOM")
+            row.operator("preferences.addon_show", text="", icon="PREFERENCES").module = __package__
+        elif reason is None:
+            self.layout.label(text="Looking for the trainer...", icon="TIME")
+        else:
+            figure(self.layout, trainer_answer() or "Trainer found", TRAINER, "CONSOLE")
+        self.progress(context, "Installation", "Test")
 
 
 class CLOAK_UL_logos(bpy.types.UIList):

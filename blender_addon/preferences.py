@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Preferences: the Python that has `cloak_core`; found, tested, or installed with a line to copy."""
+"""Preferences: the Python that has `cloak_core`; found, tested, or installed."""
 
 from __future__ import annotations
 
@@ -9,12 +9,23 @@ from pathlib import Path
 import bpy
 from bpy.props import StringProperty
 
+from . import jobs
 from .files.errors import InputError
 from .jobs import Job, busy, last_words, launch, require_idle
 from .operators.base import CloakOperator
-from .trainer_python import INSTALL_LINE, about_command, ask_ahead, find_python, forget_answers, parse_about
+from .trainer_install import InstallJob
+from .trainer_python import (
+    INSTALL_LINE,
+    about_command,
+    ask_ahead,
+    find_python,
+    forget_answers,
+    known_reason,
+    parse_about,
+)
 
 CLICK_SECONDS = 0.2
+LOG_LINES = 5
 
 
 def preferences() -> CloakPreferences | None:
@@ -51,6 +62,27 @@ def chosen_python() -> str:
     return python
 
 
+def trainer_reason() -> str | None:
+    """Why there is no trainer to start, "" when there is one, None while that is being found out. Never waits."""
+    kept = preferences()
+    return known_reason(kept.python if kept else "")
+
+
+def trainer_answer() -> str:
+    """What the trainer said when it was last tested."""
+    kept = preferences()
+    return kept.answer if kept else ""
+
+
+def use_python(python: str) -> None:
+    """Train with this Python from now on, also after Blender was closed."""
+    forget_answers()
+    kept = preferences()
+    if kept:
+        kept.python = python
+        bpy.context.preferences.is_dirty = True
+
+
 def _python_chosen(kept: CloakPreferences, context: bpy.types.Context) -> None:
     look_ahead()
 
@@ -66,6 +98,12 @@ class CloakPreferences(bpy.types.AddonPreferences):
         subtype="FILE_PATH",
         update=_python_chosen,
     )
+    source: StringProperty(
+        name="Source",
+        description="What is installed: the trainer's wheel (.whl), or the folder of Cloak's sources; empty for the "
+        "wheel that came with the add-on",
+        subtype="FILE_PATH",
+    )
     answer: StringProperty(
         name="Answer", description="What the trainer said when it was last tested", options={"SKIP_SAVE"}
     )
@@ -78,11 +116,28 @@ class CloakPreferences(bpy.types.AddonPreferences):
         row.operator(CLOAK_OT_test_python.bl_idname, text="Test")
         if self.answer:
             layout.label(text=self.answer, icon="INFO")
+        self._draw_install(layout.box())
         box = layout.box()
-        box.label(text="To install the trainer, run this in the folder of Cloak's sources:")
+        box.label(text="Or run this in the folder of Cloak's sources:")
         row = box.row(align=True)
         row.label(text=INSTALL_LINE)
         row.operator(CLOAK_OT_copy_install_line.bl_idname, text="", icon="COPYDOWN")
+
+    def _draw_install(self, layout: bpy.types.UILayout) -> None:
+        layout.prop(self, "source")
+        row = layout.row(align=True)
+        row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
+        row.operator("cloak.show_install_log", text="", icon="TEXT")
+        job = jobs.current
+        if not isinstance(job, InstallJob):
+            return
+        row = layout.row(align=True)
+        row.progress(factor=job.fraction, text=job.describe())
+        if job.running:
+            row.operator("cloak.train_cancel", text="", icon="X")
+        column = layout.column(align=True)
+        for line in job.tail(LOG_LINES):
+            column.label(text=line[:120])
 
 
 class CLOAK_OT_find_python(CloakOperator):
@@ -119,10 +174,15 @@ class CLOAK_OT_test_python(CloakOperator):
         return "Testing the trainer: the answer appears in the preferences"
 
 
+def describe_trainer(python: str, done: bool, stdout: str, last_line: str) -> str:
+    """One line about a trainer, from what `about_command` said; `InputError` where it does not work."""
+    facts = parse_about(python, done, stdout, last_line)
+    return f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
+
+
 def _show_answer(job: Job, python: str) -> str:
     try:
-        facts = parse_about(python, job.state == "done", "".join(job.outputs), last_words(job.log))
-        answer = f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
+        answer = describe_trainer(python, job.state == "done", "".join(job.outputs), last_words(job.log))
     except InputError as error:
         answer = str(error)
     kept = preferences()

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from .files.errors import InputError
 
@@ -85,20 +86,20 @@ def _first_found() -> str:
     return next((python for python in candidates() if not trainer_reason(python)), "")
 
 
-class _Question(threading.Thread):
+class Question(threading.Thread):
     """Asks Pythons about themselves without keeping Blender waiting; `answer` is None until it is known."""
 
-    def __init__(self, ask: Callable[[], str]) -> None:
+    def __init__(self, ask: Callable[[], Any]) -> None:
         super().__init__(name="cloak asks for a trainer", daemon=True)
         self._ask = ask
-        self.answer: str | None = None
+        self.answer: Any = None
         self.start()
 
     def run(self) -> None:
         self.answer = self._ask()
 
 
-_questions: dict[str, _Question] = {}
+_questions: dict[str, Question] = {}
 """By the chosen Python's path; "" is the search for any."""
 
 
@@ -106,7 +107,19 @@ def ask_ahead(chosen: str = "") -> None:
     """Begin to find out what `find_python` will want to know."""
     path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
     if path is not None and path not in _questions:
-        _questions[path] = _Question(functools.partial(trainer_reason, path) if path else _first_found)
+        _questions[path] = Question(functools.partial(trainer_reason, path) if path else _first_found)
+
+
+def known_reason(chosen: str = "") -> str | None:
+    """Why `find_python` would refuse, "" when it would not, None while the answer is on its way. Never waits."""
+    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    if path is None:
+        return f"The trainer's Python '{chosen}' cannot be run"
+    ask_ahead(chosen)
+    answer = _questions[path].answer
+    if answer is None or bool(answer) != bool(path):
+        return None if answer is None else ""
+    return f"The trainer's Python '{chosen}' {answer}" if path else "No trainer yet: install it, or choose its Python"
 
 
 def forget_answers() -> None:

@@ -28,6 +28,7 @@ def main() -> int:
     """Stage, validate and build; prints the path of the zip."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zip (default: dist)")
+    parser.add_argument("--trainer", type=Path, help="the trainer's wheel, to travel along: installed in one click")
     options = parser.parse_args()
     builder = find_builder()
     if builder is None:
@@ -40,6 +41,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "cloak"
         stage(source)
+        if options.trainer:
+            (source / "trainer").mkdir()
+            shutil.copy(options.trainer, source / "trainer")
         package = options.out / package_name()
         options.out.mkdir(parents=True, exist_ok=True)
         package.unlink(missing_ok=True)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import bake, body, heat, logo, pick, result, runs, stamp, start_stop
+from . import bake, body, heat, install, logo, pick, result, runs, stamp, start_stop
 
 CLASSES = (
+    *install.CLASSES,
     *body.CLASSES,
     *logo.CLASSES,
     *pick.CLASSES,
