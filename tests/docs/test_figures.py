@@ -1,7 +1,11 @@
 """Figures in prose are those of the record that they name, in a comment: `98 %<!-- FILE : PLACE -->`.
 
 FILE lies beside the page. PLACE in a .json: keys, with slashes between, an element of a list by its "name". In a .md:
-the first cells of a row, then `>` and a column; the first table that has both counts.
+the first cells of a row, then `>` and a column; the first table that has both counts. A table's figures are named once, in
+a comment before it, so that the table stays one that people can read: `<!-- of FILE`, then in lines of their own what its rows
+and columns are called there (`ROW = PLACE`, `COLUMN = PLACE`), then `-->`. The rows and columns that it names are held
+against the record; a cell's place is its row's, ` | `, and its column's, or without the ` | ` where that begins with `>`.
+What a cell has in brackets is a remark.
 """
 
 import json
@@ -13,12 +17,33 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 CITED = re.compile(r"([^\n]*?)<!-- ([\w./-]+\.(?:json|md)) : (.+?) -->")
+TABLE = re.compile(r"<!-- of ([\w./-]+\.md)\n((?:.+ = .+\n)+)-->\n+((?:\|.*\n)+)")
 FIGURE = re.compile(r"(-?\d[\d,]*(?:\.\d+)?)( %)?\D*$")
 
 
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("| \n").split("|")]
+
+
+def table_citations(file: str, names: str, table: str) -> list[tuple[str, str, str]]:
+    """The same for each cell of a table whose row and column are both named; a name that the table lacks is an error."""
+    places = dict(line.split(" = ", 1) for line in names.splitlines())
+    header, _, *rows = map(cells, table.splitlines())
+    missing = places.keys() - {*header, *(row[0] for row in rows)}
+    assert not missing, f"not in the table: {missing}"
+    named = [(row, places[row[0]]) for row in rows if row[0] in places]
+    columns = [(header.index(name), place) for name, place in places.items() if name in header]
+    return [
+        (row[i].split(" (")[0], file, of_row + (" " if place.startswith(">") else " | ") + place)
+        for row, of_row in named
+        for i, place in columns
+    ]
+
+
 def citations(text: str) -> list[tuple[str, str, str]]:
-    """Of each comment: the words before it in its line, the file, the place."""
-    return [(found[1], found[2], found[3]) for found in CITED.finditer(text)]
+    """Of each comment, and of each cell of a table that names its record: the words before, the file, the place."""
+    single = [(found[1], found[2], found[3]) for found in CITED.finditer(text)]
+    return single + [cited for found in TABLE.finditer(text) for cited in table_citations(found[1], found[2], found[3])]
 
 
 def figure(words: str) -> tuple[str, bool]:
@@ -35,16 +60,15 @@ def recorded(path: Path, place: str) -> tuple[float, bool]:
         for key in place.split("/"):
             value = next(x for x in value if x["name"] == key) if isinstance(value, list) else value[key]
         return float(value), False
-    cells, column = place.split(" > ")
-    header: list[str] = []
+    line_start, column = place.split(" > ")
+    first, header = cells(line_start), list[str]()
     for line in path.read_text("utf-8").splitlines():
-        row = [cell.strip() for cell in line.strip("| ").split("|")] if line.startswith("|") else []
+        row = cells(line) if line.startswith("|") else []
         header = row if row and not header else header if row else []
-        first = [cell.strip() for cell in cells.split("|")]
         if row[: len(first)] == first and column in header:
-            text, percent = figure(row[header.index(column)])
+            text, percent = figure(row[header.index(column)].split(" (")[0])
             return float(text), percent
-    raise AssertionError(f"{path.name}: no row {cells!r} with a column {column!r}")
+    raise AssertionError(f"{path.name}: no row {line_start!r} with a column {column!r}")
 
 
 def agrees(words: str, path: Path, place: str) -> bool:
@@ -72,6 +96,13 @@ def test_a_stale_figure_is_found(tmp_path: Path) -> None:
     )
     page = "2.1 ms<!-- a.json : time --> and 94 %<!-- a.json : rows/x/share --> or 0.94<!-- a.md : x | 2 > c -->"
     assert [agrees(words, tmp_path / file, place) for words, file, place in citations(page)] == [True, True, True]
+    table = "<!-- of a.md\nX = x | 2\nS = > c\n-->\n| of | S | other |\n|---|---|---|\n| X | 0.94 (n 3) | 1 |\n| Y | 7 | 7 |\n"
+    assert [agrees(words, tmp_path / file, place) for words, file, place in citations(table)] == [True]
+    assert [
+        agrees(words, tmp_path / file, place) for words, file, place in citations(table.replace("0.94", "0.95"))
+    ] == [False]
+    with pytest.raises(AssertionError, match="not in the table"):
+        citations(table.replace("| X |", "| Z |"))
     stale = page.replace("94 %", "93 %").replace("2.1", "2.2").replace("0.94", "0.9")
     assert [agrees(words, tmp_path / file, place) for words, file, place in citations(stale)] == [False, False, True]
     with pytest.raises(AssertionError, match="no row"):
