@@ -1,11 +1,12 @@
 """Figures in prose are those of the record that they name, in a comment: `98 %<!-- FILE : PLACE -->`.
 
 FILE lies beside the page. PLACE in a .json: keys, with slashes between, an element of a list by its "name". In a .md:
-the first cells of a row, then `>` and a column; the first table that has both counts. A table's figures are named once, in
-a comment before it, so that the table stays one that people can read: `<!-- of FILE`, then in lines of their own what its rows
-and columns are called there (`ROW = PLACE`, `COLUMN = PLACE`), then `-->`. The rows and columns that it names are held
-against the record; a cell's place is its row's, ` | `, and its column's, or without the ` | ` where that begins with `>`.
-What a cell has in brackets is a remark.
+the first cells of a row, then `>` and a column; the first table that has both counts.
+
+A table names its record once, in a comment before it, so that people can still read it: `<!-- of FILE`, then in lines
+of their own what its rows and columns are called there (`ROW = PLACE`, `COLUMN = PLACE`), then `-->`. Rows and columns
+that it names are held against it. A cell's place is its row's, ` | ` and its column's; without the ` | ` where
+that begins with `>`. What a cell has in brackets is a remark.
 """
 
 import json
@@ -26,7 +27,7 @@ def cells(line: str) -> list[str]:
 
 
 def table_citations(file: str, names: str, table: str) -> list[tuple[str, str, str]]:
-    """The same for each cell of a table whose row and column are both named; a name that the table lacks is an error."""
+    """The same for each cell whose row and column are both named; a name that the table lacks is an error."""
     places = dict(line.split(" = ", 1) for line in names.splitlines())
     header, _, *rows = map(cells, table.splitlines())
     missing = places.keys() - {*header, *(row[0] for row in rows)}
@@ -96,7 +97,8 @@ def test_a_stale_figure_is_found(tmp_path: Path) -> None:
     )
     page = "2.1 ms<!-- a.json : time --> and 94 %<!-- a.json : rows/x/share --> or 0.94<!-- a.md : x | 2 > c -->"
     assert [agrees(words, tmp_path / file, place) for words, file, place in citations(page)] == [True, True, True]
-    table = "<!-- of a.md\nX = x | 2\nS = > c\n-->\n| of | S | other |\n|---|---|---|\n| X | 0.94 (n 3) | 1 |\n| Y | 7 | 7 |\n"
+    table = "<!-- of a.md\nX = x | 2\nS = > c\n-->\n"
+    table += "| of | S | other |\n|---|---|---|\n| X | 0.94 (n 3) | 1 |\n| Y | 7 | 7 |\n"
     assert [agrees(words, tmp_path / file, place) for words, file, place in citations(table)] == [True]
     assert [
         agrees(words, tmp_path / file, place) for words, file, place in citations(table.replace("0.94", "0.95"))
