@@ -16,6 +16,7 @@ from cloak_core.jobs.job import InOrder, done
 DETECTORS = """
 import torch
 from cloak_core.detectors.protocol import Detections, Detector
+from tests.schemas import validate
 
 class Glow(Detector):
     def __init__(self, channel):
@@ -77,7 +78,7 @@ def test_parts_of_a_matrix_are_found_again_by_the_whole(transfer, elsewhere, tmp
     assert main(asked) == 0
     there, said = capsys.readouterr()
     assert len(elsewhere.names) == 2 and "part 1 of 2: recipe, judged by" in said
-    matrix = json.loads(there)["matrix"]
+    matrix = validate("transfer", there)["matrix"]
     assert {s: c["success"] for s, c in matrix.items()} == {s: c["success"] for s, c in here["matrix"].items()}
     # What the parts made is there: nothing is trained or measured any more.
     for name in ("train", "measure"):

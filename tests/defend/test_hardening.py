@@ -27,6 +27,7 @@ from cloak_core.scene.logos.logo import region_mask
 from cloak_core.scene.people.samples import sample_bodies
 from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds
 from tests.detectors.helpers import images, write_tiny
+from tests.schemas import validate
 
 FEW = {"steps": 4, "batch": 2, "pictures": 1, "cloaks": 2, "life": 2, "attack_steps": 1, "size": 64}
 
@@ -230,6 +231,7 @@ def test_the_command_gives_the_cards_before_and_after_or_says_why_not(
     else:
         assert not made and (told["before"], told["after"]) == (None, None)
         assert "--no-assess" in told["no_cards"]
+        validate("harden", json.dumps(told))
 
 
 def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -33,6 +34,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import area_share
 from cloak_core.scene.people.samples import sample_bodies
+from tests.schemas import validate
 
 TINY = Budget("tiny", 2, 1, 10, 180, 1, 6, areas=(0.05, 0.76))
 
@@ -79,6 +81,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
 
 
 @pytest.mark.slow
+def test_the_card_is_what_the_schema_says(made: tuple[Path, dict, list]) -> None:
+    for name in ("glow", "dark"):
+        validate("card", (made[0] / name / "card.json").read_text("utf-8"))
+    with pytest.raises(jsonschema.ValidationError, match="required"):
+        validate("assess", '{"format": "cloak card 1", "files": []}')
+
+
 def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) -> None:
     out, card, told = made
     assert json.loads((out / "glow/card.json").read_text()) == json.loads(json.dumps(card, allow_nan=False))

@@ -17,6 +17,7 @@ from cloak_core.output.calibration.calibrating import profile_of
 from cloak_core.output.calibration.difference import de2000, lab, mean_difference
 from cloak_core.output.calibration.fitting import fit_profile, interpolation
 from cloak_core.output.calibration.measured import from_lab, read_patches
+from tests.schemas import validate
 
 # Pairs in CIELAB and their difference: the test data published with Sharma, Wu, Dalal (2005), table 1.
 SHARMA = np.array([
@@ -207,7 +208,7 @@ def test_the_command_writes_a_chart_and_a_profile(tmp_path, capsys):
     (tmp_path / "seen.csv").write_text("\n".join(measured))
     with pytest.raises(SystemExit) as end:
         cli.main(["calibrate", "--measured", str(tmp_path / "seen.csv"), "--out", str(tmp_path / "p.npz"), "--json"])
-    told = json.loads(capsys.readouterr().out)
+    told = validate("calibrate", capsys.readouterr().out)
     assert end.value.code == 0 and told["patches"] == 352 and told["de2000_after"] < 1 < told["de2000_before"]
     with pytest.raises(SystemExit) as end:
         cli.main(["calibrate", "--out", str(tmp_path / "q.npz")])
