@@ -103,7 +103,8 @@ class Export(Command):
         require_new(self.out)
         if not 10 <= self.dpi <= 600:
             raise InputError(f"--dpi {self.dpi}: one in [10, 600] is needed")
-        scene = self.scene or found.config["inputs"].get("scene")
+        recorded = found.config["inputs"].get("scene") or ""
+        scene = self.scene or (recorded if recorded.startswith("sample") else None)
         if not scene:
             raise InputError(f"--scene: say which body wears zoo:{found.record['name']} (its own does not ship)")
         bodies = load_scene(scene)
