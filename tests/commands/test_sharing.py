@@ -12,11 +12,11 @@ from cloak_core.evaluation.experiments import lab
 from cloak_core.evaluation.experiments.options import Options
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import InOrder, done
+from tests.schemas import validate
 
 DETECTORS = """
 import torch
 from cloak_core.detectors.protocol import Detections, Detector
-from tests.schemas import validate
 
 class Glow(Detector):
     def __init__(self, channel):
