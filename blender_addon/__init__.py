@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cloak in Blender: pick faces of a character, train their colours in a process outside, see them on the model.
 
-Registration only. The rooms: `mesh_arrays`, `body`, `faces`, `stamp`, `poses`, `scene_export`, `runs`, `colors`,
-`render_check` are plain functions over Blender's data; `trainer_python`, `command_lines`, `jobs` and `progress` find,
-start and follow the process that trains; `run_states` and `run_list` find what was trained before; `operators`,
-`steps`, `panel`, `overlay`, `preferences`, `properties` are what the user touches; `train.py` is the script that does
-the same without a window.
+Registration only. The rooms: `mesh_arrays`, `body`, `faces`, `surface`, `stamp`, `poses`, `scene_export`, `runs`,
+`colors`, `render_check` are plain functions over Blender's data; `trainer_python`, `trainer_install`, `command_lines`,
+`jobs` and `progress` find, install, start and follow the process that trains; `run_states` and `run_list` find what was
+trained before; `operators`, `tools`, `preview`, `steps`, `panel`, `overlay`, `preferences`, `properties` are what the
+user touches; `train.py` is the script that does the same without a window.
 """
 
 from __future__ import annotations
 
 import bpy
 
-from . import jobs, operators, overlay, panel, preferences, properties, run_list, thumbnails
+from . import jobs, operators, overlay, panel, preferences, properties, run_list, thumbnails, tools
 
 CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
@@ -25,12 +25,14 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     overlay.register()
+    tools.register()
     preferences.look_ahead()
 
 
 def unregister() -> None:
     """Called by Blender when the extension is disabled, and when Blender closes."""
     jobs.shut_down()
+    tools.unregister()
     overlay.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

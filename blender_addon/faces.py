@@ -24,10 +24,13 @@ from .mesh_arrays import (
     corner_counts,
     current_mesh,
     edited,
-    face_triangles,
+    hidden_faces,
     polygon_loops,
     read,
+    selected,
     to_world,
+    triangle_vectors,
+    vertex_points,
     write_attribute,
 )
 from .symmetry import nearest_within
@@ -120,8 +123,19 @@ def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
         write_faces(obj, name, read_faces(obj, name) | mask)
 
 
+def remove_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
+    """Take the faces of `mask` out of the logo `name`."""
+    logo = read_faces(obj, name)
+    if obj.mode == "EDIT" and HAS_LAYERS:
+        _write_edited(obj, name, mask & logo, False)
+    else:
+        write_faces(obj, name, logo & ~mask)
+
+
 def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray, flag: bool) -> None:
     """Set the flag of a mask's faces alone: Python takes each face by itself."""
+    if not mask.any() and name in obj.data.attributes:
+        return
     bm = bmesh.from_edit_mesh(obj.data)
     layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
     for face in itertools.compress(bm.faces, mask.tolist()):
@@ -133,13 +147,13 @@ def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray, flag: bool
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of the selected faces; in Edit Mode hidden faces are never selected."""
     with current_mesh(obj) as mesh:
-        return read(mesh.polygons, "select", dtype=bool) & ~read_hidden(obj)
+        return selected(mesh, "polygons") & ~hidden_faces(mesh)
 
 
 def read_hidden(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of faces hidden in Edit Mode."""
     with current_mesh(obj) as mesh:
-        return read(mesh.polygons, "hide", dtype=bool)
+        return hidden_faces(mesh)
 
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
@@ -163,8 +177,8 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
     bm = bmesh.from_edit_mesh(obj.data)
     kinds = ("vertices", "edges", "polygons")
     with current_mesh(obj) as mesh:
-        selected = [np.flatnonzero(read(getattr(mesh, kind), "select", dtype=bool)) for kind in kinds]
-    for elements, indices in zip((bm.verts, bm.edges, bm.faces), selected, strict=True):
+        chosen = [np.flatnonzero(selected(mesh, kind)) for kind in kinds]
+    for elements, indices in zip((bm.verts, bm.edges, bm.faces), chosen, strict=True):
         elements.ensure_lookup_table()
         for index in indices.tolist():
             elements[index].select = False
@@ -286,7 +300,7 @@ def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
     """Counts and areas of a logo."""
     with current_mesh(obj) as mesh:
         vectors, polygon = _area_vectors(mesh, obj)
-        hidden = read(mesh.polygons, "hide", dtype=bool)
+        hidden = hidden_faces(mesh)
     areas = np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mask))
     # The front looks along +y, so front faces have normals along -y.
     frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(mask)), 0)
@@ -308,9 +322,6 @@ def face_areas(obj: bpy.types.Object) -> np.ndarray:
 
 def _area_vectors(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
-    triangles, polygon = face_triangles(mesh)
-    points = to_world(read(mesh.vertices, "co", 3), np.array(obj.matrix_world))
+    points = to_world(vertex_points(mesh), np.array(obj.matrix_world))
     points -= points.mean(0)  # so that half the digits are enough, wherever the body stands
-    first, second, third = (points.astype(np.float32)[triangles[:, corner]] for corner in range(3))
-    (ax, ay, az), (bx, by, bz) = (second - first).T, (third - first).T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1) / 2, polygon
+    return triangle_vectors(mesh, points.astype(np.float32))

@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from . import colors, faces
 from .faces import LogoStats
-from .mesh_arrays import current_mesh, face_triangles, read
+from .mesh_arrays import current_mesh, face_normals, face_triangles, hidden_faces, read, vertex_points
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 LIFT = 0.0008
@@ -128,7 +128,7 @@ def tint_triangles(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
 
 def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with current_mesh(obj) as mesh:
-        return _corners(mesh, mask & ~read(mesh.polygons, "hide", dtype=bool))
+        return _corners(mesh, mask & ~hidden_faces(mesh))
 
 
 def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,8 +151,8 @@ def _carried_mask(
 
 def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places and normals, [3 n, 3] each, of the corners of a mask's triangles."""
-    chosen = face_triangles(mesh, mask)[0].ravel()
-    return read(mesh.vertices, "co", 3)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
+    triangles, face = face_triangles(mesh, mask)
+    return vertex_points(mesh)[triangles.ravel()], np.repeat(face_normals(mesh)[face], 3, axis=0)
 
 
 _stats, _tint = _Kept(faces.logo_stats), _Kept(tint_triangles)

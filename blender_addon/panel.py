@@ -13,6 +13,7 @@ from .panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from .poses import lying_warning
 from .preferences import trainer_answer, trainer_reason
 from .properties import settings_of
+from .tools import PAINT
 
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
 
@@ -100,9 +101,11 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
         side = row.column(align=True)
         side.operator("cloak.logo_new", text="", icon="ADD")
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
+        column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
         row = column.row(align=True)
         for what, choice in (("material", "slot"), ("group", "group")):
             row.operator_menu_enum(f"cloak.logo_from_{what}", choice, text=what.capitalize())
+        row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
         row.operator("cloak.logo_from_island", text="Island")
         for names in (("assign", "unassign", "select"), ("mirror", "grow", "shrink"), ("export", "import")):
             row = column.row(align=True)
@@ -146,6 +149,11 @@ class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
         if settings.stamp_from == "FRONT":
             box.prop(settings, "stamp_center")
             box.prop(settings, "stamp_offset")
+        drag = column.column(align=True)
+        drag.operator("cloak.stamp_drag", text="Drag onto the Body", icon="VIEW_PAN").kind = "SETTINGS"
+        kinds = drag.row(align=True)
+        kinds.operator("cloak.stamp_drag", text="Drag Letter").kind = "LETTER"
+        kinds.operator("cloak.stamp_drag", text="Drag Smiley").kind = "SMILEY"
         presets = column.row(align=True)
         presets.operator("cloak.stamp_paper", text="Paper's Letter").kind = "TEXT"
         presets.operator("cloak.stamp_paper", text="Paper's Smiley").kind = "SMILEY"

@@ -125,6 +125,15 @@ class CloakSettings(bpy.types.PropertyGroup):
     stamp_offset: _share(
         "Offset", "Middle of the stamp to the right of the body's middle, as a share of the body's height", 0, -0.5, 0.5
     )
+    brush_radius: IntProperty(
+        name="Radius",
+        description="Radius of the brush that paints the logo, in pixels",
+        default=40,
+        min=1,
+        max=500,
+        subtype="PIXEL",
+    )
+    brush_mirror: _switch("Mirror", "Paint on the other side of the object's X = 0 plane as well")
     heat_share: _share(
         "Share",
         "Share of the body's area that New from Heatmap takes, most sensitive faces for their size first",

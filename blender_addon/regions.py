@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Faces that belong together on a body: one material, one vertex group, one island between seams.
+"""Faces that belong together on a body: a material, a vertex group, a face set, an island between seams.
 
 Each function takes the object in either mode and returns a mask [F].
 """
@@ -10,11 +10,15 @@ import bpy
 import numpy as np
 
 from . import colors
+from .body import ORIGINAL_FACE
 from .files.errors import InputError
 from .mesh_arrays import current_mesh, face_count, polygon_loops, read
 
 MEMBER = 0.5
 """Weight from which a vertex counts as part of its group."""
+MAX_SETS = 64
+NOT_SETS = {"material_index", colors.OWN_MATERIAL, ORIGINAL_FACE}
+"""Integer face attributes that Blender and Cloak keep for themselves."""
 
 
 def of_material(obj: bpy.types.Object, slot: int) -> np.ndarray:
@@ -33,6 +37,33 @@ def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
                 if entry.group == group:
                     member[index] = entry.weight >= MEMBER
     return np.minimum.reduceat(member[loops], np.cumsum(counts) - counts)
+
+
+def is_face_set(attribute: bpy.types.Attribute) -> bool:
+    """Whether a mesh attribute sorts faces by whole numbers, and is not kept by Blender or Cloak for themselves."""
+    whole = attribute.data_type in ("INT", "INT8")
+    return whole and attribute.domain == "FACE" and attribute.name not in NOT_SETS
+
+
+def face_sets(obj: bpy.types.Object) -> list[tuple[str, int]]:
+    """Names and values of the mesh's integer face attributes, such as sculpting's face sets; the first MAX_SETS each.
+
+    They took the place of face maps, which Blender 4 no longer has.
+    """
+    with current_mesh(obj) as mesh:
+        names = [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]
+        values = {name: np.unique(_integers(mesh, name)) for name in names}
+    return [(name, int(value)) for name, found in values.items() for value in found[:MAX_SETS]]
+
+
+def of_face_set(obj: bpy.types.Object, name: str, value: int) -> np.ndarray:
+    """Faces that have a value of an integer face attribute."""
+    with current_mesh(obj) as mesh:
+        return _integers(mesh, name) == value
+
+
+def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
+    return read(mesh.attributes[name].data, "value", dtype=np.int32)
 
 
 def of_seam_islands(obj: bpy.types.Object, start: np.ndarray) -> np.ndarray:

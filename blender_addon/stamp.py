@@ -13,7 +13,19 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from .files.errors import InputError
-from .mesh_arrays import evaluated_mesh, face_count, face_triangles, image_pixels, mesh_triangles, read, to_world
+from .mesh_arrays import (
+    evaluated_mesh,
+    face_count,
+    face_normals,
+    face_triangles,
+    hidden_faces,
+    image_pixels,
+    mesh_triangles,
+    polygon_loops,
+    read,
+    to_world,
+    vertex_points,
+)
 from .modifiers import carried_faces, lost_reason, numbered_faces
 from .occlusion import seen
 
@@ -148,26 +160,32 @@ def _covered_own(
 def _covered(mesh: bpy.types.Mesh, matrix: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
     """Mask [P] of an evaluated mesh's covered polygons."""
     centers = to_world(read(mesh.polygons, "center", 3), matrix)
-    normals = read(mesh.polygons, "normal", 3) @ np.linalg.inv(matrix[:3, :3])
+    normals = face_normals(mesh) @ np.linalg.inv(matrix[:3, :3])
     rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
     plane, before_eye = _to_plane(centers, projection)
-    mask = before_eye & _under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
-    mask &= ~read(mesh.polygons, "hide", dtype=bool)
+    mask = before_eye & under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
+    mask &= ~hidden_faces(mesh)
     ids = np.flatnonzero(mask)
-    mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection))
+    if len(ids):
+        mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection, plane, ids))
     return mask
 
 
 def _image(
-    mesh: bpy.types.Mesh, matrix: np.ndarray, projection: Projection
+    mesh: bpy.types.Mesh, matrix: np.ndarray, projection: Projection, plane: np.ndarray, ids: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mesh's vertices in plane coordinates [V, 3], its triangles before the eye [T, 3], and the face of each."""
-    triangles, face = face_triangles(mesh)
-    points, before_eye = _to_plane(to_world(read(mesh.vertices, "co", 3), matrix), projection)
-    if before_eye.all():
-        return points, triangles, face
-    whole = before_eye[triangles].all(1)
-    return points, triangles[whole], face[whole]
+    """The mesh's vertices in plane coordinates [V, 3], its triangles before the eye [T, 3], and the face of each.
+
+    Of the faces, whose centres lie at `plane` [P, 3], only those that have a corner in the box of the faces `ids`.
+    """
+    points, before_eye = _to_plane(to_world(vertex_points(mesh), matrix), projection)
+    counts, loops = polygon_loops(mesh)
+    starts = np.cumsum(counts) - counts
+    low, high = plane[ids, :2].min(0), plane[ids, :2].max(0)
+    sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
+    aside = np.bitwise_and.reduceat((sides[:, 0] | sides[:, 1])[loops], starts)  # all corners beyond one side
+    usable = np.logical_and.reduceat(before_eye[loops], starts)
+    return (points, *face_triangles(mesh, (aside == 0) & usable))
 
 
 def _to_plane(points: np.ndarray, projection: Projection) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +198,8 @@ def _to_plane(points: np.ndarray, projection: Projection) -> tuple[np.ndarray, n
     return np.c_[plane[:, :2] / w[:, None], nearness], before_eye
 
 
-def _under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
+def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
+    """Mask [n] of the points [n, 2 or more], the stamp inside +-1, that lie under ink."""
     height, width = stamp.shape
     column = np.floor((plane[:, 0] + 1) / 2 * width).astype(int)
     row = np.floor((1 - plane[:, 1]) / 2 * height).astype(int)

@@ -68,6 +68,12 @@ def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
 
 
 @of_the_body
+def upright_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why nothing can be stamped onto the body."""
+    return refusal(require_upright, obj)
+
+
+@of_the_body
 def poses_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the poses cannot be exported."""
     choice = pose_choice(settings_of(context))

@@ -12,13 +12,13 @@ def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -
     """[Q] index of the point [N, 3] nearest to each query [Q, 3] within its own reach [Q] > 0; -1 where there is none.
 
     Points lie in the cells of a grid. Queries of like reach share one grid, whose cells are so large that a query's
-    reach touches no more than two along each axis.
+    reach touches no more than two along each axis, and mostly one.
     """
     found = np.full(len(queries), -1, np.int64)
     levels = np.ceil(np.log2(reach)).astype(int)
     for level in np.unique(levels):
         chosen = np.flatnonzero(levels == level)
-        found[chosen] = _nearest_in_grid(points, queries[chosen], reach[chosen], 2.0 ** (level + 1))
+        found[chosen] = _nearest_in_grid(points, queries[chosen], reach[chosen], 2.0 ** (level + 2))
     return found
 
 
@@ -26,14 +26,16 @@ def _nearest_in_grid(points: np.ndarray, queries: np.ndarray, reach: np.ndarray,
     keys = _key(np.floor(points / size))
     order = np.argsort(keys)
     keys = keys[order]
+    firsts = np.flatnonzero(np.diff(keys, prepend=keys[0] - 1))
+    keys, counts = keys[firsts], np.diff(firsts, append=len(keys))
     low, high = np.floor((queries - reach[:, None]) / size), np.floor((queries + reach[:, None]) / size)
     pairs = []
     for corner in itertools.product((False, True), repeat=3):
         # A reach within one cell along an axis would name that cell twice.
         once = np.flatnonzero(((low != high) | ~np.array(corner)).all(1))
         wanted = _key(np.where(corner, high, low)[once])
-        first, last = np.searchsorted(keys, wanted, "left"), np.searchsorted(keys, wanted, "right")
-        count = last - first
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        first, count = firsts[place], np.where(keys[place] == wanted, counts[place], 0)
         place = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
         pairs.append((np.repeat(once, count), order[place]))
     query, point = (np.concatenate(column) for column in zip(*pairs, strict=True))

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import bake, body, heat, install, logo, pick, result, runs, stamp, start_stop
+from . import bake, body, drag_stamp, heat, install, logo, paint, pick, result, runs, stamp, start_stop
 
 CLASSES = (
     *install.CLASSES,
     *body.CLASSES,
     *logo.CLASSES,
     *pick.CLASSES,
+    *paint.CLASSES,
     *stamp.CLASSES,
+    *drag_stamp.CLASSES,
     *heat.CLASSES,
     *start_stop.CLASSES,
     *runs.CLASSES,

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 2 that make a logo of what already belongs together: a material, a vertex group, seam islands."""
+"""Operators of step 2 that make a logo of what already belongs together: a material, a vertex group, a face set,
+seam islands."""
 
 from __future__ import annotations
 
@@ -86,6 +87,39 @@ class CLOAK_OT_logo_from_group(PickOperator):
         return regions.of_vertex_group(obj, group), obj.vertex_groups[group].name
 
 
+def _face_sets(self: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    obj = context.object if context else None
+    sets = regions.face_sets(obj) if obj and obj.type == "MESH" else []
+    _shown["face set"] = [
+        (f"{value} {name}", _set_title(name, value), f"Faces whose '{name}' is {value}") for name, value in sets
+    ]
+    return _shown["face set"]
+
+
+def _set_title(name: str, value: int) -> str:
+    return f"Face Set {value}" if name == ".sculpt_face_set" else f"{name} {value}"
+
+
+class CLOAK_OT_logo_from_face_set(PickOperator):
+    """Make a logo of a sculpting face set, or of the faces that share a value of an integer face attribute"""
+
+    bl_label = "From Face Set"
+    bl_property = "face_set"
+
+    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_face_sets)
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        reason = BodyOperator.needs(context)
+        if reason or any(regions.is_face_set(attribute) for attribute in context.object.data.attributes):
+            return reason
+        return "The body has no face sets (integer face attributes)"
+
+    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
+        value, _, name = self.face_set.partition(" ")
+        return regions.of_face_set(obj, name, int(value)), _set_title(name, int(value))
+
+
 class CLOAK_OT_logo_from_island(PickOperator):
     """Make a logo of everything between the seams around the selected faces"""
 
@@ -95,4 +129,9 @@ class CLOAK_OT_logo_from_island(PickOperator):
         return regions.of_seam_islands(obj, selected_faces(obj)), "Island"
 
 
-CLASSES = (CLOAK_OT_logo_from_material, CLOAK_OT_logo_from_group, CLOAK_OT_logo_from_island)
+CLASSES = (
+    CLOAK_OT_logo_from_material,
+    CLOAK_OT_logo_from_group,
+    CLOAK_OT_logo_from_face_set,
+    CLOAK_OT_logo_from_island,
+)

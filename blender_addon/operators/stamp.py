@@ -32,7 +32,7 @@ class CLOAK_OT_logo_stamp(BodyOperator):
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         settings = settings_of(context)
         require_upright(obj)
-        ink, name = _ink(settings)
+        ink, name = ink_of(settings)
         aspect = ink.shape[1] / ink.shape[0]
         if settings.stamp_from == "VIEW":
             projection = _from_view(context, settings.stamp_size, aspect)
@@ -70,7 +70,7 @@ class CLOAK_OT_stamp_paper(BodyOperator):
         settings = settings_of(context)
         settings.stamp_kind, settings.stamp_text, settings.stamp_from = self.kind, "G", "FRONT"
         settings.stamp_center, settings.stamp_offset = 0.72, 0.0
-        ink, name = _ink(settings)
+        ink, name = ink_of(settings)
         areas = faces.face_areas(obj)
         low, high, share = 0.02, 1.0, 0.0
         with progress_cursor(context) as show:
@@ -87,7 +87,8 @@ class CLOAK_OT_stamp_paper(BodyOperator):
         return f"Logo '{obj.cloak.logo}': {int(mask.sum()):,} faces, {share:.1%} of the area"
 
 
-def _ink(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
+def ink_of(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
+    """The stamp that is set, and a name for the logo it makes."""
     if settings.stamp_kind == "TEXT":
         return stamp.text_stamp(settings.stamp_text), settings.stamp_text.strip()
     if settings.stamp_kind == "IMAGE":

@@ -63,7 +63,8 @@ def test_what_blend_files_store_keeps_its_name():
     object_names, scene_names = (" ".join(cls.__annotations__) for cls in cloak.properties.CLASSES)
     assert object_names == "logo logo_index run verdict"
     assert scene_names == (
-        "triangulate tint stamp_kind stamp_text stamp_image stamp_from stamp_size stamp_center stamp_offset heat_share "
+        "triangulate tint stamp_kind stamp_text stamp_image stamp_from stamp_size stamp_center stamp_offset "
+        "brush_radius brush_mirror heat_share "
         "pose_source frame_start frame_end frame_step clothing detector darknet_cfg darknet_weights torchvision_name "
         "torchvision_checkpoint python_file python_function backgrounds preset config angle_first angle_last "
         "angle_step steps device output live live_seconds"

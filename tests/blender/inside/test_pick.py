@@ -46,6 +46,21 @@ def test_a_logo_of_a_vertex_group_takes_whole_faces(mode):
 
 
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+@pytest.mark.parametrize(("name", "title"), [("Körper teile", "Körper teile 7"), (".sculpt_face_set", "Face Set 7")])
+def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
+    obj = make_egg()
+    upper = centers(obj)[:, 2] > 0.9
+    with pytest.raises(RuntimeError, match=r"poll\(\).*no face sets"):
+        bpy.ops.cloak.logo_from_face_set()
+    values = obj.data.attributes.new(name, "INT", "FACE").data
+    values.foreach_set("value", np.where(upper, 7, -1).astype(np.int32))
+    set_mode(mode)
+    assert regions.face_sets(obj) == [(name, -1), (name, 7)]
+    bpy.ops.cloak.logo_from_face_set(face_set=f"7 {name}")
+    assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 def test_a_logo_of_the_island_between_seams(mode):
     obj = make_egg()
     middle = 0.9

@@ -1,0 +1,167 @@
+"""The brush: strokes as lists of places, in both modes; and the surface that it asks."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
+from cloak import faces
+from cloak.surface import read_surface
+from made import add_ngons, centers, make_egg, make_fine_egg, set_mode
+from mathutils import Matrix, Vector
+
+FRONT = (0.1, -0.24, 0.95)
+"""A place on the egg's front, on one side."""
+
+
+def stroke(*dabs: tuple[tuple[float, float, float], float]) -> list[dict]:
+    keys = {"name": "", "mouse": (0, 0), "mouse_event": (0, 0), "pressure": 1, "x_tilt": 0, "y_tilt": 0, "time": 0}
+    return [keys | {"location": place, "size": radius, "is_start": not i} for i, (place, radius) in enumerate(dabs)]
+
+
+def painted(obj, name: str = "Logo") -> np.ndarray:
+    return np.flatnonzero(faces.read_faces(obj, name))
+
+
+def paint(*dabs, **options) -> None:
+    bpy.ops.cloak.logo_paint("EXEC_DEFAULT", True, stroke=stroke(*dabs), **options)
+
+
+def on_egg(obj, x: float, z: float) -> tuple[float, float, float]:
+    """Where a ray from the front meets the body."""
+    return tuple(read_surface(bpy.context, obj).hits(np.array([x, -9, z]), np.array([0, 1, 0]))[0])
+
+
+@pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
+def test_a_stroke_makes_a_logo_adds_to_it_and_takes_from_it(mode):
+    obj = make_egg()
+    set_mode(mode)
+    place = on_egg(obj, 0.1, 0.95)
+    paint((place, 0.15))
+    distance = np.linalg.norm(centers(obj) - place, axis=1)
+    first = painted(obj)
+    assert np.array_equal(first, np.flatnonzero((distance <= 0.15) & (centers(obj)[:, 1] < 0))) and len(first) > 10
+    paint((on_egg(obj, -0.2, 1.2), 0.1), (on_egg(obj, -0.2, 1.3), 0.1))
+    both = painted(obj)
+    assert set(first) < set(both)
+    paint((place, 0.15), action="REMOVE")
+    assert set(painted(obj)) == set(both) - set(first)
+    assert obj.mode == mode and obj.cloak.logo == "Logo"
+
+
+def test_a_brush_smaller_than_a_face_paints_the_face_it_touches():
+    obj = make_egg(6)
+    place = on_egg(obj, 0.07, 0.95)
+    paint((place, 0.001))
+    (only,) = painted(obj)
+    assert only == obj.closest_point_on_mesh(place)[3]
+
+
+def test_what_looks_the_other_way_is_not_painted():
+    """A sheet of two sides, closer to each other than the brush is wide."""
+    obj = make_egg(40)
+    obj.scale.y = 0.02
+    bpy.context.view_layer.update()
+    paint((on_egg(obj, 0.0, 0.9), 0.1))
+    assert (centers(obj)[painted(obj)][:, 1] < 0).all() and len(painted(obj)) > 9
+
+
+def test_a_mirrored_stroke_paints_both_sides_of_a_turned_body():
+    obj = make_egg()
+    obj.matrix_world = Matrix.Translation((3, 1, 2)) @ Matrix.Rotation(0.7, 4, "Z") @ Matrix.Scale(1.3, 4)
+    bpy.context.view_layer.update()
+    place = obj.matrix_world @ Vector(obj.data.polygons[int(np.argmax(centers(obj)[:, 0]))].center)
+    paint((tuple(place), 0.2), mirror=True)
+    logo = faces.read_faces(obj, "Logo")
+    opposite, lost = faces.mirror(obj, logo)
+    assert not lost and np.array_equal(opposite, logo)
+    sides = centers(obj)[logo][:, 0]
+    assert (sides > 0).sum() == (sides < 0).sum() > 3
+
+
+def test_hidden_faces_and_posed_bodies():
+    obj = make_egg()
+    place = on_egg(obj, 0.1, 0.95)
+    hidden = np.linalg.norm(centers(obj) - place, axis=1) < 0.08
+    obj.data.polygons.foreach_set("hide", hidden)
+    paint((place, 0.15))
+    assert not faces.read_faces(obj, "Logo")[hidden].any() and len(painted(obj)) > 5
+    obj.data.polygons.foreach_set("hide", np.zeros(len(hidden), bool))
+    obj.shape_key_add(name="Basis")
+    key = obj.shape_key_add(name="Up")
+    for point in key.data:
+        point.co.z += 5
+    key.value = 1
+    faces.remove_logo(obj, "Logo")
+    paint(((place[0], place[1], place[2] + 5), 0.15))
+    assert len(painted(obj)) > 10
+
+
+def test_a_subdivided_body_is_painted_by_the_faces_its_own_become():
+    obj = make_egg(12)
+    obj.modifiers.new("Subdivision", "SUBSURF").levels = 2
+    bpy.context.view_layer.update()
+    paint((on_egg(obj, 0.1, 0.95), 0.12))
+    distance = np.linalg.norm(centers(obj)[painted(obj)] - FRONT, axis=1)
+    assert 0 < len(distance) < len(obj.data.polygons) / 8 and distance.max() < 0.3
+    obj.modifiers.new("Remesh", "REMESH")
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="Remesh"):
+        paint((FRONT, 0.12))
+
+
+def test_refusals():
+    obj = make_egg()
+    with pytest.raises(RuntimeError, match="has no logo"):
+        paint((FRONT, 0.1), action="REMOVE")
+    with pytest.raises(RuntimeError, match="touched no face"):
+        paint()
+    with pytest.raises(RuntimeError, match="touched no face"):
+        paint(((9, 9, 9), 0.1))
+    assert not faces.logo_names(obj.data)
+    bpy.data.objects.remove(obj)
+    with pytest.raises(RuntimeError, match="No active object"):
+        paint((FRONT, 0.1))
+
+
+def test_rays_meet_what_blender_says_they_meet():
+    obj = make_egg(9)
+    add_ngons(obj)
+    obj.location = (2000, 0, 0)
+    bpy.context.view_layer.update()
+    surface = read_surface(bpy.context, obj)
+    rng = np.random.default_rng(3)
+    met = 0
+    for _ in range(60):
+        origin = np.array([2000, 0, 0.9]) + 2 * rng.normal(size=3)
+        direction = np.array([2000, 0, 0.9]) + 0.4 * rng.normal(size=3) - origin
+        hits = surface.hits(origin, direction)
+        local = obj.matrix_world.inverted()
+        found, place, _, face = obj.ray_cast(local @ Vector(origin), (local.to_3x3() @ Vector(direction)).normalized())
+        assert found == bool(len(hits))
+        if found:
+            met += 1
+            ngon = len(obj.data.polygons[face].vertices) > 4  # a fan of one that is not flat lies a little beside
+            assert ngon or np.allclose(hits[0], obj.matrix_world @ place, atol=1e-3)
+            assert ngon or surface.face_at(hits[0]) == face
+    assert 10 < met < 60
+
+
+def test_a_dab_on_300_000_faces_takes_no_time():
+    obj = make_fine_egg(300_000)
+    set_mode("EDIT")
+    place = np.array(on_egg(obj, 0.1, 0.95))
+    surface = read_surface(bpy.context, obj)
+    start = time.process_time()
+    for _ in range(5):
+        surface.hits(np.array([0.1, -9, 0.95]), np.array([0, 1, 0]))
+        assert len(surface.around(place, 0.1)) > 1000
+    assert (time.process_time() - start) / 5 < 0.05
+
+
+def test_the_tool_stands_in_the_toolbars_with_its_keys():
+    cls = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")
+    for mode in ("EDIT_MESH", "OBJECT"):
+        names = [item.idname for item in ToolSelectPanelHelper._tools_flatten(cls._tools[mode]) if item]
+        assert names.count("cloak.paint_logo") == 1
