@@ -6,15 +6,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, err, out
+from cloak_core.commands.base import Command, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import EvaluateSettings
 
 
@@ -42,6 +42,8 @@ class Evaluate(Command):
     """Detectors to judge with (default: those it was trained against)."""
     angles: Angles = Angles.parse("-10:10:1")
     """Azimuths in degrees: A:B:STEP or a comma list."""
+    events: Path | None = None
+    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[EvaluateSettings], arg(name="evaluation")] = field(
         default_factory=EvaluateSettings
@@ -56,8 +58,7 @@ class Evaluate(Command):
         prepare_process(self.compute)
         config = read_run(run_path(self.run_folder))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
-        with Progress(console=err, disable=not err.is_terminal) as progress:
-            task = progress.add_task("evaluating", total=None)
+        with counted("evaluating", self.events) as tell:
             return evaluate(
                 self.run_folder,
                 self.scene,
@@ -69,7 +70,7 @@ class Evaluate(Command):
                 over_time=self.over_time,
                 angles=self.angles,
                 settings=self.settings,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+                on_progress=tell,
             )
 
     def show(self, result: dict) -> None:

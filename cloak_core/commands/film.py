@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, err, out, require_new
+from cloak_core.commands.base import Command, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.progress import counted
 from cloak_core.evaluation.film.settings import FilmSettings
 
 
@@ -36,6 +36,8 @@ class Film(Command):
     """Folder of images, or procedural:test (the default after training on procedural:train); a take has one."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to watch with (default: those it was trained against)."""
+    events: Path | None = None
+    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
@@ -53,8 +55,7 @@ class Film(Command):
         trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
         specs = tuple(dict.fromkeys(self.detector or trained))
         detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
-        with Progress(console=err, disable=not err.is_terminal) as progress:
-            task = progress.add_task("filming", total=None)
+        with counted("filming", self.events) as tell:
             return film(
                 self.run_folder,
                 self.out,
@@ -63,7 +64,7 @@ class Film(Command):
                 detectors,
                 colors=self.colors,
                 settings=self.settings,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+                on_progress=tell,
             )
 
     def show(self, result: dict) -> None:

@@ -15,6 +15,7 @@ from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.progress import counted
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
@@ -124,6 +125,8 @@ class Heatmap(Command):
     """Also take the most sensitive faces, this share of the body's area (0.2 = 20 %), into a face list."""
     logo: Path | None = None
     """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
+    events: Path | None = None
+    """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
@@ -142,7 +145,8 @@ class Heatmap(Command):
             require_new(path)
         bodies = load_scene(self.scene)
         detector = self.options.load([self.detector], self.compute.device)[0]
-        heat = heatmap(bodies, detector, load_backgrounds(self.backgrounds), self.angles)
+        with counted("measuring heat", self.events) as tell:
+            heat = heatmap(bodies, detector, load_backgrounds(self.backgrounds), self.angles, on_progress=tell)
         write_npy(self.out, np.asarray(heat, np.float32))
         result = {"heat": str(self.out), "seen": int((heat > 0).sum()), "faces": bodies.face_count}
         if self.pick is not None:

@@ -1,13 +1,17 @@
-"""A training's progress: a live bar in a terminal, plain lines in a pipe; standard error either way."""
+"""How far a training or another long command is: a live bar in a terminal, plain lines in a pipe; standard error either
+way, and a file of events for programs where one is asked for."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from types import TracebackType
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from cloak_core.commands.base import err
+from cloak_core.commands.base import err, require_new
 
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
@@ -65,6 +69,41 @@ class TrainingProgress:
         elif time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total:
             self._said = time.monotonic()
             err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s")
+
+
+@contextmanager
+def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, int], None]]:
+    """Yields what a count is told to, `tell(done, total)`: a bar in a terminal, and the lines of `events`.
+
+    These are a run's (`attack.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
+    `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
+    """
+    from cloak_core.attack.events import EventLog
+
+    log = None
+    if events is not None:
+        require_new(events)
+        log = EventLog(events)
+    begun = time.monotonic()
+    known: int | None = None
+    with Progress(console=err, disable=not err.is_terminal) as bar:
+        task = bar.add_task(label, total=None)
+
+        def tell(done: int, total: int) -> None:
+            nonlocal known
+            bar.update(task, completed=done, total=total)
+            seconds = time.monotonic() - begun
+            if log is not None and total != known:
+                log.write({"type": "start", "step": 0, "time": seconds, "steps": total})
+            if log is not None and done:
+                log.write({"type": "step", "step": done, "time": seconds})
+            known = total
+
+        try:
+            yield tell
+        finally:
+            if log is not None:
+                log.close()
 
 
 class WorkProgress:
