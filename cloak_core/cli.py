@@ -24,6 +24,7 @@ COMMANDS: dict[str, str] = {
     "evaluate": "evaluate:Evaluate",
     "report": "evaluate:Report",
     "film": "film:Film",
+    "look": "look:Look",
     "judge": "judge:Judge",
     "demo": "demo:Demo",
     "scene import": "scene:Import",

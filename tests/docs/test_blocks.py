@@ -203,7 +203,7 @@ PRINTED = [
     "film RUN --scene UNSEEN --out film.gif",
     "judge PHOTOS --detector builtin",
 ]
-ELSEWHERE = {"assess", "harden", "transfer", "calibrate"}
+ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look"}
 """Too long here; held against their schemas in tests/evaluation, tests/defend, tests/commands and tests/output."""
 
 

@@ -1,0 +1,85 @@
+"""`cloak look`: one view of a body, and what detectors make of it; or one after the other, for a program that asks."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, out, warn
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.files.errors import InputError
+
+if TYPE_CHECKING:
+    from cloak_core.evaluation.looking import Looker
+
+MAX_LINE = 1 << 16
+"""Characters of a request."""
+
+
+@dataclass(kw_only=True)
+class Look(Command):
+    """Render a body from where a camera stands, cloaked and in own clothing, and say where detectors see a person."""
+
+    request: Positional[Path]
+    """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, pose, outfit, azimuth,
+    elevation, distance, field_of_view, pivot, width, height, backgrounds, background. A minus sign: one such object a
+    line from standard input, until that ends; answers, and what is wrong with a request, go to its OUT/look.json."""
+    detector: UseAppendAction[tuple[str, ...]] = ("builtin",)
+    """Detectors to look with."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        prepare_process(self.compute)
+        from cloak_core.evaluation.looking import Look, Looker
+        from cloak_core.files.reading import read_json
+
+        specs = tuple(dict.fromkeys(self.detector))
+        if not specs:
+            raise InputError("--detector: none given")
+        asked = None if self.request == Path("-") else Look.of(read_json(self.request))
+        looker = Looker(dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)))
+        return {"looks": answer_lines(looker)} if asked is None else looker.look(asked)
+
+    def show(self, result: dict) -> None:
+        for spec, told in result.get("detectors", {}).items():
+            for name, seen in ((name, seen) for name, seen in told.items() if isinstance(seen, dict)):
+                found = "found" if seen["max_person"] > told["operating_point"] else "hidden"
+                out.print(f"{spec}: {name} {found}, best score {seen['max_person']:.3f}")
+        if "looks" in result:
+            out.print(f"{result['looks']} looks")
+
+
+def answer_lines(looker: Looker) -> int:
+    """Answer the requests of standard input, one a line; how many there were."""
+    from cloak_core.evaluation.looking import Look
+    from cloak_core.files.reading import parse_json
+
+    count = 0
+    while line := sys.stdin.readline(MAX_LINE):
+        count += bool(line.strip())
+        record: dict = {}
+        try:
+            if line.strip():
+                record = parse_json(line.encode(), f"request {count}")
+                looker.look(Look.of(record))
+        except InputError as error:
+            warn(str(error))
+            tell_error(record, str(error))
+    return count
+
+
+def tell_error(record: dict, message: str) -> None:
+    """Where an answer is waited for, say what was wrong with the request."""
+    from cloak_core.evaluation.looking import ANSWER
+    from cloak_core.files.writing import write_json
+
+    place = record.get("out")
+    if isinstance(place, str) and Path(place).is_dir():
+        write_json(Path(place) / ANSWER, {"error": message})
