@@ -4,15 +4,16 @@
 Registration only. The rooms: `mesh_arrays`, `body`, `faces`, `surface`, `stamp`, `poses`, `scene_export`, `runs`,
 `colors`, `render_check` are plain functions over Blender's data; `trainer_python`, `trainer_install`, `command_lines`,
 `jobs` and `progress` find, install, start and follow the process that trains; `run_states` and `run_list` find what was
-trained before; `operators`, `tools`, `preview`, `steps`, `panel`, `overlay`, `preferences`, `properties` are what the
-user touches; `train.py` is the script that does the same without a window.
+trained before; `evaluations`, `ring`, `eye`, `onlooker`, `viewpoints`, `worn_scenes`, `outputs` judge a cloak and take
+it along; `operators`, `tools`, `preview`, `steps`, `panel`, `viewports`, `preferences`, `properties` are what the user
+touches; `train.py` is the script that does the same without a window.
 """
 
 from __future__ import annotations
 
 import bpy
 
-from . import jobs, operators, overlay, panel, preferences, properties, run_list, thumbnails, tools
+from . import jobs, operators, panel, preferences, properties, run_list, thumbnails, tools, viewports
 
 CLASSES = (*preferences.CLASSES, *operators.CLASSES, *panel.CLASSES)
 
@@ -24,7 +25,7 @@ def register() -> None:
     thumbnails.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    overlay.register()
+    viewports.register()
     tools.register()
     preferences.look_ahead()
 
@@ -33,7 +34,7 @@ def unregister() -> None:
     """Called by Blender when the extension is disabled, and when Blender closes."""
     jobs.shut_down()
     tools.unregister()
-    overlay.unregister()
+    viewports.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
     thumbnails.unregister()

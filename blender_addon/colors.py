@@ -94,6 +94,18 @@ def activate(obj: bpy.types.Object, name: str) -> None:
     attributes.render_color_index = attributes.active_color_index
 
 
+def shows_heat(obj: bpy.types.Object) -> bool:
+    """Whether the heat map is the colour attribute that viewports show."""
+    return obj.data.color_attributes.active_color_name == HEATMAP
+
+
+def hide_heat(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Show the cloak again where it is worn, else the body's own colours."""
+    show_attribute(context, obj, CLOAK if is_dressed(obj) else None)
+    if shows_heat(obj):  # a body without colours of its own has nothing else to show
+        obj.data.color_attributes.remove(obj.data.color_attributes[HEATMAP])
+
+
 # --- materials -------------------------------------------------------------------------------------------------------
 
 

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from .files.specs import split_spec
 
+SAMPLE = "sample:train"
+"""The people that Add Sample Body brings; those kept back from them are for evaluation."""
+
 
 @dataclass(frozen=True)
 class TrainRequest:
@@ -60,20 +63,40 @@ def train_command(python: str, options: list[str], scene: Path, logo: Path, run:
     return _cloak(python, "train", "--scene", scene, "--logo", logo, *options, "--out", run)
 
 
-def heatmap_command(python: str, request: TrainRequest, scene: Path, out: Path) -> list[str]:
+def heatmap_command(python: str, request: TrainRequest, scene: Path, out: Path, events: Path) -> list[str]:
     """`cloak logo heatmap`."""
     options = request.options("detector", "backgrounds", "angles", "device")
-    return _cloak(python, "logo", "heatmap", "--scene", scene, *options, "--out", out)
+    return _cloak(python, "logo", "heatmap", "--scene", scene, *options, "--out", out, "--events", events)
 
 
 def sample_command(python: str, out: Path) -> list[str]:
     """`cloak scene sample`."""
-    return _cloak(python, "scene", "sample", "--out", out, "--split", "train")
+    return _cloak(python, "scene", "sample", "--out", out, "--split", SAMPLE.partition(":")[2])
 
 
 def check_command(python: str, request: TrainRequest, image: Path) -> list[str]:
     """`cloak detectors check` on one image."""
     return _cloak(python, "detectors", "check", request.detector, "--image", image)
+
+
+def evaluate_command(python: str, run: Path, options: list[str], events: Path) -> list[str]:
+    """`cloak evaluate`."""
+    return _cloak(python, "evaluate", run, *options, "--events", events)
+
+
+def film_command(python: str, run: Path, scene: Path, options: list[str], out: Path, events: Path) -> list[str]:
+    """`cloak film`."""
+    return _cloak(python, "film", run, "--scene", scene, *options, "--out", out, "--events", events)
+
+
+def print_command(python: str, run: Path, scene: Path, out: Path) -> list[str]:
+    """`cloak print`."""
+    return _cloak(python, "print", run, "--scene", scene, "--out", out)
+
+
+def look_command(python: str, request: TrainRequest) -> list[str]:
+    """`cloak look`, which answers what it is asked on standard input."""
+    return _cloak(python, "look", "-", *request.options("detector", "device"))
 
 
 def report_command(python: str, run: Path) -> list[str]:

@@ -196,10 +196,71 @@ def last_words(log: Path) -> str:
     return lines[-1].removeprefix("cloak: ")[:300] if lines else ""
 
 
-# --- training --------------------------------------------------------------------------------------------------------
+# --- work that tells how far it is ------------------------------------------------------------------------------------
 
 
-class TrainingJob(Job):
+class FollowedJob(Job):
+    """One command that logs events: `cloak train` does, and `cloak evaluate`, `film`, `logo heatmap` with --events."""
+
+    def __init__(
+        self,
+        label: str,
+        commands: Sequence[list[str]],
+        folder: Path,
+        name: str,
+        events: Path,
+        on_end: OnEnd | None = None,
+        process: Process | None = None,
+    ) -> None:
+        self.progress = Progress()
+        self._events = events
+        self._ended = threading.Event()
+        super().__init__(label, commands, folder, name, on_end, process)
+        self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
+        self._reader.start()
+
+    @property
+    def fraction(self) -> float:
+        return self.progress.fraction
+
+    def describe(self) -> str:
+        if not self.running:
+            return self.message
+        if self._cancelled:
+            return f"{self.label} (stopping)"
+        return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
+
+    def abandon(self) -> None:
+        self._ended.set()
+        super().abandon()
+
+    def _finish(self, state: str, message: str) -> None:
+        self._ended.set()
+        self._reader.join(timeout=5)
+        super()._finish(state, message)
+
+    def _read_events(self) -> None:
+        """Follow the events from their start. The thread only replaces `progress`, a frozen record."""
+        path, position, pending = self._events, 0, b""
+        while True:
+            last_round = self._ended.is_set()
+            with contextlib.suppress(OSError), path.open("rb") as file:
+                if path.stat().st_size < position:  # a resumed run rewinds its log
+                    position, pending = 0, b""
+                file.seek(position)
+                chunk = file.read()
+                position += len(chunk)
+                *lines, pending = (pending + chunk).split(b"\n")
+                for line in lines:
+                    self.progress = take_event(self.progress, line)
+                if len(pending) > MAX_LINE:
+                    pending = b""
+            if last_round:
+                return
+            self._ended.wait(READ_SECONDS)
+
+
+class TrainingJob(FollowedJob):
     """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
 
     def __init__(
@@ -213,15 +274,7 @@ class TrainingJob(Job):
         self.run = run
         self.is_ours = process is None
         """Blender ends the trainers it started when it closes; it only takes its eyes off those it found."""
-        self.progress = Progress()
-        self._ended = threading.Event()
-        super().__init__("Training", [command], folder, "train", on_end, process)
-        self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
-        self._reader.start()
-
-    @property
-    def fraction(self) -> float:
-        return self.progress.fraction
+        super().__init__("Training", [command], folder, "train", run / "events.jsonl", on_end, process)
 
     def describe(self) -> str:
         if not self.running:
@@ -252,7 +305,7 @@ class TrainingJob(Job):
 
     def _finish(self, state: str, message: str) -> None:
         self._ended.set()
-        self._reader.join(timeout=5)
+        self._reader.join(timeout=5)  # the last events belong into the message
         if state == "done":
             message = f"Training done: {self.progress.describe()}, {self.progress.figures()}"
         elif state == "stopped":
@@ -260,26 +313,6 @@ class TrainingJob(Job):
         elif self.progress.step:
             message += "; Resume goes on from the last checkpoint"
         super()._finish(state, message)
-
-    def _read_events(self) -> None:
-        """Follow events.jsonl from its start. The thread only replaces `progress`, a frozen record."""
-        path, position, pending = self.run / "events.jsonl", 0, b""
-        while True:
-            last_round = self._ended.is_set()
-            with contextlib.suppress(OSError), path.open("rb") as file:
-                if path.stat().st_size < position:  # a resumed run rewinds its log
-                    position, pending = 0, b""
-                file.seek(position)
-                chunk = file.read()
-                position += len(chunk)
-                *lines, pending = (pending + chunk).split(b"\n")
-                for line in lines:
-                    self.progress = take_event(self.progress, line)
-                if len(pending) > MAX_LINE:
-                    pending = b""
-            if last_round:
-                return
-            self._ended.wait(READ_SECONDS)
 
 
 # --- the one job of this Blender -------------------------------------------------------------------------------------

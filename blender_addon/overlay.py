@@ -17,9 +17,11 @@ from bpy.app.handlers import persistent
 
 from . import colors, faces
 from .faces import LogoStats
-from .mesh_arrays import current_mesh, face_normals, face_triangles, hidden_faces, read, vertex_points
+from .mesh_arrays import corner_counts, current_mesh, face_normals, face_triangles, hidden_faces, read, vertex_points
 
 TINT = (1.0, 0.25, 0.6, 0.45)
+OUTLINE = (1.0, 1.0, 1.0, 1.0)
+OUTLINE_PIXELS = 2.0
 LIFT = 0.0008
 """The tint floats this share of the body's size above the surface, so that the two do not flicker."""
 BLINK = 0.03
@@ -97,7 +99,7 @@ def active_stats(obj: bpy.types.Object) -> LogoStats | None:
 
 def _catch_up() -> float | None:
     """Timer: compute what was asked for last, once the user rests."""
-    obj, late = bpy.context.object, [kept for kept in (_stats, _tint) if kept.wanted != kept.key]
+    obj, late = bpy.context.object, [kept for kept in (_stats, _tint, _outline) if kept.wanted != kept.key]
     if not late or obj is None or obj.type != "MESH" or not obj.data:
         return None
     if time.monotonic() - _changed_at < REST and any(kept.slow for kept in late):
@@ -105,7 +107,7 @@ def _catch_up() -> float | None:
     key = _key(obj)
     if key is None:
         return None
-    with current_mesh(obj):  # one copy for both
+    with current_mesh(obj):  # one copy for all
         for kept in late:
             kept.wanted = key
             kept.update(obj)
@@ -122,8 +124,22 @@ def tint_triangles(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         corners, normals = _edit_triangles(obj, mask)
     else:
         corners, normals = _evaluated_triangles(obj, mask)
-    size = max(obj.dimensions) / max(max(abs(s) for s in obj.matrix_world.to_scale()), 1e-9)
-    return (corners + LIFT * size * normals).astype(np.float32)
+    return (corners + LIFT * _size(obj) * normals).astype(np.float32)
+
+
+def outline_edges(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+    """[2 n, 3] float32: ends of the edges around the logo in the object's space, lifted off the surface."""
+    mesh, mask = _shown_mesh(obj, mask)
+    edges = read(mesh.loops, "edge_index", dtype=np.int32)[np.repeat(mask, corner_counts(mesh))]
+    around = np.flatnonzero(np.bincount(edges, minlength=len(mesh.edges)) == 1)
+    ends = read(mesh.edges, "vertices", 2, np.int32)[around].ravel()
+    corners, normals = read(mesh.vertices, "co", 3)[ends], read(mesh.vertex_normals, "vector", 3)[ends]
+    return (corners + 2 * LIFT * _size(obj) * normals).astype(np.float32)
+
+
+def _size(obj: bpy.types.Object) -> float:
+    """The body's largest extent in its own space."""
+    return max(obj.dimensions) / max(max(abs(s) for s in obj.matrix_world.to_scale()), 1e-9)
 
 
 def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,10 +148,13 @@ def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray
 
 
 def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _corners(*_shown_mesh(obj, mask))
+
+
+def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray) -> tuple[bpy.types.Mesh, np.ndarray]:
+    """The mesh that viewports show, and the logo's faces on it."""
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    if len(mesh.polygons) != len(mask):
-        mesh, mask = _carried_mask(obj, mesh, mask)
-    return _corners(mesh, mask)
+    return (mesh, mask) if len(mesh.polygons) == len(mask) else _carried_mask(obj, mesh, mask)
 
 
 def _carried_mask(
@@ -155,37 +174,56 @@ def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.nda
     return vertex_points(mesh)[triangles.ravel()], np.repeat(face_normals(mesh)[face], 3, axis=0)
 
 
-_stats, _tint = _Kept(faces.logo_stats), _Kept(tint_triangles)
+_stats, _tint, _outline = _Kept(faces.logo_stats), _Kept(tint_triangles), _Kept(outline_edges)
 
 
 def _draw() -> None:
     """Viewport callback."""
-    global _batch
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
     obj = bpy.context.object
     if obj is None or obj.type != "MESH" or not bpy.context.scene.cloak.tint or not obj.visible_get():
         return
     if not bpy.context.space_data.overlay.show_overlays or not obj.data.polygons:
         return
     key = _key(obj)
-    if key is None or _wears_cloak(obj):
+    if key is None:
         return
-    shader, corners = gpu.shader.from_builtin("UNIFORM_COLOR"), _tint.get(obj, key)
+    if _sees_heat(obj):
+        _draw_kept(obj, _outline.get(obj, key), "LINES", OUTLINE)
+    elif not _wears_cloak(obj):
+        _draw_kept(obj, _tint.get(obj, key), "TRIS", TINT)
+
+
+def _draw_kept(obj: bpy.types.Object, corners: np.ndarray | None, kind: str, color: tuple[float, ...]) -> None:
+    """Draw triangles, or lines, in the object's space."""
+    global _batch
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    lines = kind == "LINES"
+    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR" if lines else "UNIFORM_COLOR")
     if _batch[0] is not corners:
         some = corners is not None and len(corners)
-        _batch = (corners, batch_for_shader(shader, "TRIS", {"pos": corners}) if some else None)
+        _batch = (corners, batch_for_shader(shader, kind, {"pos": corners}) if some else None)
     if _batch[1] is None:
         return
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.blend_set("ALPHA")
     with gpu.matrix.push_pop():
         gpu.matrix.multiply_matrix(obj.matrix_world)
-        shader.uniform_float("color", TINT)
+        if lines:
+            region = bpy.context.region
+            shader.uniform_float("viewportSize", (region.width, region.height))
+            shader.uniform_float("lineWidth", OUTLINE_PIXELS * bpy.context.preferences.system.ui_scale)
+        shader.uniform_float("color", color)
         _batch[1].draw(shader)
     gpu.state.blend_set("NONE")
     gpu.state.depth_test_set("NONE")
+
+
+def _sees_heat(obj: bpy.types.Object) -> bool:
+    """Whether this viewport shows the heat map, which a tint would hide."""
+    shading = bpy.context.space_data.shading
+    return shading.type == "SOLID" and shading.color_type == "VERTEX" and colors.shows_heat(obj)
 
 
 def _wears_cloak(obj: bpy.types.Object) -> bool:
@@ -208,6 +246,11 @@ def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 @persistent
 def _on_frame(scene: bpy.types.Scene, graph: bpy.types.Depsgraph | None = None) -> None:
     _note_change()
+
+
+def changes() -> int:
+    """Grows when any mesh changes shape, and when the frame does."""
+    return _changes
 
 
 def _note_change() -> None:
@@ -241,5 +284,5 @@ def unregister() -> None:
     with contextlib.suppress(ValueError):
         bpy.app.timers.unregister(_catch_up)
     _handle, _batch = None, (None, None)
-    _stats.clear()
-    _tint.clear()
+    for kept in (_stats, _tint, _outline):
+        kept.clear()

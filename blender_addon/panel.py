@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import faces, jobs, overlay, run_panels, steps
+from . import faces, jobs, judge_panels, overlay, run_panels, steps
 from .body import active_body
-from .colors import HEAT
+from .colors import HEAT, shows_heat
 from .modifiers import modifiers_reason
 from .panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from .poses import lying_warning
@@ -173,6 +173,9 @@ class CLOAK_PT_heatmap(CloakPanel, bpy.types.Panel):
         column = settings_column(self.layout).column(align=True)
         column.operator("cloak.heatmap", icon="SHADING_RENDERED")
         if not steps.body_reason(context) and active_body(context).data.attributes.get(HEAT):
+            shown = shows_heat(active_body(context))
+            text = "Hide Heatmap" if shown else "Show Heatmap"
+            column.operator("cloak.heatmap_toggle", text=text, icon="HIDE_ON" if shown else "HIDE_OFF")
             column.prop(settings_of(context), "heat_share")
             column.operator("cloak.logo_from_heat")
         self.progress(context, "Heatmap")
@@ -280,4 +283,5 @@ CLASSES = (
     CLOAK_PT_train,
     CLOAK_PT_settings,
     *run_panels.CLASSES,
+    *judge_panels.CLASSES,
 )

@@ -14,6 +14,7 @@ from .blend_paths import RELATIVE, absolute, blend_folder
 from .command_lines import TrainRequest
 from .faces import is_logo, logo_names
 from .files.errors import InputError
+from .judging import CloakJudging
 from .poses import PoseChoice
 from .preferences import user_folder
 
@@ -91,6 +92,7 @@ class CloakObject(bpy.types.PropertyGroup):
         update=_remember_run,
     )
     verdict: _text("Render Check", "What the detector said about the Cycles renders")
+    made_from: _text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
 
 
 class CloakSettings(bpy.types.PropertyGroup):
@@ -199,6 +201,7 @@ class CloakSettings(bpy.types.PropertyGroup):
     live_seconds: FloatProperty(
         name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
     )
+    judging: PointerProperty(name="Judging", description="How a cloak is judged", type=CloakJudging)
 
 
 def settings_of(context: bpy.types.Context) -> CloakSettings:
@@ -267,7 +270,7 @@ def output_folder(settings: CloakSettings) -> Path:
 
 
 HANDLERS = (("undo_post", give_runs_back), ("redo_post", give_runs_back))
-CLASSES = (CloakObject, CloakSettings)
+CLASSES = (CloakObject, CloakJudging, CloakSettings)
 
 
 def register() -> None:

@@ -82,7 +82,7 @@ class CLOAK_PT_compare(CloakPanel, bpy.types.Panel):
             for rate in rates:
                 cells.label(text=rate)
         if not any(state.unseen for state in shown):
-            wrapped(self.layout, context, "New: `cloak evaluate RUN` measures it, beside its controls")
+            wrapped(self.layout, context, "New: Evaluate, in step 5, measures it, beside its controls")
 
 
 COMPARED = 8
@@ -128,7 +128,6 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("cloak.open_report", icon="URL")
         row.operator("cloak.render_check", icon="RENDER_STILL")
-        column.operator("cloak.bake", icon="IMAGE_DATA")
         self.progress(context, "Render check", "Report")
         state = run_list.selected(context)
         if not reason and state is not None and state.check is not None:

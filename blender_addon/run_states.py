@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from . import jobs
+from .evaluations import SUMMARY, Evaluation, read_evaluation
 from .files.errors import InputError
 from .files.locks import is_held
 from .files.reading import parse_json, read_json
@@ -44,6 +45,8 @@ class RunState:
     """Of `cloak train`, as the add-on gave them; Resume repeats them."""
     unseen: dict[str, float] = field(default_factory=dict)
     """Of the run's evaluation, if there is one: worst success over the detectors by control ("logo", "clothing")."""
+    evaluation: Evaluation | None = None
+    """The same in full."""
     check: Verdict | None = None
     """Of its latest render check."""
     why: str = ""
@@ -98,11 +101,11 @@ _kept: dict[Path, tuple[tuple, RunState]] = {}
 def read_state(run: Path) -> RunState:
     """What a run's folders say now. Files that did not change are not read again."""
     folder = input_folder(run)
-    sources = (run / "config.json", run / "events.jsonl", run / "evaluation/summary.json", folder / "train.log")
-    stamps = tuple(map(_stamp, (*sources, folder / COMMAND)))
+    sources = (run / "config.json", run / "events.jsonl", run / SUMMARY, folder / "train.log")
+    stamps = tuple(map(_stamp, (*sources, folder / COMMAND, run / "colors.npy")))
     kept = _kept.get(run)
     if kept is None or kept[0] != stamps:
-        kept = _kept[run] = stamps, _read(run, max(stamp[0] for stamp in stamps) / 1e9)
+        kept = _kept[run] = stamps, _read(run, max(stamp[0] for stamp in stamps[:-1]) / 1e9)
     state = replace(kept[1], check=last_verdict(side_folder(run)))
     return replace(state, state=RUNNING, why="") if is_running(run) else state
 
@@ -129,8 +132,9 @@ def _read(run: Path, changed: float) -> RunState:
         why = jobs.last_words(folder / "train.log") or "its training never began"
     elif state == FAILED and not why:
         why = f"its process ended without a word after step {progress.step}"
-    found = _detectors(run / "config.json"), _unseen(run / "evaluation" / "summary.json")
-    return RunState(run, state, progress, detectors=found[0], unseen=found[1], why=why, changed=changed, **names)
+    found = {"detectors": _detectors(run / "config.json"), "unseen": _unseen(run / SUMMARY)}
+    found["evaluation"] = read_evaluation(run)
+    return RunState(run, state, progress, why=why, changed=changed, **found, **names)
 
 
 def _read_events(path: Path) -> tuple[Progress, str, str]:

@@ -67,10 +67,10 @@ def undress(obj: bpy.types.Object) -> None:
 
 
 def export_bodies(
-    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, with_clothing: bool = False
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, with_clothing: bool = False, logo: str = ""
 ) -> Bodies:
-    """The body (and its clothing) in every chosen pose. Leaves the Blender scene as it was."""
-    return _bodies_and_garments(context, obj, choice, clothing_of(obj) if with_clothing else [], "")[0]
+    """The body (and its clothing, which may wear the logo, too) in every chosen pose. Leaves the scene as it was."""
+    return _bodies_and_garments(context, obj, choice, clothing_of(obj) if with_clothing else [], logo)[0]
 
 
 def _bodies_and_garments(

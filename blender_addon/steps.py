@@ -17,10 +17,12 @@ from .command_lines import differing_options
 from .faces import logo_names
 from .files.errors import InputError
 from .modifiers import modifiers_reason
-from .poses import list_poses, require_size
+from .outputs import made
+from .poses import PoseChoice, list_poses, require_size
 from .properties import pose_choice, settings_of, train_request
 from .run_states import DONE, RUNNING, RunState, read_state
 from .scene_export import clothing_of
+from .viewpoints import middle_of, of_camera
 
 NO_BODY = "Choose a body first"
 
@@ -73,10 +75,12 @@ def upright_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return refusal(require_upright, obj)
 
 
-@of_the_body
-def poses_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the poses cannot be exported."""
-    choice = pose_choice(settings_of(context))
+def poses_reason(context: bpy.types.Context, choice: PoseChoice | None = None) -> str:
+    """Why the poses cannot be exported: those of step 3, or others."""
+    reason = body_reason(context)
+    if reason:
+        return reason
+    obj, choice = active_body(context), choice or pose_choice(settings_of(context))
     reason = refusal(require_upright, obj) or refusal(require_size, obj) or refusal(list_poses, obj, choice)
     return reason or modifiers_reason(obj)
 
@@ -209,6 +213,62 @@ def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     if obj.data.attributes.get(HEAT) is None:
         return f"'{obj.name}' has no heat map: press Heatmap first"
     return "Leave Edit Mode (Tab) to take faces from the heat map" if obj.mode == "EDIT" else ""
+
+
+@of_the_body
+def judged_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why nothing can be made of the body's run: no evaluation, no sheets to print, no film."""
+    return result_reason(context) or jobs.busy()
+
+
+def evaluate_reason(context: bpy.types.Context) -> str:
+    """Why the body's run cannot be evaluated."""
+    reason = judged_reason(context)
+    judging = settings_of(context).judging
+    if reason or judging.bodies == "KEPT":
+        return reason or _folder_reason(judging.backgrounds)
+    choice = PoseChoice("RANGE", judging.frame_start, judging.frame_end, judging.frame_step)
+    return poses_reason(context, choice) or _folder_reason(judging.backgrounds)
+
+
+def _folder_reason(path: str) -> str:
+    found = absolute(path)
+    return "" if not found or Path(found).is_dir() else f"Backgrounds folder {found} does not exist"
+
+
+def film_reason(context: bpy.types.Context) -> str:
+    """Why no turntable can be made, and no sheets to print."""
+    return judged_reason(context) or poses_reason(context, PoseChoice())
+
+
+def camera_film_reason(context: bpy.types.Context) -> str:
+    """Why no film can be made with the scene's camera."""
+    reason = film_reason(context)
+    if reason:
+        return reason
+    middle, metre = middle_of(active_body(context)), 1 / context.scene.unit_settings.scale_length
+    return refusal(of_camera, context.scene, middle, metre)
+
+
+@of_the_body
+def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is nothing to open that was made of the body's run."""
+    reason = result_reason(context)
+    return reason or ("" if made(Path(absolute(obj.cloak.run))) else "Nothing was made of this run yet")
+
+
+@of_the_body
+def eye_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot look at the body."""
+    return poses_reason(context, PoseChoice()) or refusal(train_request, settings_of(context))
+
+
+def shown_heat_reason(context: bpy.types.Context) -> str:
+    """Why a heat map can be neither shown nor hidden."""
+    reason = body_reason(context)
+    if reason or active_body(context).data.attributes.get(HEAT) is None:
+        return reason or f"'{active_body(context).name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
 
 
 def export_summary(context: bpy.types.Context) -> str:

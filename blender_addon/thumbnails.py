@@ -8,6 +8,8 @@ from pathlib import Path
 import bpy.utils.previews
 
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
+_names: dict[Path, str] = {}
+"""What each file is called in the collection, which holds it as it last was."""
 
 
 def icon_of(path: Path) -> int:
@@ -16,7 +18,10 @@ def icon_of(path: Path) -> int:
         return 0
     name = f"{path} {path.stat().st_mtime_ns}"
     if name not in _pictures:
+        if path in _names:
+            del _pictures[_names[path]]
         _pictures.load(name, str(path), "IMAGE")
+        _names[path] = name
     return _pictures[name].icon_id
 
 
@@ -29,3 +34,4 @@ def unregister() -> None:
     global _pictures
     bpy.utils.previews.remove(_pictures)
     _pictures = None
+    _names.clear()

@@ -1,7 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators: each checks, calls a plain function of the rooms above, and says what happened."""
 
-from . import bake, body, drag_stamp, heat, install, logo, paint, pick, result, runs, stamp, start_stop
+from . import (
+    bake,
+    body,
+    drag_stamp,
+    evaluate,
+    heat,
+    install,
+    logo,
+    outputs,
+    paint,
+    pick,
+    result,
+    runs,
+    stamp,
+    start_stop,
+)
 
 CLASSES = (
     *install.CLASSES,
@@ -16,4 +31,6 @@ CLASSES = (
     *runs.CLASSES,
     *result.CLASSES,
     *bake.CLASSES,
+    *evaluate.CLASSES,
+    *outputs.CLASSES,
 )

@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 
 from .. import steps
-from ..body import add_from_scene, subdivide
-from ..command_lines import sample_command
+from ..body import add_from_scene, subdivide, topology
+from ..command_lines import SAMPLE, sample_command
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
@@ -81,6 +81,7 @@ def _add(job: Job, scene: Path) -> str | None:
     bodies = read_scene(scene)
     obj = add_from_scene(bpy.context, bodies)
     obj.name = obj.data.name = "Sample Body"
+    obj.cloak.made_from = f"{SAMPLE}|{topology(obj)}"
     stand_clear(bpy.context, obj)
     look_at_selected()
     settings = settings_of(bpy.context)

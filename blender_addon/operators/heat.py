@@ -18,7 +18,7 @@ from ..exchange.heat import hottest_faces
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy
-from ..jobs import Job, launch, require_idle
+from ..jobs import FollowedJob, Job, launch, require_idle
 from ..mesh_arrays import read, write_attribute
 from ..preferences import chosen_python, user_folder
 from ..properties import pose_choice, settings_of, train_request
@@ -42,8 +42,10 @@ class CLOAK_OT_heatmap(CloakOperator):
         folder = next(place for place in places if not place.exists())
         write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
         heat, uid, expected = folder / "heat.npy", obj.session_uid, topology(obj)
-        command = heatmap_command(python, request, folder / "scene", heat)
-        launch(Job("Heatmap", [command], folder, "heatmap", lambda job: _show_heat(job, heat, uid, expected)))
+        events = folder / "heat.jsonl"
+        command = heatmap_command(python, request, folder / "scene", heat, events)
+        show = lambda job: _show_heat(job, heat, uid, expected)
+        launch(FollowedJob("Heatmap", [command], folder, "heatmap", events, show))
         return "Measuring which faces move the detector"
 
 
@@ -69,6 +71,20 @@ def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarra
     colors.show_attribute(context, obj, colors.HEATMAP)
 
 
+class CLOAK_OT_heatmap_toggle(BodyOperator):
+    """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
+
+    bl_label = "Toggle Heatmap"
+    needs = staticmethod(steps.shown_heat_reason)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if colors.shows_heat(obj):
+            colors.hide_heat(context, obj)
+            return f"'{obj.name}' shows its heat map no more"
+        show_heat(context, obj, read(obj.data.attributes[HEAT].data, "value"))
+        return f"'{obj.name}' shows its heat map"
+
+
 class CLOAK_OT_logo_from_heat(BodyOperator):
     """Make a logo of the faces that move the detector most for their size"""
 
@@ -87,4 +103,4 @@ class CLOAK_OT_logo_from_heat(BodyOperator):
         return f"Logo '{obj.cloak.logo}': {len(ids):,} faces"
 
 
-CLASSES = (CLOAK_OT_heatmap, CLOAK_OT_logo_from_heat)
+CLASSES = (CLOAK_OT_heatmap, CLOAK_OT_heatmap_toggle, CLOAK_OT_logo_from_heat)

@@ -4,7 +4,6 @@ import io
 import json
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 import torch
@@ -18,9 +17,9 @@ from cloak_core.exchange.colors import write_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
+from tests.schemas import validate
 
 RED, GREEN = (0.9, 0.1, 0.1), (0.0, 1.0, 0.0)
-SCHEMAS = json.loads((Path(__file__).parents[2] / "docs/schemas.json").read_text("utf-8"))
 
 
 class SeesRed(Detector):
@@ -59,8 +58,7 @@ def test_boxes_lie_where_the_camera_sees_the_body(box):
     assert np.allclose(seen["boxes"][0][:4], [30 - 8.7, 20 - 8.7, 30 + 8.7, 20 + 8.7], atol=1)
     aside = Looker({"red": SeesRed()}).look(Look.of(box | {"pivot": [0, 1, 0.0]}))["detectors"]["red"]["clothing"]
     assert np.allclose(aside["boxes"][0][:4], [30, 20 - 8.7, 30 + 17.3, 20 + 8.7], atol=1)
-    record = json.loads(Path(box["out"], "look.json").read_text())
-    jsonschema.Draft202012Validator(SCHEMAS | {"$ref": "#/$defs/look"}).validate(record)
+    record = validate("look", Path(box["out"], "look.json").read_text())
     assert Image.open(record["pictures"]["clothing"]).size == (60, 40)
 
 

@@ -6,7 +6,7 @@ import time
 import bpy
 import numpy as np
 import pytest
-from cloak import body, faces, steps
+from cloak import body, faces, overlay, steps
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.files.errors import InputError
 from made import centers, make_egg, make_grid, select_only, set_mode
@@ -215,6 +215,54 @@ def test_export_from_edit_mode_is_fast(tmp_path):
 
 
 # --- heat map --------------------------------------------------------------------------------------------------------
+
+
+def test_the_heatmap_tells_how_far_it_is(stub, monkeypatch):
+    from cloak import jobs
+    from conftest import run_job, wait_for
+
+    make_egg()
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.ops.cloak.heatmap()
+    wait_for(lambda: jobs.current.progress.step >= 3)
+    assert 0.3 < jobs.current.fraction < 1 and " left" in jobs.current.describe()
+    run_job()
+
+
+def test_the_heatmap_can_be_hidden_and_shown_again(stub):
+    from cloak import colors
+    from conftest import run_job
+
+    obj = make_egg()
+    with pytest.raises(RuntimeError, match="has no heat map: press Heatmap first"):
+        bpy.ops.cloak.heatmap_toggle()
+    bpy.ops.cloak.heatmap()
+    run_job()
+    heat = colors.read_face_colors(obj, "Cloak Heatmap")
+    bpy.ops.cloak.heatmap_toggle()  # a body without colours of its own
+    assert not colors.shows_heat(obj) and "cloak_heat" in obj.data.attributes
+    bpy.ops.cloak.heatmap_toggle()
+    assert colors.shows_heat(obj) and np.allclose(colors.read_face_colors(obj, "Cloak Heatmap"), heat, atol=1e-6)
+    colors.write_face_colors(obj, "Cloak", heat[:, ::-1])
+    colors.dress(obj, np.array([3]))
+    bpy.ops.cloak.heatmap_toggle()
+    assert obj.data.color_attributes.active_color_name == "Cloak"  # its cloak, where it wears one
+
+
+def test_the_outline_runs_around_the_logo_and_not_through_it():
+    obj = make_grid(200)
+    middle = centers(obj)
+    mask = (abs(middle[:, 0]) < 0.5) & (abs(middle[:, 2] - 1) < 0.5)
+    ends = overlay.outline_edges(obj, mask).reshape(-1, 2, 3)
+    edges: dict = {}
+    for polygon in np.flatnonzero(mask):
+        for key in obj.data.polygons[polygon].edge_keys:
+            edges[key] = edges.get(key, 0) + 1
+    around = [key for key, count in edges.items() if count == 1]
+    places = np.array([[obj.data.vertices[v].co for v in key] for key in around]).mean(1)
+    lift = np.linalg.norm(ends.mean(1)[:, None] - places, axis=2).min(1)  # to the nearest of them
+    assert len(ends) == len(around) > 8 and (lift < 0.003 * max(obj.dimensions)).all() and (lift > 0).all()
+    assert len(overlay.outline_edges(obj, np.zeros_like(mask))) == 0
 
 
 def test_heatmap_and_the_logo_taken_from_it(stub):

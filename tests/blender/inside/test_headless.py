@@ -179,7 +179,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     write_scene(tmp_path / "one", export_bodies(bpy.context, obj, PoseChoice()))
     request = command_lines.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")
-    command = command_lines.heatmap_command(python, request, tmp_path / "one", tmp_path / "heat.npy")
+    command = command_lines.heatmap_command(python, request, tmp_path / "one", tmp_path / "heat.npy", tmp_path / "e")
     answer("Heatmap", [*command, "--pick", "0.1"])
     show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
     bpy.context.scene.cloak.heat_share = 0.1

@@ -60,14 +60,18 @@ def test_every_operator_and_property_has_a_description():
 
 def test_what_blend_files_store_keeps_its_name():
     """Files saved by earlier versions keep their logos, runs, heat maps and settings."""
-    object_names, scene_names = (" ".join(cls.__annotations__) for cls in cloak.properties.CLASSES)
-    assert object_names == "logo logo_index run verdict"
+    object_names, judging_names, scene_names = (" ".join(cls.__annotations__) for cls in cloak.properties.CLASSES)
+    assert object_names == "logo logo_index run verdict made_from"
+    assert judging_names == (
+        "bodies frame_start frame_end frame_step backgrounds angle images ring eye_from eye_background film_format "
+        "film_seconds"
+    )
     assert scene_names == (
         "triangulate tint stamp_kind stamp_text stamp_image stamp_from stamp_size stamp_center stamp_offset "
         "brush_radius brush_mirror heat_share "
         "pose_source frame_start frame_end frame_step clothing detector darknet_cfg darknet_weights torchvision_name "
         "torchvision_checkpoint python_file python_function backgrounds preset config angle_first angle_last "
-        "angle_step steps device output live live_seconds"
+        "angle_step steps device output live live_seconds judging"
     )
     attributes = (heat.HEAT, colors.OWN_MATERIAL, colors.CLOAK, colors.OUTFIT, colors.HEATMAP, body.ORIGINAL_FACE)
     assert attributes == (
@@ -127,8 +131,11 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
     always = {"add_sample_body", "copy_install_line", "explain", "find_python", "test_python", "use_standard_view"}
     offered = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
     no_run = {"result_", "render_", "open_", "run_", "train_resume", "train_extend", "train_cancel", "logo_from_heat"}
+    no_run |= {"evaluate", "print_sheets", "turntable", "film", "show_made", "heatmap_toggle"}
     assert not {name for name in offered if name.startswith(tuple(no_run))}
-    assert always | {"train_start", "heatmap", "logo_assign", "logo_export", "logo_stamp", "subdivide"} <= offered
+    assert (
+        always | {"train_start", "heatmap", "eye", "logo_assign", "logo_export", "logo_stamp", "subdivide"} <= offered
+    )
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.context.scene.cloak.steps = 300
     bpy.ops.cloak.train_start()

@@ -24,7 +24,16 @@ def main() -> None:
     if sys.argv[1:3] == ["scene", "sample"]:
         sample(Path(sys.argv[sys.argv.index("--out") + 1]))
     elif sys.argv[1:3] == ["logo", "heatmap"]:
-        heatmap(Path(sys.argv[sys.argv.index("--scene") + 1]), Path(sys.argv[sys.argv.index("--out") + 1]))
+        heatmap(Path(given("--scene")), Path(given("--out")))
+    elif sys.argv[1] == "evaluate":
+        evaluate(Path(sys.argv[2]))
+    elif sys.argv[1] == "film":
+        film(Path(given("--out")))
+    elif sys.argv[1] == "print":
+        Path(given("--out")).mkdir()
+        Path(given("--out"), "sheets.pdf").touch()
+    elif sys.argv[1] == "look":
+        look()
     elif sys.argv[1:3] == ["detectors", "check"]:
         check(sys.argv[3], Path(sys.argv[sys.argv.index("--image") + 1]))
     elif sys.argv[1] == "report":
@@ -32,6 +41,70 @@ def main() -> None:
         print(json.dumps({"report": "report.html"}))
     else:
         train(sys.argv[1:])
+
+
+def given(option: str) -> str:
+    """The option's value, in a word of its own or behind =."""
+    joined = [word.partition("=")[2] for word in sys.argv if word.startswith(f"{option}=")]
+    return joined[0] if joined else sys.argv[sys.argv.index(option) + 1]
+
+
+def count(total: int) -> None:
+    """Tell how far it is, as the real one does, and take so long that somebody can look."""
+    with Path(given("--events")).open("a") as events:
+        tell(events, {"type": "start", "step": 0, "time": 0.0, "steps": total})
+        for step in range(1, total + 1):
+            if "slow" in HOW:
+                time.sleep(0.1)
+            tell(events, {"type": "step", "step": step, "time": 0.1 * step})
+
+
+def evaluate(run: Path) -> None:
+    """The cloak hides the front alone; own clothing hides a tenth."""
+    first, last, step = map(int, given("--angles").split(":"))
+    count(8)
+    rate = lambda success: (
+        {"success": success, "ci95": [success - 0.05, success + 0.05], "n": 40}
+        | {
+            "success_own": success / 2,
+            "ci95_own": [0.1, 0.2],
+            "n_conditional": 36,
+        }
+    )
+    angles = {f"{a:g}": rate(1.0 if abs(a) <= 90 else 0.0) for a in range(first, last + 1, step)}
+    shares = {"logo": 0.5, "clothing": 0.1, "grey": 0.2, "random": 0.3}
+    told = {name: rate(share) for name, share in shares.items()} | {"by_angle": angles}
+    summary = {"detectors": {"builtin": told}, "operating_points": {"builtin": 0.5}, "n": int(given("--most-images"))}
+    summary |= {"unseen": {"bodies": "--scene" not in " ".join(sys.argv), "backgrounds": True}}
+    (run / "evaluation").mkdir(exist_ok=True)
+    (run / "evaluation/summary.json").write_text(json.dumps(summary | {"settings": {"threshold": 0.6}}))
+    (run / "evaluation/asked.json").write_text(json.dumps(sys.argv))
+    print(json.dumps(summary))
+
+
+def film(out: Path) -> None:
+    """No pictures, but what was asked for."""
+    count(8)
+    out.write_text(json.dumps(sys.argv))
+    print(json.dumps({"out": str(out)}))
+
+
+def look() -> None:
+    """Somebody stands in the left half of every picture, and the cloak hides them."""
+    for line in sys.stdin:
+        asked = json.loads(line)
+        folder, box = Path(asked["out"]), [0, 0, asked["width"] / 2, asked["height"], 0.9]
+        seen = {"operating_point": 0.5, "clothing": {"max_person": 0.9, "boxes": [box]}}
+        if "colors" in asked:
+            assert len(np.load(asked["colors"])) == len(np.load(asked["logo"]))
+            seen["cloak"] = {"max_person": 0.2, "boxes": [[*box[:4], 0.2]]}
+        with np.load(Path(asked["scene"]) / "bodies.npz") as arrays:
+            asked["lowest"] = float(arrays["vertices"][..., 1].min())
+        (folder / "asked.json").write_text(json.dumps(asked))
+        told = {"detectors": {given("--detector"): seen}, "pictures": {"clothing": str(folder / "clothing.png")}}
+        temporary = folder / ".look.json"
+        temporary.write_text(json.dumps(told | {"width": asked["width"], "height": asked["height"]}))
+        os.replace(temporary, folder / "look.json")
 
 
 def sample(out: Path) -> None:
@@ -54,10 +127,11 @@ def sample(out: Path) -> None:
 
 def heatmap(scene: Path, out: Path) -> None:
     """Heat rises with the face's index."""
+    count(8)
     with np.load(scene / "bodies.npz") as arrays:
-        count = len(arrays["loop_total"])
-    np.save(out, np.arange(count, dtype=np.float32))
-    print(json.dumps({"heat": str(out), "seen": count - 1, "faces": count}))
+        faces = len(arrays["loop_total"])
+    np.save(out, np.arange(faces, dtype=np.float32))
+    print(json.dumps({"heat": str(out), "seen": faces - 1, "faces": faces}))
 
 
 def check(spec: str, image: Path) -> None:

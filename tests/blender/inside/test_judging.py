@@ -1,0 +1,400 @@
+"""Evaluation, its ring, the detector's eye, and what is taken along: from the buttons to what they show."""
+
+import json
+import math
+import os
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from cloak import evaluations, eye, eye_drawing, jobs, onlooker, outputs, ring, run_list, run_states, runs, viewpoints
+from cloak.evaluations import Sector
+from cloak.exchange.colors import write_colors
+from cloak.files.errors import InputError
+from conftest import folder_of, run_job, wait_for
+from made import make_egg, set_mode
+from mathutils import Matrix, Vector
+from test_colors import made_run
+
+
+@pytest.fixture
+def dressed(stub: Path, tmp_path: Path) -> bpy.types.Object:
+    """A body that wears a run's colours."""
+    obj = make_egg()
+    run = made_run(tmp_path, obj, [10, 20, 333], np.tile(np.float32([1, 0, 0]), (3, 1)))
+    (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
+    obj.cloak.run = str(run)
+    bpy.ops.cloak.result_load()
+    return obj
+
+
+def add_camera(place: tuple, target: tuple = (0, 0, 0.9)) -> bpy.types.Object:
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    camera.location = place
+    camera.rotation_euler = (Vector(place) - Vector(target)).to_track_quat("Z", "Y").to_euler()
+    bpy.context.scene.camera = camera
+    bpy.context.view_layer.update()
+    return camera
+
+
+# --- evaluation ------------------------------------------------------------------------------------------------------
+
+
+def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.ops.cloak.evaluate()
+    wait_for(lambda: jobs.current.progress.step >= 3)
+    assert 0.3 < jobs.current.fraction < 1 and " left" in jobs.current.describe()
+    assert jobs.current.describe().startswith("Evaluation 3/8") or jobs.current.progress.step > 3
+    job = run_job()
+    assert job.state == "done" and not job.is_bad_news, job.message
+    assert job.message == "Evaluation done: 240 images of each kind, unseen bodies and unseen backgrounds"
+    run_list.refresh(bpy.context)
+    found = run_list.selected(bpy.context).evaluation
+    rates = found.detectors[0].rates
+    assert rates["logo"][0].describe() == "50% (45–55)" and rates["logo"][1].describe() == "25% (10–20)"
+    assert rates["clothing"][0].value == 0.1 and run_list.selected(bpy.context).unseen["clothing"] == 0.1
+    sectors = found.worst_sectors()
+    assert [s.azimuth for s in sectors] == list(range(-180, 180, 15))
+    assert [s.cloak for s in sectors] == [float(abs(s.azimuth) <= 90) for s in sectors]
+    assert all(math.isclose(s.clothing, 0.1) for s in sectors)
+    assert not found.outdated
+    later = time.time() + 10
+    write_colors(folder_of(dressed) / "colors.npy", np.zeros((3, 3), np.float32))
+    os.utime(folder_of(dressed) / "colors.npy", (later, later))
+    assert run_states.read_state(folder_of(dressed)).evaluation.outdated
+
+
+def test_evaluation_can_be_cancelled(dressed, monkeypatch):
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.ops.cloak.evaluate()
+    wait_for(lambda: jobs.current.progress.step >= 1)
+    bpy.ops.cloak.train_cancel()
+    job = run_job()
+    assert job.state == "stopped" and job.message == "Evaluation stopped"
+    assert run_states.read_state(folder_of(dressed)).evaluation is None
+
+
+def test_evaluation_on_frames_exports_them_and_says_so(dressed, tmp_path):
+    judging = bpy.context.scene.cloak.judging
+    judging.bodies, judging.frame_start, judging.frame_end, judging.frame_step = "FRAMES", 3, 9, 3
+    judging.backgrounds = str(tmp_path / "none")
+    with pytest.raises(RuntimeError, match=r"Backgrounds folder .*none does not exist"):
+        bpy.ops.cloak.evaluate()
+    judging.backgrounds, judging.angle = str(tmp_path), 40
+    bpy.ops.cloak.evaluate()
+    assert "bodies of the training" in run_job().message
+    asked = json.loads((folder_of(dressed) / "evaluation/asked.json").read_text())
+    assert "--angles=-180:140:40" in asked and f"--backgrounds={tmp_path}" in asked and "--images-per-view=27" in asked
+    scene = next(word for word in asked if word.startswith("--scene=")).partition("=")[2]
+    with np.load(Path(scene, "bodies.npz")) as arrays:
+        assert arrays["names"].tolist() == ["frame 3", "frame 6", "frame 9"]
+
+
+def test_a_sample_bodys_run_is_judged_on_those_kept_back(dressed):
+    run = folder_of(dressed)
+    assert not evaluations.kept_back(run)
+    for inputs in ({"made_from": "sample:train", "scene": "/x"}, {"scene": "sample:train"}):
+        (run / "config.json").write_text(json.dumps({"inputs": inputs, "detectors": []}))
+        assert evaluations.kept_back(run)
+    (run / "config.json").write_text(json.dumps({"inputs": [], "detectors": []}))
+    assert not evaluations.kept_back(run)
+
+
+def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeypatch):
+    from cloak import body
+
+    bpy.context.scene.cloak.steps = 2
+    ready.cloak.made_from = f"sample:train|{body.topology(ready)}"
+    bpy.ops.cloak.train_start()
+    run_job()
+    assert "--made-from=sample:train" in runs.remembered_options(folder_of(ready))
+    body.subdivide(ready)
+    bpy.ops.cloak.train_start()
+    run_job()
+    assert not [word for word in runs.remembered_options(folder_of(ready)) if word.startswith("--made-from")]
+
+
+def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path):
+    from cloak.operators.evaluate import _evaluated
+
+    run = folder_of(dressed)
+    (run / "evaluation").mkdir()
+    told = {"logo": {"success": 0.1, "ci95": [0, 0.2]}, "clothing": {"success": 0.1, "ci95": [0, 0.2]}}
+    (run / "evaluation/summary.json").write_text(json.dumps({"detectors": {"builtin": told}, "n": 8}))
+    job = jobs.Job("Evaluation", [["true"]], tmp_path, "x", lambda job: _evaluated(job, run)).wait(10)
+    assert job.is_bad_news and job.message.startswith("The cloak hides no more than own clothing does")
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"detectors": 3}', '{"detectors": {"a": {"by_angle": {"x": {}}}}}'])
+def test_an_evaluation_that_cannot_be_read_is_none(dressed, text):
+    (folder_of(dressed) / "evaluation").mkdir()
+    (folder_of(dressed) / "evaluation/summary.json").write_text(text)
+    assert run_states.read_state(folder_of(dressed)).evaluation is None
+
+
+# --- the ring --------------------------------------------------------------------------------------------------------
+
+
+def sector(azimuth: float, cloak: float = 1.0, clothing: float | None = None) -> Sector:
+    return Sector(azimuth, cloak, clothing, 10)
+
+
+def test_arcs_share_the_circle_and_leave_open_what_was_not_evaluated():
+    whole = ring.arcs([sector(a) for a in range(-180, 180, 30)])
+    assert math.isclose(sum(arc.last - arc.first for arc in whole), 360)
+    assert {(arc.first, arc.last) for arc in whole} >= {(-15, 15), (75, 105)}
+    front = ring.arcs([sector(a) for a in (-10, 0, 10)])
+    assert sorted((arc.first % 360, arc.last % 360) for arc in front) == [(5, 15), (345, 355), (355, 5)]
+    assert [(arc.first, arc.last) for arc in ring.arcs([sector(90)])] == [(75, 105)]
+    assert ring.arcs([]) == []
+
+
+def test_the_ring_has_the_cloak_outside_and_stands_where_cameras_stood():
+    places, colors = ring.ring_triangles([sector(0, 1.0, 0.0), sector(90, 0.0, 1.0)])
+    radius, front = np.linalg.norm(places, axis=1), places[:, 1] < -0.5
+    outside = radius > ring.MIDDLE + 1e-6
+    blue = colors[:, 2] > colors[:, 0]
+    assert blue[front & outside].all() and not blue[front & (radius < ring.MIDDLE - 0.01)].any()
+    left = places[:, 0] > 0.5  # the trainer's +x is Blender's
+    assert not blue[left & outside].any() and blue[left & (radius < ring.MIDDLE - 0.01)].all()
+    assert radius.min() > ring.INNER - 0.01 and radius.max() <= ring.OUTER + 1e-6
+    assert len(ring.ring_triangles([])[0]) == 0
+
+
+def test_the_ring_is_drawn_for_the_run_that_the_body_wears_and_can_be_hidden(dressed):
+    bpy.ops.cloak.evaluate()
+    run_job()
+    assert ring.shown(bpy.context)[0] == dressed
+    place, extent = ring.stand(dressed)
+    assert math.isclose(extent, 1.8, abs_tol=1e-3) and place.length < 1e-3
+    bpy.context.scene.cloak.judging.ring = False
+    assert ring.shown(bpy.context) is None
+    bpy.context.scene.cloak.judging.ring = True
+    dressed.cloak.run = ""
+    assert ring.shown(bpy.context) is None
+
+
+# --- where one looks from --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("azimuth", "elevation", "distance"), [(0, 0, 2), (35, 20, 3), (-130, -15, 1.5), (20, 90, 4)])
+def test_a_viewpoint_stands_where_the_camera_does(azimuth, elevation, distance):
+    a, e = math.radians(azimuth), math.radians(elevation)
+    away = Vector((math.cos(e) * math.sin(a), -math.cos(e) * math.cos(a), math.sin(e)))
+    turn = Matrix.Rotation(a, 4, "Z") @ Matrix.Rotation(math.pi / 2 - e, 4, "X")
+    middle = Vector((3, 1, 0.9))
+    found = viewpoints.viewpoint(Matrix.Translation(middle + distance * away) @ turn, 50.0, 400, 300, middle)
+    assert math.isclose(found.azimuth, azimuth, abs_tol=1e-3) and math.isclose(found.elevation, elevation, abs_tol=1e-3)
+    assert math.isclose(found.distance, distance, rel_tol=1e-5)
+    assert np.allclose(found.pivot, (3, 0.9, -1), atol=1e-5)  # y up, facing +z
+    assert found.is_like(found.sized(100)) and not found.is_like(viewpoints.replace(found, azimuth=azimuth + 1.0))
+
+
+def test_what_no_camera_of_the_trainer_can_see_is_refused():
+    upright = Matrix.Translation((0, -2, 0.9)) @ Matrix.Rotation(math.pi / 2, 4, "X")
+    for matrix, words in (
+        (upright @ Matrix.Rotation(0.2, 4, "Z"), "rolled"),
+        (upright @ Matrix.Rotation(math.pi, 4, "Z"), "rolled"),
+        (upright @ Matrix.Rotation(math.pi, 4, "Y"), "behind the camera"),
+    ):
+        with pytest.raises(InputError, match=words):
+            viewpoints.viewpoint(matrix, 50.0, 400, 300, Vector((0, 0, 0.9)))
+
+
+def seen_at(view: viewpoints.Viewpoint, point: tuple) -> tuple[float, float]:
+    """Where the trainer sees a point of Blender's, in shares of the picture from its lower left."""
+    a, e = math.radians(view.azimuth), math.radians(view.elevation)
+    right = np.array([math.cos(a), 0.0, -math.sin(a)])
+    up = np.array([-math.sin(e) * math.sin(a), math.cos(e), -math.sin(e) * math.cos(a)])
+    away = np.array([point[0], point[2], -point[1]]) - view.place()
+    focal = 0.5 / math.tan(math.radians(view.field_of_view) / 2) / -np.dot(away, np.cross(right, up))
+    return 0.5 + focal * np.dot(away, right) * view.height / view.width, 0.5 + focal * np.dot(away, up)
+
+
+def test_the_scenes_camera(dressed):
+    scene = bpy.context.scene
+    with pytest.raises(InputError, match="no camera"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+    camera = add_camera((2, 0, 0.9))
+    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
+    found = viewpoints.of_camera(scene, Vector((0, 0, 0.9)), 1.0)
+    assert math.isclose(found.azimuth, 90, abs_tol=1e-3) and math.isclose(found.distance, 2, rel_tol=1e-5)
+    for point in ((0.3, 0.2, 1.5), (-0.4, -0.5, 0.1)):
+        wanted = world_to_camera_view(scene, camera, Vector(point))
+        assert np.allclose(seen_at(found, point), wanted[:2], atol=1e-5)
+    assert (found.sized(640).width, found.sized(640).height) == (640, 360)
+    camera.data.shift_x = 0.1
+    with pytest.raises(InputError, match="lens shift"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+    camera.data.type = "ORTHO"
+    with pytest.raises(InputError, match="no perspective"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+
+
+# --- the detector's eye ----------------------------------------------------------------------------------------------
+
+
+def watch(until, seconds: float = 20) -> None:
+    """Let the eye look, as Blender's timer would."""
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end and eye.current is not None, eye.closed_because or eye.current.message
+        eye.tick()
+        time.sleep(0.02)
+
+
+def asked() -> dict:
+    return json.loads(Path(bpy.app.tempdir, "cloak eye", "asked.json").read_text())
+
+
+@pytest.fixture
+def open_eye(dressed):
+    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    bpy.ops.cloak.eye()
+    watch(lambda: eye.current.seen is not None)
+    yield eye.current
+    eye.close_eye()
+
+
+def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
+    glances = open_eye.seen.glances["builtin"]
+    assert glances["clothing"].describe() == "found, 0.90" and glances["cloak"].describe() == "hidden, 0.20"
+    told = asked()
+    assert math.isclose(told["azimuth"], 0, abs_tol=1e-3) and math.isclose(told["distance"], 3, rel_tol=1e-4)
+    assert told["colors"] == str(folder_of(dressed) / "colors.npy") and max(told["width"], told["height"]) == 640
+    words = [line for line, _ in eye_drawing.lines(open_eye, fits=True)]
+    assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
+    box = eye_drawing.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
+    assert np.allclose(box, (100, 50, 200, 150))
+    assert not jobs.busy()  # it is no job: a training may run beside it
+
+
+def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye):
+    before = asked()
+    bpy.context.scene.camera.location.x = 1.5
+    bpy.context.scene.camera.rotation_euler = (
+        (Vector((1.5, -3, 0.9)) - Vector((0, 0, 0.9))).to_track_quat("Z", "Y").to_euler()
+    )
+    bpy.context.view_layer.update()
+    watch(lambda: asked()["azimuth"] > 20)
+    dressed.location.z = 0.25
+    bpy.context.view_layer.update()
+    watch(lambda: math.isclose(asked()["lowest"], 0.25, abs_tol=1e-4))
+    (folder_of(dressed) / "colors.npy").unlink()  # as before training
+    watch(lambda: "colors" not in asked())
+    assert "colors" in before
+    watch(lambda: "cloak" not in open_eye.seen.glances["builtin"])
+    bpy.context.scene.cloak.judging.eye_background = 7
+    watch(lambda: asked()["background"] == 7)
+    calm = Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns
+    for _ in range(20):
+        eye.tick()
+        time.sleep(0.01)
+    assert Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns == calm  # nothing new, nothing asked
+
+
+def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
+    bpy.context.scene.camera.data.type = "ORTHO"
+    watch(lambda: "no perspective" in open_eye.message)
+    assert eye_drawing.lines(open_eye, fits=True)[1][0] == open_eye.message
+    bpy.context.scene.camera.data.type = "PERSP"
+    watch(lambda: not open_eye.message)
+    set_mode("EDIT")
+    watch(lambda: "Leave Edit Mode" in open_eye.message)
+    set_mode("OBJECT")
+    watch(lambda: not open_eye.message)
+
+
+def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
+    process = open_eye._onlooker._process
+    bpy.ops.cloak.eye()
+    assert eye.current is None and process.poll() is not None
+    bpy.ops.cloak.eye()
+    process = eye.current._onlooker._process
+    process.kill()
+    process.wait()
+    assert eye.tick() is None and eye.current is None and "exit code -9" in eye.closed_because
+    bpy.ops.cloak.eye()
+    assert eye.closed_because == ""
+    bpy.data.objects.remove(dressed)
+    assert eye.tick() is None and "is gone" in eye.closed_because
+
+
+def test_an_answer_that_is_an_error_is_told(tmp_path, stub):
+    looks = onlooker.Onlooker([str(stub), "-c", "input()"], tmp_path)
+    looks.ask({"scene": "x"})
+    assert looks.answer() is None
+    (tmp_path / "look.json").write_text('{"error": "no such scene"}')
+    with pytest.raises(InputError, match="no such scene"):
+        looks.answer()
+    assert not looks.waiting
+    looks.ask({})
+    (tmp_path / "look.json").write_text('{"detectors": {}}')
+    with pytest.raises(InputError, match="not the answer"):
+        looks.answer()
+    looks.stop()
+
+
+# --- what is taken along ---------------------------------------------------------------------------------------------
+
+
+def test_sheets_and_turntables_lie_beside_the_run_numbered(dressed):
+    run = folder_of(dressed)
+    with pytest.raises(RuntimeError, match="Nothing was made"):
+        bpy.ops.cloak.show_made(path=str(run))
+    for name in ("print sheets", "print sheets 2"):
+        bpy.ops.cloak.print_sheets()
+        assert run_job().message == f"Wrote {runs.side_folder(run) / name}"
+    bpy.ops.cloak.turntable()
+    job = run_job()
+    assert job.state == "done" and job.fraction == 1
+    place = runs.side_folder(run) / "turntable.gif"
+    words = json.loads(place.read_text())
+    assert "--camera=orbit" in words and "--fps=12.5" in words and "--seconds=6" in words
+    assert [path.name for path in outputs.made(run)][-1] == "print sheets" and place in outputs.made(run)
+    assert bpy.ops.cloak.show_made(path=str(place)) == {"FINISHED"}
+    with pytest.raises(RuntimeError, match="is gone"):
+        bpy.ops.cloak.show_made(path="/nowhere")
+
+
+def test_a_film_follows_the_scenes_camera(dressed):
+    with pytest.raises(RuntimeError, match="no camera"):
+        bpy.ops.cloak.film()
+    scene = bpy.context.scene
+    camera = add_camera((0, -2, 0.9))
+    scene.frame_start, scene.frame_end, scene.render.fps = 1, 25, 24
+    for frame, place in ((1, (0, -2, 0.9)), (25, (4, 0, 0.9))):
+        camera.location = place
+        camera.keyframe_insert("location", frame=frame)
+    scene.frame_set(7)
+    scene.cloak.judging.film_format = "mp4"
+    bpy.ops.cloak.film()
+    assert run_job().state == "done" and scene.frame_current == 7
+    words = json.loads((runs.side_folder(folder_of(dressed)) / "film.mp4").read_text())
+    assert "--fps=24" in words
+    table = next(word for word in words if word.startswith("--camera=")).partition("=")[2]
+    rows = np.genfromtxt(table, delimiter=",", names=True)
+    first, last = rows[0], rows[-1]
+    assert np.allclose([first["azimuth"], first["elevation"], first["distance"]], [0, 0, 2], atol=0.01)
+    assert np.allclose([last["time"], last["azimuth"], last["distance"]], [1, 90, 4], atol=0.01)
+
+
+def test_keyframes_turn_on_beyond_half_a_circle():
+    turn = np.radians([0, 120, 240, 350])
+    away = np.stack([2 * np.sin(turn), np.zeros(4), 2 * np.cos(turn)], -1)
+    rows = outputs.keyframes(np.arange(4.0), away).splitlines()
+    assert [float(row.split(",")[1]) for row in rows[1:]] == [0, 120, 240, 350]
+
+
+def test_other_faces_than_the_runs_are_refused(dressed):
+    from cloak import body
+
+    body.subdivide(dressed)
+    with pytest.raises(RuntimeError, match=r"changed since run ä was trained"):
+        bpy.ops.cloak.turntable()

@@ -1,0 +1,54 @@
+"""What judges a cloak, with the project's own trainer behind the buttons."""
+
+import json
+import time
+
+import bpy
+import numpy as np
+from cloak import eye, jobs, outputs, run_states
+from cloak.preferences import preferences
+from conftest import run_job
+from made import make_egg
+from test_colors import made_run
+from test_headless import RED
+
+
+def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_trainer):
+    """From the buttons: what they ask for is understood, and what comes back is read."""
+    obj = make_egg(10)
+    ids = np.arange(40, 90)
+    run = made_run(tmp_path, obj, ids, np.tile(np.float32([1, 0, 0]), (len(ids), 1)))
+    spec = f"python:{RED}:load"
+    (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": spec}]}))
+    obj.cloak.run, preferences().python = str(run), str(real_trainer)
+    settings = bpy.context.scene.cloak
+    settings.detector, settings.python_file = "PYTHON", str(RED)
+    judging = settings.judging
+    judging.bodies, judging.frame_start, judging.frame_end = "FRAMES", 1, 1
+    judging.images, judging.angle, judging.film_seconds = 8, 90, 0.5
+    try:
+        bpy.ops.cloak.result_load()
+        for press in (bpy.ops.cloak.evaluate, bpy.ops.cloak.turntable, bpy.ops.cloak.print_sheets):
+            press()
+            assert run_job(200).state == "done", jobs.current.message
+            assert jobs.current.fraction == 1
+        found = run_states.read_state(run).evaluation
+        assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
+        assert 0 <= found.detectors[0].rates["clothing"][1].value <= 1
+        assert sorted(path.name for path in outputs.made(run)) == ["print sheets", "turntable.gif"]
+        bpy.context.scene.camera = camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        bpy.context.scene.collection.objects.link(camera)
+        camera.location, camera.rotation_euler, judging.eye_from = (0, -3, 0.9), (np.pi / 2, 0, 0), "CAMERA"
+        bpy.context.view_layer.update()
+        bpy.ops.cloak.eye()
+        until = time.monotonic() + 300
+        while eye.current.seen is None:
+            eye.tick()
+            assert eye.current is not None and time.monotonic() < until, eye.closed_because
+            time.sleep(0.05)
+        glances = eye.current.seen.glances[spec]
+        assert glances["cloak"].score < glances["clothing"].score  # the detector's person vanishes as it turns red
+        assert all(path.is_file() for path in eye.current.seen.pictures.values())
+    finally:
+        eye.close_eye()
+        preferences().python = ""
