@@ -27,7 +27,8 @@ def seen(
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     beyond = [vertices[:, axis] < low[axis] for axis in (0, 1)] + [vertices[:, axis] > high[axis] for axis in (0, 1)]
     aside = [side[triangles[:, 0]] & side[triangles[:, 1]] & side[triangles[:, 2]] for side in beyond]
-    near = ~np.logical_or.reduce(aside)
+    behind = vertices[:, 2] <= points[:, 2].min()
+    near = ~np.logical_or.reduce([*aside, behind[triangles].all(1)])
     first, second, third = (vertices[triangles[near, corner]] for corner in range(3))
     least, most = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
     corners, triangle_face = np.stack([first, second, third], 1), triangle_face[near]

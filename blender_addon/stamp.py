@@ -23,7 +23,6 @@ from .mesh_arrays import (
     mesh_triangles,
     polygon_loops,
     read,
-    to_world,
     vertex_points,
 )
 from .modifiers import carried_faces, lost_reason, numbered_faces
@@ -159,12 +158,15 @@ def _covered_own(
 
 def _covered(mesh: bpy.types.Mesh, matrix: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
     """Mask [P] of an evaluated mesh's covered polygons."""
-    centers = to_world(read(mesh.polygons, "center", 3), matrix)
-    normals = face_normals(mesh) @ np.linalg.inv(matrix[:3, :3])
-    rays = centers - np.array(projection.eye) if projection.eye is not None else np.array(projection.direction)
-    plane, before_eye = _to_plane(centers, projection)
-    mask = before_eye & under_ink(plane, stamp) & ((normals * rays).sum(1) < 0)
-    mask &= ~hidden_faces(mesh)
+    centers, normals = read(mesh.polygons, "center", 3), face_normals(mesh)
+    back = np.linalg.inv(matrix)  # whether a face looks at the viewer is the same in the mesh's own space
+    if projection.eye is None:
+        facing = normals @ (back[:3, :3] @ np.array(projection.direction)).astype(np.float32) < 0
+    else:
+        eye = (back[:3, :3] @ np.array(projection.eye) + back[:3, 3]).astype(np.float32)
+        facing = np.einsum("ij,ij->i", normals, centers - eye) < 0
+    plane, before_eye = _to_plane(centers, matrix, projection)
+    mask = before_eye & facing & under_ink(plane, stamp) & ~hidden_faces(mesh)
     ids = np.flatnonzero(mask)
     if len(ids):
         mask[ids] = seen(plane[ids], ids, *_image(mesh, matrix, projection, plane, ids))
@@ -176,26 +178,31 @@ def _image(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The mesh's vertices in plane coordinates [V, 3], its triangles before the eye [T, 3], and the face of each.
 
-    Of the faces, whose centres lie at `plane` [P, 3], only those that have a corner in the box of the faces `ids`.
+    Of the faces, whose centres lie at `plane` [P, 3], only those that may lie before the faces `ids`.
     """
-    points, before_eye = _to_plane(to_world(vertex_points(mesh), matrix), projection)
+    points, before_eye = _to_plane(vertex_points(mesh), matrix, projection)
     counts, loops = polygon_loops(mesh)
     starts = np.cumsum(counts) - counts
     low, high = plane[ids, :2].min(0), plane[ids, :2].max(0)
     sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
-    aside = np.bitwise_and.reduceat((sides[:, 0] | sides[:, 1])[loops], starts)  # all corners beyond one side
+    behind = (points[:, 2] < plane[ids, 2].min()) * np.uint8(16)
+    aside = np.bitwise_and.reduceat((sides[:, 0] | sides[:, 1] | behind)[loops], starts)  # all corners beyond one side
     usable = np.logical_and.reduceat(before_eye[loops], starts)
     return (points, *face_triangles(mesh, (aside == 0) & usable))
 
 
-def _to_plane(points: np.ndarray, projection: Projection) -> tuple[np.ndarray, np.ndarray]:
-    """Points [n, 3] in world space as x, y in the stamp's plane and nearness; and which lie before the eye."""
-    plane = np.c_[points, np.ones(len(points))] @ np.array(projection.to_plane, np.float64).T
-    before_eye = plane[:, 3] > 1e-9
-    w = np.where(before_eye, plane[:, 3], 1)
-    parallel = projection.eye is None
-    nearness = -points @ np.array(projection.direction, np.float64) if parallel else 1 / w  # linear in the image
-    return np.c_[plane[:, :2] / w[:, None], nearness], before_eye
+def _to_plane(points: np.ndarray, matrix: np.ndarray, projection: Projection) -> tuple[np.ndarray, np.ndarray]:
+    """Points [n, 3] of a mesh as x, y in the stamp's plane and nearness; and which lie before the eye."""
+    rows = np.array(projection.to_plane, np.float64) @ matrix
+    if projection.eye is None:  # a parallel view: w is 1 everywhere, and nearness a coordinate like the others
+        toward = -np.array(projection.direction, np.float64) @ matrix[:3]
+        rows = np.stack([rows[0], rows[1], toward])
+        return points @ rows[:, :3].T + rows[:, 3], np.ones(len(points), bool)
+    plane = points @ rows[[0, 1, 3], :3].T + rows[[0, 1, 3], 3]
+    before_eye = plane[:, 2] > 1e-9
+    plane[:, 2] = 1 / np.where(before_eye, plane[:, 2], 1)  # linear in the image
+    plane[:, :2] *= plane[:, 2:]
+    return plane, before_eye
 
 
 def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:

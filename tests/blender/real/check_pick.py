@@ -2,9 +2,8 @@
 
     real_blender.sh gui sid OUT.png tests/blender/real/check_pick.py ZIP [FACES [brush|drag]]
 
-Ends Blender with exit code 3 at the first check that fails; the picture is taken in the middle of a stroke, or
-of a drag. Prints the
-milliseconds that events took on a body of FACES faces (300,000 where none is given).
+Ends Blender with exit code 3 at the first check that fails; the picture is taken in the middle of a stroke, or of
+a drag. Prints the milliseconds that events took on a body of FACES faces (300,000 where none is given).
 """
 
 import os
@@ -156,6 +155,7 @@ def steps():
     with override():
         set_mode("EDIT")
         bpy.ops.mesh.select_all(action="DESELECT")
+        bpy.ops.ed.undo_push(message="start")
     yield from show_tab()
     yield 1.0
     if ONLY != "drag":

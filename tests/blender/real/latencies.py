@@ -17,6 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from harness import install, print_figures
@@ -55,6 +56,10 @@ def touch(obj: bpy.types.Object) -> None:
 def waits(obj: bpy.types.Object) -> dict[str, str]:
     """Every wait in Edit Mode, on one body."""
     from cloak import faces, overlay
+    from cloak.mesh_arrays import current_mesh
+    from cloak.placing import Placed, Placement
+    from cloak.stamp import text_stamp
+    from cloak.surface import read_surface
     from made import select_only, set_mode
 
     print(obj.name, file=sys.stderr, flush=True)
@@ -63,19 +68,33 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     select_only(obj, range(count // 3, count // 2))
     bpy.ops.cloak.logo_new(name="logo")
     folder = Path(tempfile.mkdtemp())
-    numbers = iter(range(10**6))
+    numbers, kept = iter(range(10**6)), {}
 
     def stamped() -> None:
         bpy.ops.cloak.logo_stamp(target="ADD")
 
     def tinted() -> None:
-        overlay.tint_triangles(obj, faces.read_faces(obj, "logo"))
+        with current_mesh(obj):  # as the overlay does
+            overlay.tint_triangles(obj, faces.read_faces(obj, "logo"))
+
+    def dabbed() -> None:
+        painted = kept["surface"].hits(np.array([0.05, -9, 1]), np.array([0, 1, 0]))
+        kept["surface"].around(painted[0], 0.1)
+
+    def dragged() -> None:
+        """A perspective view: each move looks from elsewhere."""
+        x = 0.01 * next(numbers)
+        kept["placed"].faces(Placement(np.array([0, -0.25, 1]), np.array([x, 1, 0]), 0.5))
 
     def exported() -> None:
         bpy.ops.cloak.logo_export(filepath=str(folder / f"{next(numbers)}.npy"))
 
     actions = {
         "stamp": stamped,
+        "brush: begin": lambda: kept.update(surface=read_surface(bpy.context, obj)),
+        "brush: dab": dabbed,
+        "drag: begin": lambda: kept.update(placed=Placed(read_surface(bpy.context, obj), text_stamp("G"))),
+        "drag: move": dragged,
         "figures": lambda: overlay.active_stats(obj),
         "tint": tinted,
         "assign": bpy.ops.cloak.logo_assign,
