@@ -120,13 +120,10 @@ def _remember_faces(bm: bmesh.types.BMesh) -> None:
 
 
 def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
-    hidden = bm.faces.layers.int.new("cloak_hidden")  # splitting does not hand the hide flag down reliably
-    for face in bm.faces:
-        if face.hide:
-            face[hidden] = True
+    hidden = _remember_hidden(bm)
     has_ngons = any(len(f.verts) > 4 for f in bm.faces)
     corner = bm.verts.layers.int.new("cloak_corner")
-    for vert in bm.verts:
+    for vert in bm.verts if has_ngons else ():
         vert[corner] = True
     show(0.1)
     middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
@@ -139,12 +136,28 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None
     if not keep_quads:
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
     show(0.9)
-    flags = [face[hidden] for face in bm.faces]
+    if hidden:
+        _hide_again(bm)
+    bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
+
+
+def _remember_hidden(bm: bmesh.types.BMesh) -> bool:
+    """Write down which faces are hidden: splitting does not hand the flag down reliably. Whether there are any."""
+    faces = [face for face in bm.faces if face.hide]
+    if faces:
+        layer = bm.faces.layers.int.new("cloak_hidden")
+        for face in bm.faces:
+            face[layer] = face.hide
+    return bool(faces)
+
+
+def _hide_again(bm: bmesh.types.BMesh) -> None:
+    layer = bm.faces.layers.int["cloak_hidden"]
+    flags = [face[layer] for face in bm.faces]
     for face, flag in zip(bm.faces, flags, strict=True):
         if face.hide != flag:
             face.hide_set(flag)
-    bm.faces.layers.int.remove(bm.faces.layers.int["cloak_hidden"])
-    bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
+    bm.faces.layers.int.remove(layer)
 
 
 def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
