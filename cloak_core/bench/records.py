@@ -33,5 +33,6 @@ def circumstances(record: dict) -> str:
     missing = [name for name, version in versions.items() if version.startswith("missing")]
     words = ", ".join(f"{name} {version}" for name, version in versions.items() if name not in missing)
     absent = f"; not installed: {', '.join(missing)}" if missing else ""
+    clock = f", {record['clock']}'s time" if "clock" in record else ""
     cores = f"{machine['device']} ({machine['cores']} cores)"
-    return f"Measured {machine['date']} on {cores}, {record['threads']} threads; {words}{absent}"
+    return f"Measured {machine['date']} on {cores}, {record['threads']} threads{clock}; {words}{absent}"
