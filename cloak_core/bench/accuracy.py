@@ -27,12 +27,12 @@ from torch import Tensor
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
 from cloak_core.bench.peers.bank import PeerBank, available, usable
 from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
-from cloak_core.bench.views import cached_render, machine, timed, torch_threads
+from cloak_core.bench.views import cached_render, clock, machine, timed, torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.render.views import GRIDS, ViewBank
-from cloak_core.render.visibility.area import CrowdedPixels
+from cloak_core.render.visibility.areas import CrowdedPixels
 from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
@@ -83,9 +83,10 @@ def run_bench_accuracy(
     if repeats < 1 or threads < 1:
         raise InputError(f"repeats {repeats}, threads {threads}: at least 1 each")
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
-    measured = {"threads": threads, "repeats": repeats, "peers": available(), "machine": machine()}
-    result = {"scenes": {}, "default": default_name(), **measured}
     with torch_threads(threads):
+        measured = {"threads": threads, "clock": clock(), "repeats": repeats, "peers": available()}
+        measured |= {"machine": machine()}
+        result = {"scenes": {}, "default": default_name(), **measured}
         for name in only or SCENES:
             result["scenes"][name] = measure(make_scene(name, bodies), repeats, threads, measured["peers"]) | measured
     if out is not None:

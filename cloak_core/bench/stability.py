@@ -19,9 +19,9 @@ from cloak_core.bench.stability_cases import CASES, Case
 from cloak_core.bench.stability_checks import CHECKS
 from cloak_core.bench.views import machine
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.visibility.area import area_fragments
 from cloak_core.render.visibility.keys import DEPTH_BITS
 from cloak_core.render.visibility.rasterizer import bounding_window, rasterize
+from cloak_core.render.weights.fragments import area_fragments
 
 AREA = 1e-6
 """Largest difference, as a share of a pixel, between areas that are to be the same."""

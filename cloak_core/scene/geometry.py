@@ -74,11 +74,34 @@ def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
     part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
     outward = np.zeros(bodies.pose_count, bool)
     for pose in range(bodies.pose_count):
-        vectors, centroid = area_vectors(bodies, pose)
-        # The divergence theorem; the origin does not matter for a closed surface.
-        volume = np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
-        outward[pose] = bool((volume[np.unique(part)] > 0).all())
+        outward[pose] = bool((_volumes(bodies, pose, part)[np.unique(part)] > 0).all())
     return outward
+
+
+def outward_parts(bodies: Bodies) -> Bool[np.ndarray, "poses triangles"]:
+    """Per pose: which triangles belong to connected surfaces that are closed and face outwards: nobody outside of them
+    sees their backs."""
+    part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
+    outward = np.zeros((bodies.pose_count, bodies.triangle_count), bool)
+    if not bodies.triangle_count:
+        return outward
+    start, end = bodies.triangles.astype(np.int64), np.roll(bodies.triangles, -1, axis=1).astype(np.int64)
+    walked, count = np.unique(start * bodies.vertex_count + end, return_counts=True)
+    back = end * bodies.vertex_count + start
+    paired = walked[np.searchsorted(walked, back).clip(max=len(walked) - 1)] == back
+    once = count[np.searchsorted(walked, start * bodies.vertex_count + end)] == 1
+    open_parts = part[~(paired & once & (start != end)).all(1)]
+    closed = ~np.isin(part, open_parts)
+    for pose in range(bodies.pose_count):
+        outward[pose] = closed & (_volumes(bodies, pose, part) > 0)[part]
+    return outward
+
+
+def _volumes(bodies: Bodies, pose: int, part: Integer[np.ndarray, " triangles"]) -> np.ndarray:
+    """What each part of a body encloses, by the divergence theorem; means something where a part is closed. The origin
+    does not matter then, but one nearby rounds less."""
+    vectors, centroid = area_vectors(bodies, pose)
+    return np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
 
 
 def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:

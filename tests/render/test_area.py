@@ -16,9 +16,10 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.views import ViewBank
 from cloak_core.render.visibility import area_loops, areas, overlap_loops, samples, settle_loops
-from cloak_core.render.visibility.area import CrowdedPixels, area_fragments
+from cloak_core.render.visibility.areas import CrowdedPixels
 from cloak_core.render.visibility.flat import flatten
 from cloak_core.render.visibility.projection import GRID, Window
+from cloak_core.render.weights.fragments import area_fragments
 from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
 
@@ -229,10 +230,14 @@ def test_triangles_that_fill_the_screen_are_dropped_before_they_are_stored(path:
     flat = flatten(screen, triangles, 0)
     if path == "loops":
         arrays = flat.arrays()
-        candidates = overlap_loops.find_candidates(arrays[0], arrays[1], arrays[3], False, 0, size, 0, size)
-        held = len(overlap_loops.find_pieces(*arrays[:4], candidates, 0, size, 0, size)[0])
+        candidates = overlap_loops.find_candidates(arrays[0], arrays[1], arrays[3], arrays[5], 0, size, 0, size)
+        held = len(
+            overlap_loops.find_pieces(
+                *arrays[:4], overlap_loops.hash_corners(*arrays[:2]), candidates, 0, size, 0, size
+            )[0]
+        )
     else:
-        held = sum(len(part[0]) for part in areas.seen_areas(flat, False, window, size))
+        held = sum(len(part[0]) for part in areas.seen_areas(flat, window, size))
     found = area_fragments(screen, triangles, None, window)
     assert held <= 2 * size * size
     assert (found.triangle == int(depth[::3].argmax())).all() and found.area.sum() == size * size

@@ -82,7 +82,7 @@ def test_views_do_not_depend_on_what_they_are_built_with(monkeypatch: pytest.Mon
         alone = ViewBank(bodies, samples=4).view(*key)
         assert torch.equal(alone.pixels, view.pixels) and torch.equal(alone.face, view.face)
         torch.testing.assert_close(alone.weight, view.weight, rtol=0, atol=1e-6)
-    monkeypatch.setattr(views_module, "BATCH_NUMBERS", {"cpu": 500})
+    monkeypatch.setattr(views_module, "BAND_SAMPLES", {"cpu": 500})
     for key, view in zip(keys, together, strict=True):
         banded = ViewBank(bodies, samples=4).view(*key)
         assert torch.equal(banded.pixels, view.pixels) and torch.equal(banded.coverage, view.coverage)

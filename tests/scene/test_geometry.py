@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.scene.geometry import face_areas, face_centres, face_normals, inner_edges, is_closed, is_outward
+from cloak_core.scene.geometry import (
+    face_areas,
+    face_centres,
+    face_normals,
+    inner_edges,
+    is_closed,
+    is_outward,
+    outward_parts,
+)
 from cloak_core.scene.people.samples import sample_bodies
 from tests.scene.solids import CUBE, cube, polygons, sphere
 
@@ -119,3 +127,14 @@ def test_a_single_face_has_no_inner_edge() -> None:
     pairs, lengths = inner_edges(cube(), np.array([2]))
     assert pairs.shape == (0, 2) and lengths.shape == (0,)
     assert len(CUBE) == 8
+
+
+def test_each_part_drops_its_own_backs() -> None:
+    """A cube, one inside out, one with a hole, and a needle."""
+    body, count = cube(), len(cube().triangles)
+    shift = lambda n: body.vertices + 10 * n
+    needle = np.array([[24, 24, 25]], body.triangles.dtype)
+    triangles = [body.triangles, body.triangles[:, ::-1] + 8, body.triangles[1:] + 16, needle]
+    parts = Bodies(np.concatenate([shift(0), shift(1), shift(2), shift(3)[:, :2]], 1), np.concatenate(triangles))
+    assert outward_parts(parts)[0].nonzero()[0].tolist() == list(range(count))
+    assert outward_parts(parts.select_poses([0, 0])).sum() == 2 * count

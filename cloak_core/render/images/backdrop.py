@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from cloak_core.render.compiled import arrays, loop, use_loops
+from cloak_core.render.compiled import arrays, loop
+from cloak_core.render.seam import steps
 
 
 def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"]]) -> None:
@@ -17,12 +18,18 @@ def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3
     for image in images:
         pixels = image.permute(1, 2, 0).reshape(-1, 3)
         own = rows[start : start + len(pixels)]
-        if use_loops(rows.device):
-            _to_numbers(*(array.reshape(-1) for array in arrays(own, pixels)))
-        else:
-            # Bytes travel; numbers are made where they go.
-            own.copy_(pixels.to(rows.device, non_blocking=True)).div_(255)
+        steps(rows.device).lay_image(own, pixels)
         start += len(pixels)
+
+
+def lay_image(own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
+    """One image's bytes as numbers in [0, 1]. Bytes travel; numbers are made where they go."""
+    own.copy_(pixels.to(own.device, non_blocking=True)).div_(255)
+
+
+def lay_image_by_loop(own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
+    """The same on the CPU."""
+    _to_numbers(*(array.reshape(-1) for array in arrays(own, pixels)))
 
 
 @loop

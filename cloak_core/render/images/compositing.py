@@ -17,10 +17,10 @@ from jaxtyping import Float32, Int64, Integer
 from torch import Tensor
 from torch.autograd.graph import increment_version
 
-from cloak_core.render.compiled import use_loops
 from cloak_core.render.images import painting, painting_loops
 from cloak_core.render.images.dressing import DressedView
 from cloak_core.render.images.photometric import Photometric
+from cloak_core.render.seam import steps
 
 __all__ = ["Canvas", "Photometric", "blank", "compose", "pixels_of", "true_boxes"]
 
@@ -92,14 +92,14 @@ class Canvas:
     ) -> Canvas:
         """Put B bodies without their logo before the backgrounds that `rows` holds (see `blank`); it is drawn into."""
         _check(views, (len(views), views[0].height, views[0].width))
-        way = painting_loops if use_loops(rows.device) else painting
+        way = steps(rows.device)
         scale = None
         if views[0].light_color != (1.0, 1.0, 1.0):
             scale = torch.tensor([views[0].light_color], device=rows.device)
         if photometric is not None:
             scale = photometric.contrast.view(-1, 1, 1) * (1 if scale is None else scale)
         base, target = way.draw_bodies(views, rows, shifts, photometric)
-        logo = way.LogoMatrix.of(views)
+        logo = way.logo_matrix(views)
         shape = (len(views), 3, views[0].height, views[0].width)
         return Canvas(rows, shape, base, target, logo, scale, views[0].logo_count)
 

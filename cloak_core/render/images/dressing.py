@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from torch import Tensor
 
-from cloak_core.render.compiled import arrays, use_loops
-from cloak_core.render.images import dressing_loops
+from cloak_core.render.compiled import arrays
+from cloak_core.render.seam import steps
 from cloak_core.render.sparse import csr, offsets
 from cloak_core.render.weights.texture import look_up
 from cloak_core.render.weights.view import View
@@ -80,17 +80,17 @@ def dress(
     texture: UInt8[Tensor, "h w 3"] | None = None,
 ) -> DressedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
-    split = dressing_loops.split if use_loops(view.pixels.device) else _split
-    pixels, coverage, planes, front_count, *matrix = split(view, logo, colors, light_color, texture)
+    done = steps(view.pixels.device).split(view, logo, colors, light_color, texture)
+    pixels, coverage, planes, front_count, *matrix = done
     return DressedView(
         view.height, view.width, pixels, coverage, planes, front_count, *matrix, len(logo), light_color, view.box
     )
 
 
-def _split(
+def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
-    """See dressing_loops.py, which does the same on the CPU."""
+    """A view's arrays to those of a dressed view: pixels, coverage, planes, front_count, and the logo's matrix."""
     pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
     position[logo] = torch.arange(len(logo), device=logo.device)

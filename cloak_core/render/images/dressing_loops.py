@@ -22,7 +22,7 @@ ZERO, HALF, ONE, WHITE = np.float32(0), np.float32(0.5), np.float32(1), np.float
 def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
-    """A view's arrays to those of a dressed view: pixels, coverage, planes, front_count, and the logo's matrix."""
+    """See dressing.py."""
     pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
     position = torch.full((len(colors),), -1)
     position[logo] = torch.arange(len(logo))

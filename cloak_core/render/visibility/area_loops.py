@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
+import torch
 
 from cloak_core.render.compiled import loop
-from cloak_core.render.visibility.overlap_loops import NOTHING, by_place, find_candidates, find_pieces
+from cloak_core.render.visibility.areas import CrowdedPixels, Found
+from cloak_core.render.visibility.flat import FlatTriangles
+from cloak_core.render.visibility.overlap_loops import NOTHING, by_place, find_candidates, find_pieces, hash_corners
 from cloak_core.render.visibility.projection import Window
 from cloak_core.render.visibility.settle_loops import settle
 
@@ -13,20 +18,23 @@ MOST_PAIRS = 1 << 20
 """Pairs of triangle and pixel at most in one band, or those of a single row."""
 
 
-def seen_areas(arrays: list[np.ndarray], cull: bool, window: Window, width: int) -> tuple[list[tuple], int]:
-    """See areas.py: the same for the triangles of one view (`FlatTriangles.arrays`), and how many pixels were given
-    up."""
-    x, y, nearness, corner, ids = arrays
+def seen_areas(flat: FlatTriangles, window: Window, width: int) -> list[Found]:
+    """See areas.py. Warns of `CrowdedPixels`."""
+    x, y, nearness, corner, ids, one_sided = flat.arrays()
     columns = window.x0, window.x1
-    candidates = find_candidates(x, y, corner, cull, *columns, window.y0, window.y1)
-    found, lost = [], 0
+    candidates = find_candidates(x, y, corner, one_sided, *columns, window.y0, window.y1)
+    found, lost, hashes = [], 0, hash_corners(x, y)
+    triangles = x, y, nearness, corner, ids, hashes
     for top, bottom in _bands(candidates[-1], window):
-        place, owner, share, open_edges = find_pieces(x, y, nearness, corner, candidates, *columns, top, bottom)
+        place, owner, share, open_edges = find_pieces(x, y, nearness, corner, hashes, candidates, *columns, top, bottom)
         pixels = window.x1 - window.x0, bottom - top
         owner, share, begin = by_place(place, owner, share, pixels[0] * pixels[1])
-        lost += settle(x, y, nearness, corner, ids, owner, share, begin, open_edges, window.x0, top, pixels[0])
-        found.append(_emit(ids, owner, share, begin, window.x0, top, pixels[0], width))
-    return found, lost
+        lost += settle(triangles, owner, share, begin, open_edges, window.x0, top, pixels[0])
+        band = _emit(ids, owner, share, begin, window.x0, top, pixels[0], width)
+        found.append(tuple(map(torch.from_numpy, band)))
+    if lost:
+        warnings.warn(CrowdedPixels(lost), stacklevel=2)
+    return found
 
 
 def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int]]:

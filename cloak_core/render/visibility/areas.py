@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from cloak_core.render.visibility.flat import FlatTriangles
-from cloak_core.render.visibility.polygons import Line, Polygons
+from cloak_core.render.visibility.polygons import Line, distances, inner_part, join, measure
 from cloak_core.render.visibility.projection import GRID, Window
-from cloak_core.render.visibility.samples import Edges, canonical, chunk_size, expand
+from cloak_core.render.visibility.samples import Triangles, canonical, chunk_size, expand
 
 NOTHING = 1e-9
 """Share of a pixel below which a piece is dropped."""
@@ -30,6 +30,17 @@ DEPTH_STEPS = 1 << 42
 """Steps of nearness that are told apart."""
 _MARGIN = 64.0
 """Steps by which a piece must lie behind a triangle that fills its pixel to be dropped at once."""
+
+Found = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float[Tensor, " N"], Float64[Tensor, "2 N"]]
+"""Pixel, triangle, share of the pixel, and the centroid of what is seen, pixels; sorted by pixel and triangle."""
+
+
+class CrowdedPixels(UserWarning):
+    """Pixels in which so many pieces are seen that they were given up: what they show is not exact."""
+
+    def __init__(self, pixels: int) -> None:
+        super().__init__(f"{pixels} pixels show too many pieces to be exact")
+        self.pixels = pixels
 
 
 @dataclass(frozen=True)
@@ -40,52 +51,38 @@ class Pieces:
     """Flat, y * W + x."""
     owner: Int64[Tensor, " P"]
     """Of the triangles in canonical order."""
-    x: Float64[Tensor, "C P"]
-    y: Float64[Tensor, "C P"]
-    """Corners, counted from the pixel's (see `Polygons`)."""
+    shape: Float64[Tensor, "C 2 P"]
+    """Corners, counted from the pixel's."""
     plane: Float64[Tensor, "3 P"]
     """Depth in steps: at the pixel's corner, change over a pixel right, change over one down."""
 
     def take(self, index: Int64[Tensor, " K"]) -> Pieces:
-        return Pieces(*(getattr(self, field.name).index_select(-1, index) for field in fields(self)))
+        return Pieces(*(t.index_select(-1, index) for t in (self.place, self.owner, self.shape, self.plane)))
 
-    @staticmethod
-    def join(parts: list[Pieces]) -> Pieces:
-        shape = Polygons.join([part.shape for part in parts])
-        place, owner, plane = (torch.cat([getattr(p, name) for p in parts], -1) for name in ("place", "owner", "plane"))
-        return Pieces(place, owner, shape.x, shape.y, plane)
-
-    @property
-    def shape(self) -> Polygons:
-        return Polygons(self.x, self.y)
+    def join(self, other: Pieces) -> Pieces:
+        place, owner, plane = (
+            torch.cat([getattr(self, name), getattr(other, name)], -1) for name in ("place", "owner", "plane")
+        )
+        return Pieces(place, owner, join([self.shape, other.shape]), plane)
 
     def depth_range(self) -> tuple[Float64[Tensor, " P"], Float64[Tensor, " P"]]:
-        start, across, down = self.plane
-        depth = start + across * self.x + down * self.y
+        depth = self.plane[0] + (self.plane[1:] * self.shape).sum(1)
         return depth.amin(0), depth.amax(0)
 
 
-Fragments = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float64[Tensor, " N"], Float64[Tensor, "2 N"]]
-"""Pixel, triangle, share of the pixel, and the centroid of what is seen, pixels; sorted by pixel and triangle."""
-
-
-def seen_areas(flat: FlatTriangles, cull: bool, window: Window, width: int) -> Iterator[Fragments]:
-    """What is seen of a view in a window of an image so many pixels wide, band by band of rows: memory is that of one.
-
-    cull: whether clockwise triangles are dropped.
-    """
-    x, y, nearness, ids = canonical(flat, cull)
-    box = *_touched(x, window.x0, window.x1), *_touched(y, window.y0, window.y1)
+def seen_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[Found]:
+    """What is seen of a view in a window of an image so many pixels wide, from top to bottom, band by band of rows:
+    memory is that of one."""
+    triangles = canonical(flat)
+    box = torch.stack([*_touched(triangles.x, window.x0, window.x1), *_touched(triangles.y, window.y0, window.y1)])
     some = (torch.minimum(box[1] - box[0], box[3] - box[2]) >= 0).nonzero().view(-1)
-    x, y, nearness = (t.index_select(1, some) for t in (x, y, nearness))
-    ids, *box = (t.index_select(0, some) for t in (ids, *box))
-    edges = Edges(x, y, nearness)
-    for top, bottom in _bands(box, window, chunk_size(ids.device)):
-        pieces = _pieces(x, y, edges, box, top, bottom, width)
-        pieces = pieces.take(torch.argsort(pieces.place * len(ids) + pieces.owner))
-        for part in _groups(pieces.place, chunk_size(ids.device)):
-            own = pieces.take(part)
-            yield _measured(own, *_uncovered(own, x, y, ids, width), ids, width)
+    triangles, box = triangles.take(some), box.index_select(1, some)
+    for top, bottom in _bands(box, window, chunk_size(box.device)):
+        pieces = _pieces(triangles, box, top, bottom, width)
+        names = triangles.ids.index_select(0, pieces.owner)
+        order = torch.argsort(names, stable=True)
+        pieces = pieces.take(order[torch.argsort(pieces.place[order], stable=True)])
+        yield _measured(pieces, *_uncovered(pieces, triangles, width), triangles, width)
 
 
 def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Tensor, Tensor]:
@@ -94,11 +91,11 @@ def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Ten
     return low.clamp(min=first), high.clamp(max=stop - 1)
 
 
-def _bands(box: list[Tensor], window: Window, most: int) -> Iterator[tuple[int, int]]:
+def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tuple[int, int]]:
     """Rows from .. to (exclusive), each with at most so many pairs of triangle and pixel, or a single row."""
-    c0, c1, r0, r1 = box
-    load = torch.zeros(window.y1 - window.y0 + 1, dtype=torch.int64, device=c0.device)
-    load.index_add_(0, r0 - window.y0, c1 - c0 + 1).index_add_(0, r1 + 1 - window.y0, c0 - c1 - 1)
+    left, right, top, bottom = box
+    load = torch.zeros(window.y1 - window.y0 + 1, dtype=torch.int64, device=box.device)
+    load.index_add_(0, top - window.y0, right - left + 1).index_add_(0, bottom + 1 - window.y0, left - right - 1)
     start, held = window.y0, 0
     for row, pairs in enumerate(load.cumsum(0)[:-1].tolist(), window.y0):
         if held and held + pairs > most:
@@ -109,110 +106,85 @@ def _bands(box: list[Tensor], window: Window, most: int) -> Iterator[tuple[int, 
         yield start, window.y1
 
 
-def _pieces(x: Tensor, y: Tensor, edges: Edges, box: list[Tensor], top: int, bottom: int, width: int) -> Pieces:
+def _pieces(triangles: Triangles, box: Int64[Tensor, "4 N"], top: int, bottom: int, width: int) -> Pieces:
     """All pieces in a band of rows, but those behind a triangle that fills their pixel."""
     c0, c1, r0, r1 = box
     first, last = r0.clamp(min=top), r1.clamp(max=bottom - 1)
-    kept = []
-    front = torch.full(((bottom - top) * width,), -torch.inf, dtype=torch.float64, device=x.device)
+    pieces = None
+    front = torch.full(((bottom - top) * width,), -torch.inf, dtype=torch.float64, device=box.device)
     for owner, down in expand((last - first + 1).clamp(min=0)):
         for pair, across in expand((c1 - c0 + 1).index_select(0, owner)):
             own = owner.index_select(0, pair)
             column, row = c0.index_select(0, own) + across, (first.index_select(0, own) + down.index_select(0, pair))
-            new = _cut_to_pixels(x, y, edges, own, column, row, width)
-            area, (least, _) = new.shape.measure()[0], new.depth_range()
-            full = torch.where(area > 1 - 1e-12, least, -torch.inf)
+            new = _cut_to_pixels(triangles, own, column, row, width)
+            full = torch.where(measure(new.shape)[0] > 1 - 1e-12, new.depth_range()[0], -torch.inf)
             front.scatter_reduce_(0, new.place - top * width, full, "amax")
-            kept = [_not_behind(front, Pieces.join([*kept, new]), top * width)]
-    return kept[0]
+            pieces = new if pieces is None else pieces.join(new)
+            ahead = pieces.depth_range()[1] + _MARGIN >= front.index_select(0, pieces.place - top * width)
+            pieces = pieces.take(ahead.nonzero().view(-1))
+    return pieces
 
 
-def _not_behind(front: Tensor, pieces: Pieces, first: int) -> Pieces:
-    ahead = pieces.depth_range()[1] + _MARGIN >= front.index_select(0, pieces.place - first)
-    return pieces.take(ahead.nonzero().view(-1))
-
-
-def _cut_to_pixels(x: Tensor, y: Tensor, edges: Edges, own: Tensor, column: Tensor, row: Tensor, width: int) -> Pieces:
+def _cut_to_pixels(triangles: Triangles, own: Tensor, column: Tensor, row: Tensor, width: int) -> Pieces:
+    """The pieces of triangles in pixels, those without area left out."""
     left, top = column * GRID, row * GRID
-    at = lambda t, origin: (t.index_select(1, own) - origin).to(torch.float64) / GRID
-    shape = Polygons(at(x, left), at(y, top))
-    one, zero = (torch.full_like(shape.x[0], value) for value in (1.0, 0.0))
+    shape = _from_corner(triangles, own, left, top)
+    one, zero = torch.ones_like(shape[0, 0]), torch.zeros_like(shape[0, 0])
     for side in ((one, zero, zero), (-one, zero, one), (zero, one, zero), (zero, -one, one)):
-        shape = shape.cut(side)
+        shape = inner_part(shape, side)
     start, right, down = (
-        torch.round(edges.nearness(own, left + i * GRID, top + j * GRID) * DEPTH_STEPS)
+        torch.round(triangles.nearness_at(own, left + i * GRID, top + j * GRID) * DEPTH_STEPS)
         for i, j in ((0, 0), (1, 0), (0, 1))
     )
-    plane = torch.stack([start, right - start, down - start])
-    pieces = Pieces(row * width + column, own, shape.x, shape.y, plane)
-    return pieces.take((shape.measure()[0] > NOTHING).nonzero().view(-1))
+    pieces = Pieces(row * width + column, own, shape, torch.stack([start, right - start, down - start]))
+    return pieces.take((measure(shape)[0] > NOTHING).nonzero().view(-1))
 
 
-def _groups(place: Int64[Tensor, " P"], most: int) -> Iterator[Int64[Tensor, " K"]]:
-    """Indices of pieces, pixels kept together, with at most so many pairs within pixels, or a single pixel."""
-    size = torch.unique_consecutive(place, return_counts=True)[1].tolist()
-    start = stop = pairs = 0
-    for count in size:
-        if pairs and pairs + count * count > most:
-            yield torch.arange(start, stop, device=place.device)
-            start, pairs = stop, 0
-        stop, pairs = stop + count, pairs + count * count
-    if stop > start:
-        yield torch.arange(start, stop, device=place.device)
+def _from_corner(triangles: Triangles, own: Tensor, left: Tensor, top: Tensor) -> Float64[Tensor, "3 2 P"]:
+    """Triangles' corners, pixels from the corner of one (grid units)."""
+    at = lambda t, origin: (t.index_select(1, own) - origin).to(torch.float64) / GRID
+    return torch.stack([at(triangles.x, left), at(triangles.y, top)], 1)
 
 
-def _lines(pieces: Pieces, x: Tensor, y: Tensor, width: int) -> list[Line]:
+def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
     """The three edges of each piece's triangle, from the pixel's corner."""
     left, top = pieces.place % width * GRID, torch.div(pieces.place, width, rounding_mode="floor") * GRID
-    px, py = (
-        (t.index_select(1, pieces.owner) - origin).to(torch.float64) / GRID for t, origin in ((x, left), (y, top))
-    )
-    lines = []
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        dx, dy = px[j] - px[i], py[j] - py[i]
+    corners, lines = _from_corner(triangles, pieces.owner, left, top), []
+    for (x0, y0), (x1, y1) in ((corners[0], corners[1]), (corners[1], corners[2]), (corners[2], corners[0])):
+        dx, dy = x1 - x0, y1 - y0
         scale = 1 / torch.sqrt(dx * dx + dy * dy)
         a, b = -dy * scale, dx * scale
-        # From the middle, which the edge of a neighbour shares.
-        lines.append((a, b, -(a * (px[i] + px[j]) + b * (py[i] + py[j])) * 0.5))
+        lines.append((a, b, -(a * (x0 + x1) + b * (y0 + y1)) * 0.5))  # from the middle, which a neighbour shares
     return lines
 
 
-def _hiders(pieces: Pieces) -> tuple[Tensor, Tensor, Tensor]:
-    """Which pieces may hide which: for each its first entry in a list, how many there are, and the list."""
+def _uncovered(
+    pieces: Pieces, triangles: Triangles, width: int
+) -> tuple[Float64[Tensor, "C 2 N"], Int64[Tensor, " N"]]:
+    """What is seen of pieces, sorted by place: convex parts, and which piece each part belongs to.
+
+    In each turn every piece meets one more of those in its pixel.
+    """
+    lines, name = _lines(pieces, triangles, width), triangles.ids.index_select(0, pieces.owner)
     _, group, size = torch.unique_consecutive(pieces.place, return_inverse=True, return_counts=True)
     begin, rivals = (size.cumsum(0) - size)[group], size[group]
-    least, most = pieces.depth_range()
-    spans = [(t.amin(0), t.amax(0)) for t in (pieces.x, pieces.y)]
-    found, count = [begin[:0]], torch.zeros_like(rivals)
-    for mine, offset in expand(rivals):
-        other = begin[mine] + offset
-        meet = (mine != other) & (most[other] >= least[mine] - 1)
-        for low, high in spans:
-            meet &= (high[other] > low[mine]) & (low[other] < high[mine])
-        found.append(other[meet])
-        count.index_add_(0, mine[meet], torch.ones_like(mine[meet]))
-    return count.cumsum(0) - count, count, torch.cat(found)
-
-
-def _uncovered(pieces: Pieces, x: Tensor, y: Tensor, ids: Tensor, width: int) -> tuple[Polygons, Int64[Tensor, " N"]]:
-    """What is seen of pieces: convex parts, and which piece each part belongs to."""
-    lines, (first, count, hider) = _lines(pieces, x, y, width), _hiders(pieces)
-    name = ids.index_select(0, pieces.owner)
-    shape, owner = pieces.shape, torch.arange(len(name), device=name.device)
-    done = []
+    (least, most), low, high = pieces.depth_range(), pieces.shape.amin(0), pieces.shape.amax(0)
+    shape, owner, done = pieces.shape, torch.arange(len(name), device=name.device), []
     for turn in itertools.count():
-        finished = count[owner] <= turn
-        done.append((shape.take(finished.nonzero().view(-1)), owner[finished]))
-        left = (~finished).nonzero().view(-1)
+        left = (rivals[owner] > turn).nonzero().view(-1)
+        finished = (rivals[owner] <= turn).nonzero().view(-1)
+        done.append((shape.index_select(-1, finished), owner[finished]))
         if not len(left):
             break
-        shape, owner = shape.take(left), owner[left]
-        by = hider[first[owner] + turn]
+        shape, owner = shape.index_select(-1, left), owner[left]
+        by = begin[owner] + turn
+        meet = (by != owner) & (most[by] >= least[owner] - 1)
+        meet &= ((high[:, by] > low[:, owner]) & (low[:, by] < high[:, owner])).all(0)
         hiding = [*(tuple(t[by] for t in line) for line in lines), _nearer(pieces, name, by, owner)]
-        shape, kept = _subtract(shape, hiding)
+        shape, kept = _subtract(shape, hiding, meet)
         owner = owner[kept]
     shapes, owners = zip(*done, strict=True)
-    return Polygons.join(list(shapes)), torch.cat(owners)
+    return join(list(shapes)), torch.cat(owners)
 
 
 def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
@@ -225,32 +197,30 @@ def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
     return a / scale, b / scale, torch.where(even & (c == 0), lower, c / scale)
 
 
-def _subtract(shape: Polygons, hiding: list[Line]) -> tuple[Polygons, Int64[Tensor, " M"]]:
-    """What of polygons lies outside of a convex area each, given by its sides; and which polygon each part is of."""
-    meet = torch.stack([shape.reaches_inside(line) for line in hiding]).all(0)
+def _subtract(
+    shape: Float64[Tensor, "C 2 N"], hiding: list[Line], meet: Tensor
+) -> tuple[Float64[Tensor, "K 2 M"], Int64[Tensor, " M"]]:
+    """What of the polygons that may meet a convex area each, given by its sides, lies outside of it, and all of the
+    others; and which polygon each part is of."""
+    for line in hiding:
+        meet = meet & (distances(shape, line) > 0).any(0)
     apart, own = (~meet).nonzero().view(-1), meet.nonzero().view(-1)
-    shapes, owners, rest = [shape.take(apart)], [apart], shape.take(own)
+    shapes, owners, rest = [shape.index_select(-1, apart)], [apart], shape.index_select(-1, own)
     for line in hiding:
         a, b, c = (t.index_select(0, own) for t in line)
-        outside = rest.cut((-a, -b, -c))
-        some = (outside.measure()[0] > NOTHING * 1e-6).nonzero().view(-1)
-        shapes.append(outside.take(some))
+        outside = inner_part(rest, (-a, -b, -c))
+        some = (measure(outside)[0] > NOTHING * 1e-6).nonzero().view(-1)
+        shapes.append(outside.index_select(-1, some))
         owners.append(own.index_select(0, some))
-        rest = rest.cut((a, b, c))
-    return Polygons.join(shapes), torch.cat(owners)
+        rest = inner_part(rest, (a, b, c))
+    return join(shapes), torch.cat(owners)
 
 
-def _measured(pieces: Pieces, shape: Polygons, owner: Tensor, ids: Tensor, width: int) -> Fragments:
+def _measured(pieces: Pieces, shape: Tensor, owner: Tensor, triangles: Triangles, width: int) -> Found:
     """Area and centroid of what is seen of each piece."""
-    area, across, down = (
-        torch.zeros(len(pieces.place), dtype=torch.float64, device=owner.device).index_add_(0, owner, t)
-        for t in shape.measure()
-    )
-    some = (area > NOTHING).nonzero().view(-1)
-    place, name = pieces.place.index_select(0, some), ids.index_select(0, pieces.owner.index_select(0, some))
-    area, across, down = (t.index_select(0, some) for t in (area, across, down))
-    column, row = place % width, torch.div(place, width, rounding_mode="floor")
-    center = torch.stack([(across / area).clamp(0, 1) + column, (down / area).clamp(0, 1) + row])
-    order = torch.argsort(name, stable=True)
-    order = order[torch.argsort(place[order], stable=True)]
-    return place[order], name[order], area[order], center[:, order]
+    total = torch.zeros(3, len(pieces.place), dtype=torch.float64, device=owner.device)
+    total.index_add_(1, owner, measure(shape))
+    some = (total[0] > NOTHING).nonzero().view(-1)
+    place, owner, (area, *moments) = pieces.place[some], pieces.owner[some], total[:, some]
+    corner = torch.stack([place % width, torch.div(place, width, rounding_mode="floor")])
+    return place, triangles.ids[owner], area, (torch.stack(moments) / area).clamp(0, 1) + corner

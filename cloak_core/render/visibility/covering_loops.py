@@ -7,8 +7,11 @@ Edge functions are evaluated in int64 throughout: within the guard band nothing 
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Int64
+from torch import Tensor
 
 from cloak_core.render.compiled import loop
+from cloak_core.render.visibility.flat import FlatTriangles
 from cloak_core.render.visibility.keys import DEPTH_BITS, EMPTY, ID_BITS, LIMIT
 
 _SCALE = float(1 << DEPTH_BITS)
@@ -16,12 +19,18 @@ _SHORT = 4
 """Rows of up to so many samples are tried one by one; beyond, a division for each edge is quicker."""
 
 
+def cover_view(keys: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
+    """See samples.py."""
+    _cover(keys.numpy(), *flat.arrays(), row0, column0, shift)
+
+
 @loop
-def cover(keys, x, y, nearness, corner, ids, cull, row0, column0, shift):
+def _cover(keys, x, y, nearness, corner, ids, one_sided, row0, column0, shift):
     """Every triangle of one view into `keys` [rows, columns], the samples from row0 and column0 on.
 
-    x, y: snapped, int32 [K]; nearness: float64 [K]; corner: int64 [3, N]; ids: int64 [N]; cull: whether clockwise
-    triangles are dropped; shift: there are 2^shift grid units between samples.
+    x, y: snapped, int32 [K]; nearness: float64 [K]; corner: int64 [3, N]; ids: int64 [N]; one_sided: bool [N],
+    whether they are dropped where they show their back, that is, are clockwise; shift: there are 2^shift grid units
+    between samples.
     """
     rows, columns = keys.shape
     last_row, last_column = row0 + rows - 1, column0 + columns - 1
@@ -34,7 +43,7 @@ def cover(keys, x, y, nearness, corner, ids, cull, row0, column0, shift):
         if r0 > r1:
             continue
         twice = doubled_area(x, y, a, b, c)
-        if twice == 0 or (cull and twice > 0):
+        if twice == 0 or (one_sided[t] and twice > 0):
             continue
         cover_box(keys, x, y, nearness, in_order(x, y, a, b, c, twice), ids[t], r0, r1, c0, c1, row0, column0, shift)
 

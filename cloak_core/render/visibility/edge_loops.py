@@ -17,12 +17,14 @@ SEGMENT = 10
 
 
 @inner
-def find_open(x, y, corner, chosen, found, at, table, group, segments):
+def find_open(triangles, chosen, found, at, table, group, segments):
     """The parts of open edges in a cell, to `segments` [3 N, SEGMENT]; returns how many.
 
-    at: column, row and size of the cell; table [K, 2]: scratch, K a power of two; group [N]: a tree of pieces that hang
+    triangles: x, y, nearness, corner, ids and hashes of them all; chosen [found]: the triangle of each piece; at:
+    column, row and size of the cell; table [K, 2]: scratch, K a power of two; group [N]: a tree of pieces that hang
     together by shared edges, see `root`.
     """
+    x, y, _, corner, _, hashes = triangles
     size = 8
     while size < 6 * found:
         size *= 2
@@ -33,7 +35,7 @@ def find_open(x, y, corner, chosen, found, at, table, group, segments):
         p, q, r = clockwise(x, y, corner, chosen[i])
         for k in range(3):
             if may_cross(x, y, p, q, at):
-                _enter(table, size - 1, edge_number(x, y, p, q), 3 * i + k + 1, group)
+                _enter(table, size - 1, edge_number(hashes, p, q), 3 * i + k + 1, group)
             p, q, r = q, r, p
     count = 0
     for slot in range(size):

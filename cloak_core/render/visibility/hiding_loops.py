@@ -40,10 +40,10 @@ def settle_cell(triangles, at, chosen, found, pieces, masks, pool, seen, room, c
     pool: scratch; room: see `sheet_loops.edge_room`; count: of the cell's open edges if they are in there, or -1.
     Returns whether there was room; where not, too little may have been cut away.
     """
-    x, y, nearness, corner, ids = triangles
+    x, y, nearness, corner, ids, _ = triangles
     group, segments, opened, enough = room[1], room[2], np.int64(0), True
     if count < 0:
-        count = find_open(x, y, corner, chosen, found, at, room[0], group, segments)
+        count = find_open(triangles, chosen, found, at, room[0], group, segments)
     for k in range(count):
         u, v = (segments[k, 0], segments[k, 2]), (segments[k, 1], segments[k, 3])
         opened |= _mask(min(u), min(v), max(u), max(v))

@@ -35,7 +35,7 @@ _FAR = 1 << 30
 
 
 @loop
-def find_candidates(x, y, corner, cull, x0, x1, y0, y1):
+def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
     """Triangles that touch the window and have area, those that face the camera first: index and doubled area, first
     and last row; and for every row of the window how many pixels at most they touch there."""
     most, count, backs = corner.shape[1], 0, 0
@@ -45,7 +45,7 @@ def find_candidates(x, y, corner, cull, x0, x1, y0, y1):
     for t in range(most):
         a, b, c = corner[0, t], corner[1, t], corner[2, t]
         twice = doubled_area(x, y, a, b, c)
-        if (twice == 0) | (cull & (twice > 0)):
+        if (twice == 0) | (one_sided[t] & (twice > 0)):
             continue
         r0, r1 = touched(y[a], y[b], y[c], y0, y1)
         c0, c1 = touched(x[a], x[b], x[c], x0, x1)
@@ -76,7 +76,7 @@ def touched(a, b, c, start, stop):
 
 
 @loop
-def find_pieces(x, y, nearness, corner, candidates, x0, x1, y0, y1):
+def find_pieces(x, y, nearness, corner, hashes, candidates, x0, x1, y0, y1):
     """All pieces of a band: place, triangle (its index), area, and the centroid within the pixel; and `open_edges`."""
     index, areas, first, last, _ = candidates
     width, count, backs = x1 - x0, 0, False
@@ -107,7 +107,7 @@ def find_pieces(x, y, nearness, corner, candidates, x0, x1, y0, y1):
         near, far = max(nearness[a], nearness[b], nearness[c]), min(nearness[a], nearness[b], nearness[c])
         if (most == 1) & within(x[a], x[b], x[c], c0, PIXEL) & within(y[a], y[b], y[c], r0, PIXEL):
             at, size = (r0 - y0) * width + c0 - x0, abs(twice) * (0.5 / (GRID * GRID))
-            open_edges[at] += edges_in(x, y, a, b, c, twice, (c0, r0, PIXEL))
+            open_edges[at] += edges_in(x, y, hashes, a, b, c, twice, (c0, r0, PIXEL))
             if (size > NOTHING) & (near + _MARGIN >= front[at]):
                 total[at] += size
                 least[at] = min(least[at], far)
@@ -115,7 +115,7 @@ def find_pieces(x, y, nearness, corner, candidates, x0, x1, y0, y1):
                 share[1, count], share[2, count] = _middle(x[a], x[b], x[c], c0), _middle(y[a], y[b], y[c], r0)
                 count += 1
             continue
-        _prepare(edges, signs, x, y, a, b, c, twice)
+        _prepare(edges, signs, x, y, hashes, a, b, c, twice)
         # Small triangles have no need of their plane: their corners say enough.
         small = (c1 - c0 < 3) & (r1 - r0 < 3)
         plane = (a, 0.0, 0.0) if small else slopes(x, y, nearness, a, b, c, twice)
@@ -162,7 +162,7 @@ def _close(front, total, least, open_edges):
 
 
 @inner
-def _prepare(edges, signs, x, y, a, b, c, twice):
+def _prepare(edges, signs, x, y, hashes, a, b, c, twice):
     """A triangle's edges, each from its upper end (of two the left one): x, y, x, y, pixels; change of x with y; 1
     where the triangle lies on its right, -1 on its left. And the numbers that `open_edges` adds up."""
     for k in range(3):
@@ -170,7 +170,7 @@ def _prepare(edges, signs, x, y, a, b, c, twice):
         if twice > 0:
             p, q = q, p
         # Now the triangle is counter-clockwise on the screen: it lies to the right of what goes down.
-        signs[k] = edge_number(x, y, p, q)
+        signs[k] = edge_number(hashes, p, q)
         down = (y[p] < y[q]) | ((y[p] == y[q]) & (x[p] < x[q]))
         u, v = (p, q) if down else (q, p)
         edges[k, 0], edges[k, 1] = x[u] / GRID, y[u] / GRID
@@ -257,15 +257,15 @@ def _middle(a, b, c, pixel):
 
 
 @inner
-def edges_in(x, y, a, b, c, twice, at):
+def edges_in(x, y, hashes, a, b, c, twice, at):
     """The sum over a triangle's edges that may cross the inside of a cell (its column, row and size as a shift)."""
     turn = -1 if twice > 0 else 1
-    return turn * (_edge(x, y, a, b, at) + _edge(x, y, b, c, at) + _edge(x, y, c, a, at))
+    return turn * (_edge(x, y, hashes, a, b, at) + _edge(x, y, hashes, b, c, at) + _edge(x, y, hashes, c, a, at))
 
 
 @inner
-def _edge(x, y, a, b, at):
-    return edge_number(x, y, a, b) if may_cross(x, y, a, b, at) else np.int64(0)
+def _edge(x, y, hashes, a, b, at):
+    return edge_number(hashes, a, b) if may_cross(x, y, a, b, at) else np.int64(0)
 
 
 @inner
@@ -277,12 +277,22 @@ def may_cross(x, y, a, b, at):
     return across & (max(y[a], y[b]) > top) & (min(y[a], y[b]) < top + side)
 
 
+@loop
+def hash_corners(x, y):
+    """Two numbers for every corner [2, K], of which `edge_number` makes those of edges. By where corners are, not by
+    which they are: seams of a mesh are closed, too."""
+    hashes = np.empty((2, len(x)), np.int64)
+    for i in range(len(x)):
+        key = _START ^ (np.int64(y[i]) << 32) ^ x[i]
+        hashes[0, i], hashes[1, i] = _first(key), _second(key)
+    return hashes
+
+
 @inner
-def edge_number(x, y, a, b):
+def edge_number(hashes, a, b):
     """Of two triangles on either side of an edge one gets the negative of what the other gets, as both ask the same of
-    the edge alone. By where its ends are, not by which corners they are: seams of a mesh are closed, too."""
-    one, other = _START ^ (np.int64(y[a]) << 32) ^ x[a], _START ^ (np.int64(y[b]) << 32) ^ x[b]
-    return _first(one) * _second(other) - _first(other) * _second(one)
+    the edge alone."""
+    return hashes[0, a] * hashes[1, b] - hashes[0, b] * hashes[1, a]
 
 
 @inner

@@ -1,73 +1,70 @@
-"""Many convex polygons at once, in torch: cut by lines, measured. A line is a x + b y + c >= 0 on its inner side."""
+"""Many convex polygons at once, in torch: cut and measured.
+
+N polygons of up to C corners are one tensor of their coordinates, [C, D, N]; beyond a polygon's size the last of its
+corners stands again and again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Float64, Int64
 from torch import Tensor
 
 TOUCH = 1e-12
 """Pixels within which a corner counts as lying on a line: rounding stays below 1e-13."""
 
 Line = tuple[Tensor, Tensor, Tensor]
+"""a, b and c of each of N lines: a x + b y + c >= 0 on the inner side, in pixels."""
 
 
-@dataclass(frozen=True)
-class Polygons:
-    """N convex polygons of up to C corners, clockwise on a screen with y down; beyond a polygon's size the last of its
-    corners stands again and again."""
+def cut(
+    corners: Float64[Tensor, "C D N"], distance: Float64[Tensor, "C N"]
+) -> tuple[Float64[Tensor, "K D N"], Int64[Tensor, " N"]]:
+    """What lies where the distance, linear and given at each corner, is not negative (Sutherland and Hodgman).
 
-    x: Float64[Tensor, "C N"]
-    y: Float64[Tensor, "C N"]
+    Also returns how many corners each has, 0 where nothing is left. A crossing point is always computed from the inner
+    end of its edge towards the outer one, so two polygons that share an edge cut it in the very same point.
+    """
+    after, following = corners.roll(-1, 0), distance.roll(-1, 0)
+    inside, crossing = distance >= 0, distance * following < 0
+    start, end = (torch.where(inside.unsqueeze(1), *pair) for pair in ((corners, after), (after, corners)))
+    inner, outer = (torch.where(inside, *pair) for pair in ((distance, following), (following, distance)))
+    share = torch.where(crossing, inner / torch.where(crossing, inner - outer, 1.0), 0.0).unsqueeze(1)
+    points = torch.stack([corners, start + share * (end - start)], 1).flatten(0, 1)
+    emitted = torch.stack([inside, crossing], 1).flatten(0, 1)
+    count = emitted.sum(0)
+    # Emitted points move up to the front; behind them the last stands again.
+    order = torch.argsort(~emitted, dim=0, stable=True)
+    room = max(3, int(count.max())) if count.numel() else 3
+    slot = torch.arange(room, device=count.device).unsqueeze(1)
+    source = order.gather(0, torch.minimum(slot, (count - 1).clamp(min=0)))
+    return points.gather(0, source.unsqueeze(1).expand(-1, corners.shape[1], -1)), count
 
-    def take(self, index: Int64[Tensor, " M"]) -> Polygons:
-        return Polygons(self.x.index_select(1, index), self.y.index_select(1, index))
 
-    @staticmethod
-    def join(parts: list[Polygons]) -> Polygons:
-        corners = max(len(part.x) for part in parts)
+def distances(corners: Float64[Tensor, "C 2 N"], line: Line) -> Float64[Tensor, "C N"]:
+    """How far inside a line each corner lies; 0 on it."""
+    a, b, c = line
+    distance = a * corners[:, 0] + b * corners[:, 1] + c
+    return distance.masked_fill(distance.abs() <= TOUCH, 0.0)
 
-        def padded(t: Tensor) -> Tensor:
-            return torch.cat([t, t[-1:].expand(corners - len(t), -1)])
 
-        return Polygons(*(torch.cat([padded(getattr(part, axis)) for part in parts], 1) for axis in "xy"))
+def inner_part(corners: Float64[Tensor, "C 2 N"], line: Line) -> Float64[Tensor, "K 2 N"]:
+    """What lies on the inner side of a line; all corners in one point where nothing does."""
+    part, count = cut(corners, distances(corners, line))
+    return torch.where(count > 0, part, 0.0)
 
-    def distance(self, line: Line) -> Float64[Tensor, "C N"]:
-        """How far inside the line each corner lies; 0 on it."""
-        a, b, c = line
-        distance = a * self.x + b * self.y + c
-        return distance.masked_fill(distance.abs() <= TOUCH, 0.0)
 
-    def cut(self, line: Line) -> Polygons:
-        """What lies on the inner side (Sutherland and Hodgman); all corners in one point where nothing does."""
-        here = self.distance(line)
-        x, y, following = (torch.roll(t, -1, 0) for t in (self.x, self.y, here))
-        crossing = here * following < 0
-        share = torch.where(crossing, here / torch.where(crossing, here - following, 1.0), 0.0)
-        emitted = torch.stack([here >= 0, crossing], 1).flatten(0, 1)
-        # Emitted corners move up to the front; behind them the last stands again.
-        order = torch.argsort(~emitted, dim=0, stable=True)
-        count = emitted.sum(0)
-        room = max(1, int(count.max())) if count.numel() else 1
-        slot = torch.arange(room, device=count.device).unsqueeze(1)
-        source = order.gather(0, torch.minimum(slot, (count - 1).clamp(min=0)))
+def join(parts: list[Float64[Tensor, "_ 2 _"]]) -> Float64[Tensor, "C 2 N"]:
+    """Polygons beside each other."""
+    room = max(len(part) for part in parts)
+    return torch.cat([torch.cat([part, part[-1:].expand(room - len(part), -1, -1)]) for part in parts], -1)
 
-        def corners(t: Tensor, after: Tensor) -> Tensor:
-            points = torch.stack([t, t + share * (after - t)], 1).flatten(0, 1)
-            return torch.where(count > 0, points.gather(0, source), 0.0)
 
-        return Polygons(corners(self.x, x), corners(self.y, y))
-
-    def reaches_inside(self, line: Line) -> Bool[Tensor, " N"]:
-        """Whether any corner lies on the inner side and not on the line."""
-        return (self.distance(line) > 0).any(0)
-
-    def measure(self) -> tuple[Float64[Tensor, " N"], Float64[Tensor, " N"], Float64[Tensor, " N"]]:
-        """Area, and its first moments in x and y: the area times the centroid."""
-        x, y = self.x - self.x[0], self.y - self.y[0]  # about the first corner, so that nothing cancels
-        cross = x[:-1] * y[1:] - y[:-1] * x[1:]
-        area = cross.sum(0) / 2
-        across, down = (((t[:-1] + t[1:]) * cross).sum(0) / 6 for t in (x, y))
-        return area, across + area * self.x[0], down + area * self.y[0]
+def measure(corners: Float64[Tensor, "C 2 N"]) -> Float64[Tensor, "3 N"]:
+    """Area, and its first moments in x and y: the area times the centroid."""
+    first = corners[0]
+    here = corners - first  # about the first corner, so that nothing cancels
+    cross = here[:-1, 0] * here[1:, 1] - here[:-1, 1] * here[1:, 0]
+    area = cross.sum(0) / 2
+    moments = ((here[:-1] + here[1:]) * cross.unsqueeze(1)).sum(0) / 6
+    return torch.cat([area.unsqueeze(0), moments + area * first])

@@ -11,14 +11,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float64, Int32
 from torch import Tensor
 
 from cloak_core.files.errors import InputError
-from cloak_core.render.compiled import use_loops
-from cloak_core.render.visibility.projection_loops import project as project_by_loop
+from cloak_core.render.seam import steps
 from cloak_core.scene.cameras import Camera, Vector
 
 GRID = 1 << 16
@@ -84,8 +82,11 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
         nothing, scale = vertices.new_zeros(len(rows), 0), vertices.new_ones(len(rows), 1)
         whole = nothing.to(torch.int32)
         return Screen(width, height, (nothing,) * 3, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
-    if use_loops(vertices.device):
-        return _by_loops(vertices, rows, width, height)
+    return steps(vertices.device).project(vertices, rows, width, height)
+
+
+def project_rows(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int) -> Screen:
+    """`project` on any device. rows: each camera's position, axes, focal length and near plane."""
     values = torch.tensor(rows, dtype=torch.float64).T.unsqueeze(-1).to(vertices.device).unbind(0)
     position, right, up, back = (values[i : i + 3] for i in range(0, 12, 3))
     focal, near = values[12:]
@@ -96,33 +97,12 @@ def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivot
     nearness = near / view[2].clamp(min=near)
     extremes = torch.stack([*torch.aminmax(screen_x), *torch.aminmax(screen_y), (view[2] - near).amin()]).tolist()
     if not all(math.isfinite(value) for value in extremes):
-        raise _not_finite(vertices)
+        raise not_finite(vertices)
     x, y = _integers(screen_x), _integers(screen_y)
-    return _screen_of(width, height, view, x, y, nearness, extremes, focal, near)
+    return screen_of(width, height, view, x, y, nearness, extremes, focal, near)
 
 
-def _by_loops(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int) -> Screen:
-    batch, _, count = vertices.shape
-    view, nearness = np.empty((3, batch, count)), np.empty((batch, count))
-    x, y = np.empty((2, batch, count), np.int32)
-    found = []
-    for b, row in enumerate(rows):
-        position, right, up, back = (row[i : i + 3] for i in range(0, 12, 3))
-        middle = width * (GRID / 2), height * (GRID / 2)
-        out = view[:, b], x[b], y[b], nearness[b]
-        found.append(
-            project_by_loop(vertices[b].numpy(), position, right, up, back, *row[12:], middle, GRID, float(GUARD), *out)
-        )
-    if not all(finite for *_, finite in found):
-        raise _not_finite(vertices)
-    left, right, top, bottom, front, _ = zip(*found, strict=True)
-    extremes = min(left), max(right), min(top), max(bottom), min(front)
-    focal, near = torch.tensor([row[12:] for row in rows], dtype=torch.float64).T.unsqueeze(-1)
-    x, y, nearness = (torch.from_numpy(t) for t in (x, y, nearness))
-    return _screen_of(width, height, torch.from_numpy(view).unbind(0), x, y, nearness, extremes, focal, near)
-
-
-def _screen_of(
+def screen_of(
     width: int,
     height: int,
     view: Coordinates,
@@ -133,7 +113,7 @@ def _screen_of(
     focal: Tensor,
     near: Tensor,
 ) -> Screen:
-    """extremes: of snapped x and y, and the least distance before the near plane."""
+    """The screen of projected vertices. extremes: of snapped x and y, and the least distance before the near plane."""
     safe = None
     if extremes[4] < 0 or max(abs(value) for value in extremes[:4]) > GUARD / 2:
         screen_x, screen_y = _screen(view, focal, near, width, height)
@@ -163,7 +143,8 @@ def _dot(x: Tensor, y: Tensor, z: Tensor, axis: Sequence[Tensor]) -> Tensor:
     return (x * axis[0]).add_(y * axis[1]).add_(z * axis[2])
 
 
-def _not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:
+def not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:
+    """The error that names a vertex that cannot be projected."""
     # The largest float32 projects without overflow, so what is left to blame is a vertex of larger float64.
     bad = ~(vertices.abs() <= 1e100)
     if not bad.any():

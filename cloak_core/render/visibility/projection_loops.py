@@ -3,12 +3,37 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from jaxtyping import Float64
+from torch import Tensor
 
 from cloak_core.render.compiled import loop
+from cloak_core.render.visibility.projection import GRID, GUARD, Screen, not_finite, screen_of
+
+
+def project_rows(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int) -> Screen:
+    """See projection.py."""
+    batch, _, count = vertices.shape
+    view, nearness = np.empty((3, batch, count)), np.empty((batch, count))
+    x, y = np.empty((2, batch, count), np.int32)
+    found, middle = [], (width * (GRID / 2), height * (GRID / 2))
+    for b, row in enumerate(rows):
+        position, right, up, back = (row[i : i + 3] for i in range(0, 12, 3))
+        out = view[:, b], x[b], y[b], nearness[b]
+        found.append(
+            _project(vertices[b].numpy(), position, right, up, back, *row[12:], middle, GRID, float(GUARD), *out)
+        )
+    if not all(finite for *_, finite in found):
+        raise not_finite(vertices)
+    left, right, top, bottom, front, _ = zip(*found, strict=True)
+    extremes = min(left), max(right), min(top), max(bottom), min(front)
+    focal, near = torch.tensor([row[12:] for row in rows], dtype=torch.float64).T.unsqueeze(-1)
+    x, y, nearness = (torch.from_numpy(t) for t in (x, y, nearness))
+    return screen_of(width, height, torch.from_numpy(view).unbind(0), x, y, nearness, extremes, focal, near)
 
 
 @loop
-def project(vertices, position, right, up, back, focal, near, middle, grid, guard, view, x, y, nearness):
+def _project(vertices, position, right, up, back, focal, near, middle, grid, guard, view, x, y, nearness):
     """One view: view space into `view` [3, V], snapped x and y [V], int32, and nearness [V].
 
     vertices: [3, V]; position, right, up, back: of the camera; middle: of the image, grid units. Returns least and

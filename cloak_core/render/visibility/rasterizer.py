@@ -11,17 +11,15 @@ import itertools
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Int32, Int64
+from jaxtyping import Int32, Int64
 from torch import Tensor
 
 from cloak_core.files.errors import InputError
-from cloak_core.render.compiled import use_loops
+from cloak_core.render.seam import steps
 from cloak_core.render.threads import even, spread
-from cloak_core.render.visibility.covering_loops import cover as cover_by_loops
-from cloak_core.render.visibility.flat import flatten
+from cloak_core.render.visibility.flat import Cull, flatten
 from cloak_core.render.visibility.keys import EMPTY, ID_BITS, triangle_ids
 from cloak_core.render.visibility.projection import GRID, Screen, Window
-from cloak_core.render.visibility.samples import cover
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
 """Triangles of one body; ids are the low bits of a key and all ones mean "none"."""
@@ -54,7 +52,7 @@ def rasterize(
     screen: Screen,
     triangles: Int64[Tensor, "3 T"],
     grid: int = 1,
-    cull: Bool[Tensor, " B"] | None = None,
+    cull: Cull = None,
     window: Window | None = None,
     workers: int = 1,
 ) -> Visibility:
@@ -62,7 +60,7 @@ def rasterize(
 
     triangles: vertex indices, corner by corner; counter-clockwise seen from the front.
     grid: n, for n * n samples per pixel: 1, 2, 4 or 8.
-    cull: views in which triangles that show their back are dropped; none where absent.
+    cull: which triangles are dropped where they show their back.
     window: the part of the image to work on; where absent, the bounding box of the bodies on the screen.
     workers: CPU threads that share the views, or one view's rows.
 
@@ -97,16 +95,12 @@ def _cover(
     triangles: Int64[Tensor, "3 T"],
     band: Window,
     grid: int,
-    cull: Bool[Tensor, " B"] | None,
+    cull: Cull,
 ) -> None:
     shift = (GRID // grid).bit_length() - 1
     for view, own in enumerate(keys):
-        culled = cull is not None and bool(cull[view])
-        flat = flatten(screen, triangles, view)
-        if use_loops(keys.device):
-            cover_by_loops(own.numpy(), *flat.arrays(), culled, band.y0 * grid, band.x0 * grid, shift)
-        else:
-            cover(own, flat, culled, band.y0 * grid, band.x0 * grid, shift)
+        flat = flatten(screen, triangles, view, cull)
+        steps(keys.device).cover(own, flat, band.y0 * grid, band.x0 * grid, shift)
 
 
 def row_bands(screen: Screen, window: Window, count: int) -> list[Window]:

@@ -8,7 +8,7 @@ from cloak_core.render.compiled import inner, loop
 from cloak_core.render.visibility.hiding_loops import NUMBERS, settle_cell, whole_piece
 from cloak_core.render.visibility.overlap_loops import NOTHING, PIXEL, WHOLE
 from cloak_core.render.visibility.polygon_loops import SLOT
-from cloak_core.render.visibility.sheet_loops import edge_room, is_plain
+from cloak_core.render.visibility.sheet_loops import edge_room, settle_plainly
 
 MOST_PARTS = 1024
 """Convex parts of one piece in one cell beyond which the cell is cut into four."""
@@ -19,10 +19,10 @@ _FINEST = PIXEL - 5
 
 
 @loop
-def settle(x, y, nearness, corner, ids, owner, share, begin, open_edges, x0, y0, width):
+def settle(triangles, owner, share, begin, open_edges, x0, y0, width):
     """What is seen of every piece of a band, in place: its share of the pixel (0: hidden) and the centroid of what is
     seen. Returns how many pixels had to be given up."""
-    triangles, most, given_up = (x, y, nearness, corner, ids), 64, 0
+    most, given_up = 64, 0
     room, scratch, pool = edge_room(most), _scratch(most), np.empty((MOST_PARTS, SLOT))
     for place in range(len(begin) - 1):
         start, count = begin[place], begin[place + 1] - begin[place]
@@ -39,9 +39,10 @@ def settle(x, y, nearness, corner, ids, owner, share, begin, open_edges, x0, y0,
         at, chosen = (x0 + place % width, y0 + place // width, PIXEL), scratch[0]
         for i in range(count):
             chosen[i] = owner[start + i]
-        plain, edges = is_plain(triangles, at, chosen, share, start, count, room)
-        if not plain:
-            given_up += _settle_pixel(triangles, at, owner, share, start, count, scratch, pool, room, edges)
+        left, edges = settle_plainly(triangles, at, chosen, owner, share, start, count, room)
+        if left and _settle_pixel(triangles, at, owner, share, start, left, scratch, pool, room, edges):
+            given_up += 1
+            _fit(share, start, count)
     return given_up
 
 
@@ -55,13 +56,20 @@ def _settle_pixel(triangles, at, owner, share, start, count, scratch, pool, room
                 _write_back(share, start + i, seen[i, 0], seen[i, 1], seen[i, 2])
         return False
     lost = _settle_cells(triangles, at, owner, start, count, scratch, pool, room)
-    total, sums = 0.0, scratch[5]
+    sums = scratch[5]
     for i in range(count):
-        total += sums[i, 0]
-    scale = 1 / total if lost and total > 1 else 1.0
-    for i in range(count):
-        _write_back(share, start + i, scale * sums[i, 0], scale * sums[i, 1], scale * sums[i, 2])
+        _write_back(share, start + i, sums[i, 0], sums[i, 1], sums[i, 2])
     return lost
+
+
+@inner
+def _fit(share, start, count):
+    """What is seen in a pixel that was given up, no more than the pixel."""
+    total = 0.0
+    for i in range(start, start + count):
+        total += share[0, i]
+    for i in range(start, start + count):
+        share[0, i] /= max(total, 1.0)
 
 
 @inner
@@ -103,7 +111,7 @@ def _settle_cells(triangles, at, owner, start, count, scratch, pool, room):
 @inner
 def _into_four(triangles, owner, here, first, last, lists, cells, depth):
     """A cell's quarters, each with a list of its pieces, to the cells from `depth` on; how many there are then."""
-    x, y, _, corner, _ = triangles
+    x, y, _, corner, _, _ = triangles
     end = last
     for k in range(4):
         into, quarter = end, (2 * here[0] + k % 2, 2 * here[1] + k // 2, here[2] - 1)

@@ -3,46 +3,47 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
-from cloak_core.render.compiled import loop
+from cloak_core.render.compiled import arrays, loop
 from cloak_core.render.visibility.keys import EMPTY, ID_BITS
+from cloak_core.render.visibility.rasterizer import Visibility
+from cloak_core.render.weights.fragments import Fragments
 
 _ID = (1 << ID_BITS) - 1
 
 
-@loop
-def filled(keys):
-    """How many samples show something."""
-    count = 0
-    for key in keys.flat:
-        count += key != EMPTY
-    return count
+def merge_samples(visibility: Visibility) -> Fragments:
+    """See fragments.py."""
+    n, w = visibility.grid, visibility.window
+    found = _merge(*arrays(visibility.keys[0]), n, w.y0 * n, w.x0 * n, visibility.width)
+    return Fragments(*map(torch.from_numpy, found))
 
 
 @loop
-def merge(keys, grid, row0, column0, width):
-    """Each pixel's visible samples by triangle, ascending: view, pixel, triangle, area, mean x and y.
+def _merge(keys, grid, row0, column0, width):
+    """Each pixel's visible samples by triangle, ascending: pixel, triangle, area, mean x and y.
 
-    keys: [B, rows, columns], grid x grid samples to a pixel, from the sample at row0 and column0 of the image on.
+    keys: [rows, columns], grid x grid samples to a pixel, from the sample at row0 and column0 of the image on.
     """
-    views, rows, columns = keys.shape
-    most = filled(keys)
-    view_of, pixel, triangle = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
-    area, x, y = np.empty(most, np.float32), np.empty(most), np.empty(most)
-    names, sums, count = np.empty(grid * grid, np.int64), np.empty((3, grid * grid), np.int64), 0
-    for view in range(views):
-        for top in range(0, rows, grid):
-            for left in range(0, columns, grid):
-                found = _gather(keys[view], top, left, grid, names, sums)
-                place = (row0 + top) // grid * width + (column0 + left) // grid
-                for i in range(found):
-                    held = sums[0, i]
-                    x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
-                    y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
-                    area[count] = held / (grid * grid)
-                    view_of[count], pixel[count], triangle[count] = view, place, names[i]
-                    count += 1
-    return view_of[:count], pixel[:count], triangle[:count], area[:count], x[:count], y[:count]
+    most = count = 0
+    for key in keys.flat:
+        most += key != EMPTY
+    pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
+    x, y = np.empty(most), np.empty(most)
+    names, sums = np.empty(grid * grid, np.int64), np.empty((3, grid * grid), np.int64)
+    for top in range(0, keys.shape[0], grid):
+        for left in range(0, keys.shape[1], grid):
+            found = _gather(keys, top, left, grid, names, sums)
+            place = (row0 + top) // grid * width + (column0 + left) // grid
+            for i in range(found):
+                held = sums[0, i]
+                x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
+                y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
+                area[count] = held / (grid * grid)
+                pixel[count], triangle[count] = place, names[i]
+                count += 1
+    return pixel[:count], triangle[:count], area[:count], x[:count], y[:count]
 
 
 @loop

@@ -1,29 +1,70 @@
 """Fragments to light to a view's matrix, as loops for the CPU, in float64.
 
-The torch operations in fragments.py, shading.py and assembly.py say what is done and why.
+The torch operations in matrix.py and shading.py say what is done and why.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
-from cloak_core.render.compiled import loop
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from cloak_core.render.compiled import arrays, loop
+from cloak_core.render.threads import spread
+from cloak_core.render.visibility.projection import Screen
+from cloak_core.render.weights.fragments import Fragments
+from cloak_core.render.weights.matrix import Surface
 from cloak_core.render.weights.shading import Light
 from cloak_core.render.weights.texture import INSET
+from cloak_core.render.weights.view import View
 
 _TINY = 1e-20
 UNSEEN = 1e-12
 """Share of a highlight that is left out: powers take time."""
 
 
-def material(light: Light) -> tuple[float, ...]:
+def build_view(
+    bands: Sequence[Fragments],
+    screen: Screen,
+    surface: Surface,
+    normals: Float32[Tensor, "3 V"],
+    light_position: Float32[Tensor, " 3"],
+    count: int,
+) -> View:
+    """See matrix.py."""
+    textured = surface.corner_uv is not None
+    space = np.stack([axis[0].numpy() for axis in screen.view])
+    camera = float(screen.focal), screen.width / 2, screen.height / 2
+    corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)
+    uv_of = arrays(surface.corner_uv)[0] if textured else np.empty((2, 3, 0), np.float32)
+    about = corner, space, camera, normal, position, _material(surface.light), uv_of, face_of, surface.by_face
+
+    def rows_of(found: Fragments) -> tuple:
+        return _matrix(*arrays(found.pixel, found.triangle, found.area, found.x, found.y), *about)
+
+    parts = spread(rows_of, bands, count)
+    pixels, coverage, specular = (_join([rows[i] for rows, _ in parts]) for i in range(3))
+    face, weight, uv = (_join([entries[i] for _, entries in parts]) for i in range(3))
+    before = np.cumsum([0, *(rows[3][-1] for rows, _ in parts)])
+    crow = _join([rows[3][i > 0 :] + before[i] for i, (rows, _) in enumerate(parts)])
+    return View(screen.height, screen.width, pixels, coverage, specular, crow, face, weight, uv if textured else None)
+
+
+def _join(parts: list[np.ndarray]) -> Tensor:
+    return torch.from_numpy(parts[0] if len(parts) == 1 else np.concatenate(parts, -1))
+
+
+def _material(light: Light) -> tuple[float, ...]:
     """Ambient, diffuse, specular, shininess; and the least cosine whose power is not below `UNSEEN`."""
     least = UNSEEN ** (1 / light.shininess) if light.shininess > 0 else -np.inf
     return float(light.ambient), float(light.diffuse), float(light.specular), float(light.shininess), float(least)
 
 
 @loop
-def matrix(
+def _matrix(
     pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, face_of, by_face
 ):  # fmt: skip
     """The rows of a view's matrix from its fragments, sorted by pixel: pixel, coverage and highlight of each row; row
@@ -38,7 +79,7 @@ def light_all(triangle, area, x, y, corner, space, camera, normals, light, mater
     """Weight, highlight and, where there are textures, coordinates of each fragment into the rows of `out` [2 or 4, N].
 
     x, y: where each fragment is lit, pixels; space: view space coordinates [3, V]; camera: focal length and the
-    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material`; uv_of: texture
+    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `_material`; uv_of: texture
     coordinates [2, 3, T] or [2, 3, 0].
     """
     focal, middle_x, middle_y = camera

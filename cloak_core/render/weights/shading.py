@@ -11,15 +11,12 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 from cloak_core.files.errors import InputError
 from cloak_core.render.sparse import csr, offsets
 from cloak_core.scene.cameras import Number, Vector
-
-_BRIGHT = 0.01
-"""Highlight from which single precision is not enough for images to be right within 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -63,40 +60,19 @@ class NormalOperator:
 
 
 def shade(
-    points: Float32[Tensor, "3 N"],
-    normals: Float32[Tensor, "3 N"],
-    light_position: Float32[Tensor, "xyz=3 #N"],
-    light: Light,
-) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"]]:
+    points: Float[Tensor, "3 N"], normals: Float[Tensor, "3 N"], light_position: Float[Tensor, "xyz=3 #N"], light: Light
+) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
     """Weight of the surface colour and added highlight at points in view space (the camera at the origin).
 
     normals need not have unit length. Never NaN: a vector of no length counts as facing nowhere.
     """
-    cosine, reflected = _angles(points, normals, light_position)
-    weight = light.ambient + light.diffuse * cosine.clamp(min=0)
-    highlight = _highlight(cosine, reflected, light)
-    # The power multiplies rounding errors by the shininess; where that shows, the few points are done in double.
-    bright = (highlight > _BRIGHT).nonzero().view(-1)
-    some = lambda t: (t.index_select(1, bright) if t.shape[1] > 1 else t).to(torch.float64)
-    exact = _highlight(*_angles(some(points), some(normals), some(light_position)), light)
-    return weight, highlight.index_copy_(0, bright, exact.to(torch.float32))
-
-
-def _angles(points: Tensor, normals: Tensor, light_position: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosines between normal and light, and between the reflected light and the way to the camera, [N] each."""
-    nx, ny, nz = _unit(*normals)
-    lx, ly, lz = _unit(*(light_position[i] - points[i] for i in range(3)))
-    vx, vy, vz = _unit(*points)  # from the camera: the view direction, negated
-    cosine = nx * lx + ny * ly + nz * lz
-    normal_view = nx * vx + ny * vy + nz * vz
+    normal, toward, away = _unit(normals), _unit(light_position - points), _unit(points)
+    cosine = (normal * toward).sum(0)
     # v.r with r = 2 (n.l) n - l, for the negated v.
-    return cosine, (lx * vx + ly * vy + lz * vz) - 2 * cosine * normal_view
+    reflected = (toward * away).sum(0) - 2 * cosine * (normal * away).sum(0)
+    power = torch.where(cosine > 0, reflected.clamp(min=0), 0).pow(light.shininess)
+    return light.ambient + light.diffuse * cosine.clamp(min=0), light.specular * power * (cosine > 0)
 
 
-def _highlight(cosine: Tensor, reflected: Tensor, light: Light) -> Tensor:
-    return light.specular * torch.where(cosine > 0, reflected.clamp(min=0), 0).pow(light.shininess) * (cosine > 0)
-
-
-def _unit(x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    inverse = 1 / (x * x + y * y + z * z).sqrt().clamp_(min=1e-20)
-    return x * inverse, y * inverse, z * inverse
+def _unit(vector: Float[Tensor, "3 N"]) -> Float[Tensor, "3 N"]:
+    return vector / torch.linalg.vector_norm(vector, dim=0).clamp(min=1e-20)
