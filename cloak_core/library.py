@@ -128,11 +128,15 @@ def evaluate(
     logo = load_logo(bodies, folder / "logo.npy")
     worn, trained, name = _worn(folder, config, logo, bodies, colors)
     place = f"{FOLDER}-{name}" if name else FOLDER
+    if over_time and (profile is not None or settings.cycles is not None):
+        raise InputError(
+            "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
+        )
     if profile is not None:
-        if over_time:
-            raise InputError("--over-time: judges snapshots as they are, without --profile")
         printer = read_profile(profile)
         worn, place = printer.photographed(printer.to_send(worn)), f"{place}-printed"
+    if settings.cycles is not None:
+        place = f"{place}-{settings.cycles}"
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
     angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
     asked = (logo, bodies, backgrounds, judges, angles, settings)

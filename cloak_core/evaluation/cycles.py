@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +49,7 @@ def require_blender() -> str:
     python = find_bpy() if (ADD_ON / SCRIPT).exists() else None
     if python is None:
         raise NoBlender(
-            "render-gap: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
+            "Cycles: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
             "or name a Python that has it in CLOAK_BLENDER"
         )
     return python
@@ -61,7 +61,22 @@ def first_trials(trials: Trials) -> dict[tuple[int, float], int]:
     return {place: places.index(place) for place in sorted(set(places))}
 
 
-def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int, on_frame: OnFrame) -> Path:
+def in_cycles(stage: Stage, controls: Sequence[str], out: Path, light: str, on_frame: OnFrame) -> CyclesStage:
+    """The stage in one light of Cycles, its trials in the first outfit; frames are kept in a folder in `out`."""
+    require_blender()
+    # Every other outfit would need frames of its own.
+    stage.trials = replace(stage.trials, outfit=np.zeros_like(stage.trials.outfit))
+    return CyclesStage(stage, render_frames(stage, controls, out, SAMPLES, on_frame, (light,)), light)
+
+
+def render_frames(
+    stage: Stage,
+    controls: Sequence[str],
+    out: Path,
+    samples: int,
+    on_frame: OnFrame,
+    lights: Sequence[str] = LIGHTS,
+) -> Path:
     """Render every pose and angle of the stage's trials in every colouring and light; returns the frames' folder.
 
     The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
@@ -76,7 +91,7 @@ def render_frames(stage: Stage, controls: Sequence[str], out: Path, samples: int
         "far": 100 * stage.camera(0).distance,
         "frames": [
             {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(stage, trial)
-            for light in LIGHTS
+            for light in lights
             for place, trial in first_trials(stage.trials).items()
             for number, control in enumerate(controls)
         ],

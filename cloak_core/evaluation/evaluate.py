@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,8 +12,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.evaluation.cycles import first_trials, in_cycles
 from cloak_core.evaluation.evaluation_folder import check_folder, write_evaluation
-from cloak_core.evaluation.inference import OnProgress, measure
+from cloak_core.evaluation.inference import OnProgress, all_controls, measure
 from cloak_core.evaluation.measurement import draw_trials
 from cloak_core.evaluation.provenance import seen_in_training, trained_against
 from cloak_core.evaluation.rates import summarize
@@ -58,6 +60,8 @@ def evaluate(
     for warning in warnings:
         _log.warning("%s", warning)
     stage = make_stage(colors, logo, bodies, backgrounds, detectors, angles, settings)
+    if settings.cycles is not None:
+        stage = _in_cycles(stage, settings, out, on_progress)
     hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
     measurement = measure(stage, detectors, settings, on_progress)
     for spec, detector in detectors.items():
@@ -71,6 +75,20 @@ def evaluate(
     if out is not None:
         write_evaluation(out, summary, measurement, stage, detectors)
     return summary
+
+
+def _in_cycles(stage: Stage, settings: EvaluateSettings, out: Path | None, on_progress: OnProgress | None) -> Stage:
+    """The stage as Cycles renders it; frames stand beside the evaluation, and are rendered once."""
+    if out is None:
+        raise InputError("--cycles: frames are kept beside the evaluation: say where it goes (--out)")
+    controls, said = all_controls(settings), itertools.count(1)
+    every = len(first_trials(stage.trials)) * len(controls)
+
+    def tell(_: str) -> None:
+        if on_progress is not None:
+            on_progress(next(said), every)
+
+    return in_cycles(stage, controls, out.with_name("cycles"), settings.cycles, tell)
 
 
 def _circumstances(stage: Stage, hashes: dict[str, str], settings: EvaluateSettings, angles: Sequence[float]) -> dict:

@@ -59,7 +59,8 @@ def write_evaluation(
         threshold = summary["settings"]["threshold"]
         shown = write_pictures(temporary / "pictures", stage, measurement, detectors, threshold)
         turntable, trial = temporary / "pictures/turntable.gif", shown["controls"]["trial"]
-        if write_turntable(turntable, stage, trial, detectors, threshold, len(measurement.controls)):
+        ours = summary["settings"].get("cycles") is None  # a turntable is our render
+        if ours and write_turntable(turntable, stage, trial, detectors, threshold, len(measurement.controls)):
             shown["turntable"] = turntable.name
         write_json(temporary / "pictures.json", shown)
         measurement.save(temporary / "scores.npz")

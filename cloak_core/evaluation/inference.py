@@ -30,7 +30,7 @@ def measure(
     stage: Stage, detectors: dict[str, Detector], settings: EvaluateSettings, on_progress: OnProgress | None = None
 ) -> Measurement:
     """Render every trial under the trained colours and every control, and keep what each detector says."""
-    controls = tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
+    controls = all_controls(settings)
     bare = bare_indices(stage, settings)
     progress = Progress(len(stage.trials) * len(controls) + len(bare), on_progress)
     judges = list(detectors.values())
@@ -46,6 +46,11 @@ def measure(
         bare=_judge_bare(stage, judges, bare, settings.batch, progress),
         boxes=boxes,
     )
+
+
+def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:
+    """The trained colours and what they are compared with; own clothing always is."""
+    return tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
 
 
 class Progress:

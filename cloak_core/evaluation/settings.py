@@ -34,6 +34,9 @@ class EvaluateSettings:
     """Width and height of the images, pixels."""
     samples: Literal[1, 4, 16, 64] | None = None
     """Samples per pixel; None takes the renderer's default."""
+    cycles: Literal["matching", "studio", "sky"] | None = None
+    """Bodies as Blender's Cycles renders them in this light (needs bpy): our model's own, lamps in a room, or sun and
+    sky. In their first outfit, from one distance and elevation; into RUN/evaluation-LIGHT."""
     shift: Annotated[int, Within()] = 50
     """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
     threshold: Annotated[float, Within(0, 1, "()")] = THRESHOLD
@@ -57,6 +60,8 @@ class EvaluateSettings:
             raise InputError(f"--distances: {self.distances} are not in front of the camera")
         if any(not -90 <= elevation <= 90 for elevation in self.elevations):
             raise InputError(f"--elevations: {self.elevations} leave [-90, 90] degrees")
+        if self.cycles and (len(self.distances) > 1 or len(self.elevations) > 1):
+            raise InputError("--cycles: from one distance and one elevation; frames are rendered by azimuth alone")
 
     @property
     def camera(self) -> Camera:

@@ -12,6 +12,8 @@ from cloak_core.evaluation.cycles import CyclesStage, NoBlender, image_differenc
 from cloak_core.evaluation.evaluate import make_stage
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.stage import Stage
+from cloak_core.files.errors import InputError
+from cloak_core.library import evaluate
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import make_logo, select_region
 from cloak_core.scene.people.samples import sample_bodies
@@ -63,5 +65,30 @@ def test_shifted(shift: tuple[int, int]) -> None:
 
 def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cycles, "find_bpy", lambda: None)
-    with pytest.raises(NoBlender, match=r"^render-gap: needs Blender's Python package .*setup_blender"):
+    with pytest.raises(NoBlender, match=r"^Cycles: needs Blender's Python package .*setup_blender"):
         require_blender()
+
+
+@pytest.mark.slow
+def test_an_evaluation_in_cycles_is_ours_in_the_matching_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {"size": 96, "shift": 4, "images_per_view": 2, "controls": ("grey",), "bare": 1, "resamples": 100}
+    asked = ("zoo:builtin-sample", "sample:unseen[0]", "procedural:test:2")
+    monkeypatch.setattr(cycles, "SAMPLES", 4)
+    told: list[tuple[int, int]] = []
+    found = {
+        light: evaluate(*asked, out=tmp_path / str(light), angles=[10.0], cycles=light, on_progress=progress, **few)
+        for light, progress in ((None, None), ("matching", lambda *counts: told.append(counts)))
+    }
+    assert told[:3] == [(1, 3), (2, 3), (3, 3)]
+    scores = [summary["detectors"]["builtin"]["clothing"]["mean_score"] for summary in found.values()]
+    assert scores[0] == pytest.approx(scores[1], abs=0.05)
+    assert found["matching"]["settings"]["cycles"] == "matching"
+    monkeypatch.setattr(cycles, "_run", lambda *_: pytest.fail("rendered again"))
+    evaluate(*asked, out=tmp_path / "again", angles=[10.0], cycles="matching", **few)
+
+
+def test_what_cycles_cannot_show_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="one distance and one elevation"):
+        EvaluateSettings(cycles="sky", elevations=(0.0, 10.0))
+    with pytest.raises(InputError, match="--over-time"):
+        evaluate("zoo:builtin-sample", over_time=True, cycles="sky", out=tmp_path / "x")
