@@ -39,6 +39,7 @@ NOT_RUN = {
     "samples every pose, distance and background": lambda c: c[:2] == ["detectors", "check"] and "--scene" in c,
     "Anny's cache takes 0.8 GB": lambda c: "import-anny" in c,
     "needs a cluster, and is in tests/jobs": lambda c: "--ray" in c,
+    "renders in Cycles, and is in tests/evaluation": lambda c: "--cycles" in c,
     "ultralytics, which is in tests/real": lambda c: any(word.startswith("ultralytics:") for word in c),
     "thousands of questions to a detector": lambda c: "--black-box-queries" in c or "REFINED" in c,
     "colours of the reader's": lambda c: "FILE.npy" in c or "zoo:NAME" in c,
