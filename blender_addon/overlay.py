@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from . import colors, faces
 from .faces import LogoStats
-from .mesh_arrays import corner_counts, current_mesh, face_normals, face_triangles, hidden_faces, read, vertex_points
+from .mesh_arrays import corner_counts, current_mesh, face_triangles, hidden_faces, read, vertex_points
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 OUTLINE = (1.0, 1.0, 1.0, 1.0)
@@ -170,8 +170,8 @@ def _carried_mask(
 
 def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places and normals, [3 n, 3] each, of the corners of a mask's triangles."""
-    triangles, face = face_triangles(mesh, mask)
-    return vertex_points(mesh)[triangles.ravel()], np.repeat(face_normals(mesh)[face], 3, axis=0)
+    chosen = face_triangles(mesh, mask)[0].ravel()  # normals of the vertices: with the faces' own, edges would gape
+    return vertex_points(mesh)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
 
 
 _stats, _tint, _outline = _Kept(faces.logo_stats), _Kept(tint_triangles), _Kept(outline_edges)

@@ -35,13 +35,14 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         column.enabled = not reason
         if not reason:
             obj = active_body(context)
-            column.label(text=obj.name, icon="MESH_DATA")
-            counts = f"{len(obj.data.vertices):,} vertices, {len(obj.data.polygons):,} faces"
-            column.label(text=counts if obj.mode != "EDIT" else "Counts: leave Edit Mode", icon="BLANK1")
-        row = column.row(align=True)
-        row.operator("cloak.subdivide", text="Subdivide")
-        row.prop(settings_of(context), "triangulate", toggle=True)
-        self.layout.operator("cloak.add_sample_body", icon="ADD")
+            count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
+            column.label(text=f"{obj.name}: {count}", icon="MESH_DATA")
+        row = self.layout.row(align=True)
+        splits = row.row(align=True)
+        splits.enabled = not reason
+        splits.operator("cloak.subdivide", text="Subdivide")
+        splits.prop(settings_of(context), "triangulate", toggle=True)
+        row.operator("cloak.add_sample_body", text="Sample Body" if reason else "", icon="ADD")
         self.progress(context, "Sample body")
         self._trainer(context)
 
@@ -97,21 +98,12 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
 
     def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         row = column.row()
-        row.template_list("CLOAK_UL_logos", "", obj.data, "attributes", obj.cloak, "logo_index", rows=3)
+        row.template_list("CLOAK_UL_logos", "", obj.data, "attributes", obj.cloak, "logo_index", rows=2)
         side = row.column(align=True)
         side.operator("cloak.logo_new", text="", icon="ADD")
         side.operator("cloak.logo_remove", text="", icon="REMOVE")
         column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
-        row = column.row(align=True)
-        for what, choice in (("material", "slot"), ("group", "group")):
-            row.operator_menu_enum(f"cloak.logo_from_{what}", choice, text=what.capitalize())
-        row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
-        row.operator("cloak.logo_from_island", text="Island")
-        for names in (("assign", "unassign", "select"), ("mirror", "grow", "shrink"), ("export", "import")):
-            row = column.row(align=True)
-            for name in names:
-                label = {"export": "Export Face List", "import": "Import"}.get(name)
-                row.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
+        _buttons(column, "assign", "unassign", "select")
 
     def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object, settings: bpy.types.PropertyGroup) -> None:
         stats = overlay.active_stats(obj)
@@ -125,6 +117,34 @@ class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
             if stats.hidden:
                 lines.label(text=f"{stats.hidden:,} faces are hidden (Alt H shows them)", icon="HIDE_ON")
         column.prop(settings, "tint")
+
+
+def _buttons(column: bpy.types.UILayout, *names: str) -> None:
+    """Operators of the active logo in one row."""
+    row = column.row(align=True)
+    for name in names:
+        label = {"export": "Export Face List", "import": "Import"}.get(name)
+        row.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
+
+
+class CLOAK_PT_regions(CloakPanel, bpy.types.Panel):
+    """Logos of what belongs together already, and what changes a logo as a whole"""
+
+    bl_label = "Take, Change, Export"
+    bl_parent_id = "CLOAK_PT_logo"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = settings_column(self.layout)
+        column.enabled = not steps.body_reason(context)
+        row = column.row(align=True)
+        row.operator_menu_enum("cloak.logo_from_material", "slot", text="Material")
+        row.operator_menu_enum("cloak.logo_from_group", "group", text="Group")
+        row = column.row(align=True)
+        row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
+        row.operator("cloak.logo_from_island", text="Island")
+        _buttons(column, "mirror", "grow", "shrink")
+        _buttons(column, "export", "import")
 
 
 class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
@@ -185,6 +205,13 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
     """Step 3: the poses to train on"""
 
     bl_label = "3. Poses"
+    bl_options = CLOSED
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """Closed at first, because what it begins with suits most bodies; so what is wrong shows outside."""
+        super().draw_header(context)
+        if not steps.body_reason(context) and not self.is_done(context):
+            self.layout.label(icon="ERROR")
 
     @staticmethod
     def is_done(context: bpy.types.Context) -> bool:
@@ -277,6 +304,7 @@ CLASSES = (
     CLOAK_UL_logos,
     CLOAK_PT_body,
     CLOAK_PT_logo,
+    CLOAK_PT_regions,
     CLOAK_PT_stamp,
     CLOAK_PT_heatmap,
     CLOAK_PT_poses,

@@ -24,7 +24,7 @@ PANELS = {
     "train": ("poses", "train", "settings"),
     "result": ("train", "runs", "result"),
 }
-OPENED = {"logo": "stamp", "train": "settings"}
+OPENED = {"logo": "stamp", "poses": "poses", "train": "settings"}
 
 
 def steps():

@@ -1,0 +1,37 @@
+"""The first look: a new file with its cube, the sample body added beside it, and the panel as a newcomer finds it.
+
+    real_blender.sh gui sid OUT.png tests/blender/real/show_first_look.py ZIP PYTHON
+
+The window is as large as the screen of the machine that draws it; in 1600 x 1000, Start must stand above the fold.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from harness import install, play, show_tab, until_done, view_area
+
+ZIP, PYTHON = sys.argv[sys.argv.index("--") + 1 :][:2]
+
+
+def steps():
+    install(ZIP, PYTHON)
+    bpy.ops.mesh.primitive_cube_add(size=2)
+    subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
+    view_area().spaces.active.show_region_ui = True
+    yield 0.5
+    bpy.ops.cloak.add_sample_body()
+    yield from until_done()
+    body, cube = bpy.data.objects["Sample Body"], bpy.data.objects["Cube"]
+    assert bpy.context.object == body and body.location.x - cube.location.x > 1, "it must not stand in the cube"
+    yield from show_tab()
+    yield 4.0
+    Path(os.environ["SHOT_READY"]).touch()
+    yield 4.0
+
+
+play(steps())
