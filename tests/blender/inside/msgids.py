@@ -1,0 +1,58 @@
+"""Every text of the add-on that Blender would translate: of its classes, and of the calls that draw."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import cloak
+from cloak import tools
+
+ROOM = Path(cloak.__file__).parent
+DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
+BLENDERS = {"filepath", "check_existing"}
+"""Properties that Blender's own base classes bring, with its own translations."""
+WORDS = {"text", "heading", "confirm_text"}
+
+
+def msgids() -> list[str]:
+    """In order of first appearance; texts without letters aside."""
+    found = dict.fromkeys([*of_classes(), *of_drawing()])
+    return [text for text in found if sum(map(str.isalpha, text)) > 1]
+
+
+def of_classes() -> Iterator[str]:
+    for cls in (*cloak.CLASSES, *cloak.properties.CLASSES, *cloak.run_list.CLASSES):
+        rna = cls.bl_rna
+        if issubclass(cls, bpy.types.Operator):
+            rna = getattr(bpy.ops.cloak, cls.bl_idname.removeprefix("cloak.")).get_rna_type()
+            yield from (rna.name, rna.description)
+        elif issubclass(cls, bpy.types.Panel):
+            yield cls.bl_label
+        own = {key for kind in cls.__mro__ for key in getattr(kind, "__annotations__", {})}
+        for prop in rna.properties:
+            if prop.identifier in own - BLENDERS and not prop.is_hidden:
+                yield from (prop.name, prop.description)
+                for item in getattr(prop, "enum_items", ()) if prop.type == "ENUM" else ():
+                    yield from (item.name, item.description)
+    yield from (tools.PaintInEditMode.bl_label, tools.PaintInEditMode.bl_description)
+
+
+def of_drawing() -> Iterator[str]:
+    for path in sorted(ROOM.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in DRAWS:
+                for word in node.keywords:
+                    if word.arg in WORDS:
+                        yield from _texts(word.value)
+
+
+def _texts(node: ast.AST) -> Iterator[str]:
+    """The whole texts of an expression, such as both ends of a condition; not the pieces of an f-string."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif isinstance(node, ast.IfExp):
+        yield from (*_texts(node.body), *_texts(node.orelse))
+    elif isinstance(node, ast.BoolOp):
+        for value in node.values:
+            yield from _texts(value)
