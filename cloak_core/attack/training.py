@@ -41,6 +41,7 @@ from cloak_core.scene.geometry import face_centres
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 from cloak_core.scene.logos.patches import patch_of_face
+from cloak_core.scene.wrinkling import wrinkled
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""
@@ -197,7 +198,9 @@ def make_bank(bodies: Bodies, settings: ViewSettings, device: torch.device) -> V
 
 def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, device: torch.device) -> Batcher:
     """What draws and builds a run's batches."""
-    bodies, backgrounds = material.bodies, material.backgrounds
+    bodies, backgrounds, folds = material.bodies, material.backgrounds, settings.augmentation
+    if folds.wrinkles:
+        bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
     bank = make_bank(bodies, settings.views, device)
     return Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)

@@ -44,3 +44,8 @@ class AugmentationSettings:
     """The finished image's red, green, blue and saturation are each multiplied by up to 1 ± this."""
     background_mix: Annotated[float, Within(0, 1)] = 0.0
     """Up to this share of another background is mixed into the one behind the body."""
+    wrinkles: Annotated[float, Within(0, 0.1)] = 0.0
+    """The cloth under the logo lies in random smooth folds of this many metres, each pose of the scene in several of
+    them; 0 leaves it as the scene has it."""
+    wrinkle_draws: Annotated[int, Within(1, 64)] = 4
+    """With --wrinkles: how many folds each pose is seen in."""
