@@ -8,6 +8,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.scene.selection import split_selection
 
+EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
 COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
 """What was kept back from training on embedded material."""
 
@@ -35,6 +36,6 @@ def kept_back(kind: str, config: dict) -> str:
     made_from = inputs.get("made_from", "") if kind == "scene" else ""
     spec, _ = split_selection(made_from or inputs.get(kind, ""))
     head, mark, rest = spec.partition(":train")
-    if mark and head in ("sample", "procedural"):
+    if mark and head in EMBEDDED:
         return head + COUNTERPART[":train"][kind] + rest
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")

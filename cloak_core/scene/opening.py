@@ -12,8 +12,9 @@ from cloak_core.scene.selection import select, split_selection
 
 
 def load_scene(spec: str | Path) -> Bodies:
-    """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", or drawn from
-    Anny on the spot: "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
+    """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", likewise in
+    cloth "sample-clothed" and "sample-tight" (`scene.people.clothed`), or drawn from Anny on the spot:
+    "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
 
     `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`scene.selection`). Raises `InputError`.
     """
@@ -28,6 +29,10 @@ def _open_whole(spec: str) -> Bodies:
     head, _, split = spec.partition(":")
     if head == "anny" and not Path(spec).exists():
         return _drawn(spec)
+    if head in ("sample-clothed", "sample-tight"):
+        from cloak_core.scene.people.clothed import clothed_bodies
+
+        return clothed_bodies(split or "all", tight=head == "sample-tight")
     if head != "sample":
         return read_scene(spec)
     from cloak_core.scene.people.samples import sample_bodies

@@ -193,8 +193,9 @@ def bone_rotations(skeleton: Skeleton, pose: Pose) -> dict[str, np.ndarray]:
     return rotations
 
 
-def pose_vertices(vertices: np.ndarray, weights: np.ndarray, skeleton: Skeleton, pose: Pose) -> np.ndarray:
-    """Linear blend skinning: rest vertices [V, 3], weights [V, J] -> posed vertices [V, 3]."""
+def bone_transforms(skeleton: Skeleton, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """What a pose does to each bone: rotations [J, 3, 3] and offsets [J, 3], metres, so that a point p at rest goes to
+    rotation @ p + offset."""
     given = bone_rotations(skeleton, pose)
     turned = np.zeros((len(skeleton.names), 3, 3))
     heads = np.zeros_like(skeleton.heads)
@@ -204,6 +205,11 @@ def pose_vertices(vertices: np.ndarray, weights: np.ndarray, skeleton: Skeleton,
             continue
         turned[bone] = given.get(name, turned[parent])
         heads[bone] = heads[parent] + turned[parent] @ (skeleton.heads[bone] - skeleton.heads[parent])
-    offsets = heads - np.einsum("jab,jb->ja", turned, skeleton.heads)
+    return turned, heads - np.einsum("jab,jb->ja", turned, skeleton.heads)
+
+
+def pose_vertices(vertices: np.ndarray, weights: np.ndarray, skeleton: Skeleton, pose: Pose) -> np.ndarray:
+    """Linear blend skinning: rest vertices [V, 3], weights [V, J] -> posed vertices [V, 3]."""
+    turned, offsets = bone_transforms(skeleton, pose)
     blended = np.einsum("vj,jab->vab", weights, turned)
     return np.einsum("vab,vb->va", blended, vertices) + weights @ offsets
