@@ -29,7 +29,8 @@ class Film(Command):
     out: Path
     """NAME.mp4 (extra film), NAME.gif, or a new folder for PNGs; every frame's figures stand beside it as .json."""
     scene: str | None = None
-    """The motion: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
+    """The motion: scene folder, .npz, sample-clothed:unseen, or sample:unseen (the default after training on
+    sample:train)."""
     colors: str | None = None
     """Film these colours on the run's logo instead, as in cloak evaluate."""
     backgrounds: str | None = None

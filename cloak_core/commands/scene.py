@@ -144,11 +144,14 @@ class Sample(Writes):
 
     split: Literal["all", "train", "unseen"] = "all"
     """All bodies, those for training, or those kept back for evaluation."""
+    clothed: bool = False
+    """Those in motion, in loose shirts and trousers (the scene sample-clothed)."""
 
     def bodies(self) -> Bodies:
+        from cloak_core.scene.people.clothed import clothed_bodies
         from cloak_core.scene.people.samples import sample_bodies
 
-        return sample_bodies(self.split)
+        return clothed_bodies(self.split) if self.clothed else sample_bodies(self.split)
 
 
 def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:

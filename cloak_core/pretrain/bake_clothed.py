@@ -100,7 +100,7 @@ def pack(
         "clip_unseen": np.array([clip.unseen for clip in CLIPS]),
     }
     data["cloth"] = np.concatenate([_steps(data, n, clip, garments) for n, clip in enumerate(clips)])
-    write_npz(path, **data)
+    np.savez_compressed(path, **data)
 
 
 def _steps(data: dict, number: int, clip: dict[str, np.ndarray], garments: list[Garment]) -> np.ndarray:

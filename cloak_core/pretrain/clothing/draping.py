@@ -23,8 +23,6 @@ from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_tran
 SCRIPT = Path(__file__).with_name("inside.py")
 RUN_IN = 12
 """Frames from standing with the arms out to the cycle's middle, where the motion begins."""
-FRAMES_A_SECOND = 16
-"""That the solver takes at least, in `inside.py`'s steps each."""
 SOLVER_FRAME = 1 / 25
 """Seconds that Blender's solver takes a frame to last."""
 _OUT = Arm(abduction=42, elbow=4)
@@ -52,8 +50,8 @@ def part_way(start: object, end: object, share: float) -> object:
 
 def poses_of(clip: Clip) -> tuple[list[Pose], int]:
     """The poses that the solver walks through, half a cycle and a whole one at their end, and the frames of a cycle."""
-    each = max(1, round(clip.seconds * FRAMES_A_SECOND / clip.frames))
-    cycle = [CYCLES[clip.motion](i / (each * clip.frames), **clip.style) for i in range(each * clip.frames)]
+    count = clip.fine * clip.frames
+    cycle = [CYCLES[clip.motion](i / count, **clip.style) for i in range(count)]
     lead = cycle[len(cycle) // 2 :]
     run_in = [part_way(START, lead[0], share**2 * (3 - 2 * share)) for share in np.arange(RUN_IN) / RUN_IN]
     return [*run_in, *lead, *cycle], len(cycle)
@@ -123,7 +121,7 @@ def solve(
     told = {
         "garment": held.astype(np.float32),
         "quads": garment.quads,
-        "pin": garment.pin,
+        "pin": np.maximum(garment.pin, clip.hold if garment.name == "trousers" else 0.0),
         "wide": wide,
         "body": beneath[0].astype(np.float32),
         "body_quads": beneath[1],

@@ -63,7 +63,7 @@ def sew(garment: bpy.types.Object, told: dict[str, np.ndarray]) -> None:
     made.shear_stiffness, made.bending_stiffness = float(told["stiffness"]) / 3, float(told["bending"])
     made.tension_damping = made.compression_damping = 8.0
     made.air_damping = 1.5
-    made.vertex_group_mass, made.pin_stiffness = "pin", 1.0
+    made.vertex_group_mass, made.pin_stiffness = "pin", 20.0 if 0 < told["pin"].min() else 1.0
     made.vertex_group_shrink, made.shrink_min, made.shrink_max = "wide", 0.0, -float(told["growth"])
     cloth.collision_settings.distance_min, cloth.collision_settings.collision_quality = 0.005, 2
     cloth.collision_settings.use_self_collision = False

@@ -30,6 +30,10 @@ class Clip:
     """Frames that are kept, evenly over the cycle."""
     seconds: float
     """Of one cycle."""
+    fine: int = 1
+    """Frames of the solver for each that is kept; fast legs leave their trousers where there are too few."""
+    hold: float = 0.0
+    """How firmly trousers keep to the legs (`inside.py`'s weight of a pin)."""
     style: dict[str, float] = field(default_factory=dict)
     """Arguments of the motion."""
 
@@ -45,12 +49,12 @@ class Clip:
 CLIPS = (
     Clip("walking", "p1", 1, 16, 1.05),
     Clip("walking", "p1", 2, 16, 1.05),
-    Clip("walking", "p2", 3, 16, 1.0, {"reach": 0.9, "swing": 26.0}),
-    Clip("running", "p3", 4, 12, 0.74, {"reach": 0.85, "drive": 26.0, "lean": 5.0}),
-    Clip("standing", "p4", 5, 8, 1.6),
-    Clip("walking", "u1", 11, 16, 1.0, {"reach": 1.1, "swing": 28.0, "lean": 3.0}),
-    Clip("running", "u2", 12, 12, 0.74, {"reach": 0.95, "drive": 36.0, "lean": 8.0}),
-    Clip("waving", "u3", 13, 12, 0.9, {"raised": 92.0, "right": False}),
-    Clip("standing", "u1", 14, 8, 1.6, {"sway": 1.2, "elbow": 34.0}),
+    Clip("walking", "p2", 3, 16, 1.0, style={"reach": 0.9, "swing": 26.0}),
+    Clip("running", "p3", 4, 12, 0.74, fine=3, hold=0.55, style={"reach": 0.85, "drive": 26.0, "lean": 5.0}),
+    Clip("standing", "p4", 5, 8, 1.6, fine=3),
+    Clip("walking", "u1", 11, 16, 1.0, style={"reach": 1.1, "swing": 28.0, "lean": 3.0}),
+    Clip("running", "u2", 12, 12, 0.74, fine=3, hold=0.55, style={"reach": 0.95, "drive": 36.0, "lean": 8.0}),
+    Clip("waving", "u3", 13, 12, 0.9, style={"raised": 92.0, "right": False}),
+    Clip("standing", "u1", 14, 8, 1.6, fine=3, style={"sway": 1.2, "elbow": 34.0}),
 )
 """Training's people first, then the unseen ones; waving is never trained on."""

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from cloak_core.exchange.scenes import read_scene, write_scene
 from cloak_core.files.errors import InputError
@@ -86,22 +85,24 @@ def test_loose_cloth_is_wider_than_tight_cloth_and_folds_differ() -> None:
 
 @pytest.mark.slow
 def test_no_skin_shows_through_the_cloth() -> None:
-    """Of the pixels that show a person in tight clothes as skin, hardly any lie amid cloth when it hangs loosely."""
-    bodies = clothed_bodies("unseen")
-    bank = ViewBank(bodies, samples=1)
-    hips = bodies.regions["body"] & ~np.isin(
-        np.arange(bodies.face_count), select_region(bodies, "head+hands+feet+forearms")
-    )
-    skin = torch.from_numpy(hips)
-    shares = []
+    """Of upper arms, ankles and neck about as much is seen as of people in tight clothes, and no hips or belly."""
+    loose, tight = shown_skin(tight=False), shown_skin(tight=True)
+    assert loose.max() < 0.06 and loose.mean() < tight.mean() + 0.015
+
+
+def shown_skin(tight: bool) -> np.ndarray:
+    """In views from four sides: what skin that is neither of head, hands, feet nor forearms takes of the person."""
+    bodies = clothed_bodies("unseen", tight)
+    skin = bodies.regions["body"].copy()
+    skin[select_region(bodies, "head+hands+feet+forearms")] = False
+    bank, shares = ViewBank(bodies, samples=1), []
     for pose in range(0, bodies.pose_count, 7):
-        for azimuth in (0, 90, 180, 270):
-            view = bank.view(pose, Camera(azimuth=azimuth, width=200, height=200))
-            seen = torch.zeros(bodies.face_count).index_add_(
-                0, view.face, view.weight.sum(0) if view.weight.ndim > 1 else view.weight
-            )
-            shares.append(float(seen[skin].sum() / seen.sum()))
-    assert np.mean(shares) < 0.06 and max(shares) < 0.12
+        for view in bank.views(
+            [(pose, Camera(azimuth=azimuth, width=160, height=160)) for azimuth in range(0, 360, 90)]
+        ):
+            seen = np.bincount(view.face.numpy(), view.weight.numpy(), bodies.face_count)
+            shares.append(seen[skin].sum() / seen.sum())
+    return np.array(shares)
 
 
 @pytest.mark.slow
@@ -113,4 +114,4 @@ def test_names_and_files(tmp_path) -> None:
     assert again.topology == walk.topology and np.array_equal(again.vertices, walk.vertices)
     with pytest.raises(InputError, match="sample-clothed:nobody"):
         load_scene("sample-clothed:nobody")
-    assert DATA.stat().st_size < 6e6
+    assert DATA.stat().st_size < 4e6
