@@ -19,6 +19,7 @@ import numpy as np
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
 from cloak_core.pretrain.bake_bodies import quantise
+from cloak_core.pretrain.clothing.checking import hidden_seen
 from cloak_core.pretrain.clothing.draping import Person, draped
 from cloak_core.pretrain.clothing.garments import Garment, bare_faces, cut
 from cloak_core.pretrain.clothing.tables import CLIPS, PEOPLE, Clip
@@ -58,20 +59,25 @@ def bake(path: Path, folder: Path) -> None:
         name: Person(rest, source.quads, source.weights, bones, touched) for name, (rest, bones) in figures.items()
     }
     clips = [solved(clip, people[clip.person], garments, folder) for clip in CLIPS]
-    bare = np.flatnonzero(bare_faces(average, source.quads, garments))
-    pack(path, source, samples.face_count, bare, garments, [people[name].rest for name in PEOPLE], clips)
+    mask = bare_faces(average, source.quads, garments)
+    bare = np.flatnonzero(mask)
+    pack(path, source, bare, garments, [people[name].rest for name in PEOPLE], clips)
+    found = [hidden_seen(people[clip.person], done, garments, mask) for clip, done in zip(CLIPS, clips, strict=True)]
+    shares, whole, part = (np.concatenate(kind) for kind in zip(*found, strict=True))
+    print(
+        f"skin left out: {(~mask).sum()} of {len(mask)} polygons, in {len(shares)} views {shares.mean():.3%} of what "
+        f"is seen, at most {shares.max():.2%}; a view takes {np.median(part):.4f} s instead of {np.median(whole):.4f}"
+    )
 
 
 def pack(
     path: Path,
     source: AnnySource,
-    face_count: int,
     bare: np.ndarray,
     garments: list[Garment],
     rests: list[np.ndarray],
     clips: list[dict[str, np.ndarray]],
 ) -> None:
-    assert face_count == len(source.quads)
     seen = np.unique(source.quads[bare])
     hidden = np.setdiff1d(np.unique(np.concatenate([g.vertices for g in garments])), seen)
     rows = np.concatenate([seen, hidden])

@@ -18,6 +18,7 @@ from cloak_core.pretrain.clothing.gaits import CYCLES
 from cloak_core.pretrain.clothing.garments import Garment, neighbours, normals, tailored
 from cloak_core.pretrain.clothing.tables import Clip
 from cloak_core.scene.blender.executable import find_blender
+from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
 
 SCRIPT = Path(__file__).with_name("inside.py")
@@ -41,7 +42,7 @@ class Person:
     touched: np.ndarray
 
 
-def part_way(start: object, end: object, share: float) -> object:
+def part_way(start: object, end: object, share: Number) -> object:
     """Between two poses: every angle of theirs."""
     if not is_dataclass(start):
         return start + (end - start) * share

@@ -11,8 +11,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose
 
+Keys = tuple[tuple[Number, ...], ...]
 # Of one leg: share of the cycle, thigh forwards, knee bent, sole's pitch (heel up), in degrees.
 WALK = (
     (0.0, 24, 4, -14),
@@ -35,20 +37,20 @@ RUN = (
 
 
 @lru_cache(maxsize=8)
-def _curve(table: tuple[tuple[float, ...], ...]) -> CubicSpline:
+def _curve(table: Keys) -> CubicSpline:
     """Thigh, knee and sole over the phase."""
     keys = np.array([*table, (1.0, *table[0][1:])], float)
     return CubicSpline(keys[:, 0], keys[:, 1:], bc_type="periodic")
 
 
-def _leg(table: tuple[tuple[float, ...], ...], phase: float, reach: float, outward: float) -> Leg:
+def _leg(table: Keys, phase: Number, reach: Number, outward: Number) -> Leg:
     hip, knee, heel_up = _curve(table)(phase % 1)
     return Leg(
         hip=hip * reach, abduction=2.5, outward=outward, knee=max(knee * (0.4 + 0.6 * reach), 1.0), heel_up=heel_up
     )
 
 
-def walk(phase: float, reach: float = 1.0, swing: float = 22.0, lean: float = 2.0) -> Pose:
+def walk(phase: Number, reach: Number = 1.0, swing: Number = 22.0, lean: Number = 2.0) -> Pose:
     """Walking; `reach` scales the step, `swing` is the arms' in degrees."""
     beat = np.cos(2 * np.pi * phase)
     arm = lambda beat: Arm(
@@ -68,7 +70,7 @@ def walk(phase: float, reach: float = 1.0, swing: float = 22.0, lean: float = 2.
     )
 
 
-def run(phase: float, reach: float = 1.0, drive: float = 32.0, lean: float = 7.0) -> Pose:
+def run(phase: Number, reach: Number = 1.0, drive: Number = 32.0, lean: Number = 7.0) -> Pose:
     """Running; `drive` is the arms' swing in degrees."""
     beat = np.cos(2 * np.pi * (phase + 0.08))
     arm = lambda beat: Arm(
@@ -87,7 +89,7 @@ def run(phase: float, reach: float = 1.0, drive: float = 32.0, lean: float = 7.0
     )
 
 
-def wave(phase: float, raised: float = 82.0, right: bool = True) -> Pose:
+def wave(phase: Number, raised: Number = 82.0, right: bool = True) -> Pose:
     """Standing with one hand up that goes from side to side."""
     beat = np.sin(2 * np.pi * phase)
     up = Arm(
@@ -98,7 +100,7 @@ def wave(phase: float, raised: float = 82.0, right: bool = True) -> Pose:
     return Pose(spine_tilt=(2.0 + beat) * (1 if right else -1), **arms)
 
 
-def stand(phase: float, sway: float = 1.0, elbow: float = 20.0) -> Pose:
+def stand(phase: Number, sway: Number = 1.0, elbow: Number = 20.0) -> Pose:
     """Standing, the weight going from one leg to the other, the chest turning a little."""
     beat = sway * np.sin(2 * np.pi * phase)
     leg = lambda side: Leg(hip=4 + 4 * side * beat, abduction=5, outward=10, knee=8 + 7 * side * beat)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from cloak_core.pretrain.body_tables import shape
+from cloak_core.scene.cameras import Number
 
 PEOPLE = {
     "p1": shape(0.05, 0.68, 0.55, 0.50, 0.36),
@@ -34,7 +35,7 @@ class Clip:
     """Frames of the solver for each that is kept; fast legs leave their trousers where there are too few."""
     hold: float = 0.0
     """How firmly trousers keep to the legs (`inside.py`'s weight of a pin)."""
-    style: dict[str, float] = field(default_factory=dict)
+    style: dict[str, Number] = field(default_factory=dict)
     """Arguments of the motion."""
 
     @property
