@@ -21,7 +21,7 @@ from cloak_core.scene.blender.executable import find_blender
 from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
 
-SCRIPT = Path(__file__).with_name("inside.py")
+SCRIPT = Path(__file__).parent / "blender" / "inside.py"
 RUN_IN = 12
 """Frames from standing with the arms out to the cycle's middle, where the motion begins."""
 SOLVER_FRAME = 1 / 25

@@ -34,7 +34,7 @@ class Clip:
     fine: int = 1
     """Frames of the solver for each that is kept; fast legs leave their trousers where there are too few."""
     hold: float = 0.0
-    """How firmly trousers keep to the legs (`inside.py`'s weight of a pin)."""
+    """How firmly trousers keep to the legs (`blender/inside.py`'s weight of a pin)."""
     style: dict[str, Number] = field(default_factory=dict)
     """Arguments of the motion."""
 
