@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from . import run_list
+from . import colors, run_list
 from .drawing import fill, short, size_of_words, write
 from .evaluations import Evaluation, Sector
 from .mesh_arrays import to_world
@@ -83,7 +83,7 @@ def band(first: float, last: float, inner: float, outer: float) -> np.ndarray:
 
 def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
-    places, colors = [], []
+    places, paints = [], []
     for arc in arcs(sectors):
         gap = min(0.5, 0.05 * (arc.last - arc.first))
         shown = [(MIDDLE, OUTER, arc.sector.cloak)]
@@ -92,9 +92,9 @@ def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
         for inner, outer, success in shown:
             corners = band(arc.first + gap, arc.last - gap, inner, outer).reshape(-1, 2)
             places.append(corners)
-            colors.append(np.tile((*color_of(success), OPAQUE), (len(corners), 1)))
+            paints.append(np.tile((*color_of(success), OPAQUE), (len(corners), 1)))
     empty = np.zeros((0, 2)), np.zeros((0, 4))
-    return (np.concatenate(places), np.concatenate(colors)) if places else empty
+    return (np.concatenate(places), np.concatenate(paints)) if places else empty
 
 
 def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
@@ -106,13 +106,15 @@ def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
 
 
 def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | None:
-    """The body and the evaluation to draw; None for nothing."""
+    """The body that wears its cloak, and the evaluation to draw; None for nothing."""
     obj, state = context.object, run_list.selected(context)
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
     if not settings_of(context).judging.ring or not obj.visible_get() or not obj.data.polygons:
         return None
-    return (obj, state.evaluation) if state.evaluation.worst_sectors() else None
+    if not state.evaluation.worst_sectors() or not colors.is_dressed(obj) or colors.shows_heat(obj):
+        return None
+    return obj, state.evaluation
 
 
 # --- drawing ---------------------------------------------------------------------------------------------------------
@@ -134,9 +136,9 @@ def draw_ring() -> None:
     obj, evaluation = found
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")
     if _batch[0] is not evaluation:
-        places, colors = ring_triangles(evaluation.worst_sectors())
+        places, paints = ring_triangles(evaluation.worst_sectors())
         corners = np.concatenate([places, np.zeros((len(places), 1))], 1).astype(np.float32)
-        _batch = evaluation, batch_for_shader(shader, "TRIS", {"pos": corners, "color": colors.astype(np.float32)})
+        _batch = evaluation, batch_for_shader(shader, "TRIS", {"pos": corners, "color": paints.astype(np.float32)})
     place, extent = stand(obj)
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.blend_set("ALPHA")

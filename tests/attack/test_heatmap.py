@@ -30,6 +30,20 @@ def test_heat_is_where_the_detector_looks():
     assert 0 < heat.sum() < 0.8 * 3 * 32 * 64 / (3 * 32 * 64)
 
 
+def test_it_says_how_far_it_is():
+    told = []
+    heatmap(
+        box_bodies(2),
+        TopRowDetector(),
+        noise_backgrounds(),
+        [0.0, 20.0],
+        size=64,
+        backgrounds_per_view=2,
+        on_progress=lambda done, total: told.append((done, total)),
+    )
+    assert told == [(2, 8), (4, 8), (6, 8), (8, 8)]
+
+
 def test_heat_is_the_mean_over_views():
     bodies, backgrounds = box_bodies(2), noise_backgrounds()
     heat = lambda poses, angles: heatmap(

@@ -175,6 +175,10 @@ def test_the_ring_is_drawn_for_the_run_that_the_body_wears_and_can_be_hidden(dre
     bpy.context.scene.cloak.judging.ring = False
     assert ring.shown(bpy.context) is None
     bpy.context.scene.cloak.judging.ring = True
+    bpy.ops.cloak.result_toggle()
+    assert ring.shown(bpy.context) is None  # it belongs to the colours that are worn
+    bpy.ops.cloak.result_toggle()
+    assert ring.shown(bpy.context) is not None
     dressed.cloak.run = ""
     assert ring.shown(bpy.context) is None
 
@@ -273,6 +277,30 @@ def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
     box = eye_drawing.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
     assert not jobs.busy()  # it is no job: a training may run beside it
+
+
+def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch):
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    bpy.ops.cloak.eye()
+    try:
+        watch(lambda: eye.current.seen is not None)
+        assert list(eye.current.seen.glances["builtin"]) == ["clothing"]
+        bpy.ops.cloak.train_start()
+
+        def sees_the_cloak() -> bool:
+            jobs.tick()
+            return "cloak" in eye.current.seen.glances["builtin"]
+
+        watch(sees_the_cloak)
+        assert jobs.busy()  # while it is being trained
+        assert run_job().state == "done"
+        told = asked()
+        watch(lambda: not eye.current.waiting)
+        assert told["colors"] == str(folder_of(ready) / "colors.npy")
+    finally:
+        eye.close_eye()
 
 
 def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye):

@@ -100,11 +100,16 @@ def look() -> None:
             seen["cloak"] = {"max_person": 0.2, "boxes": [[*box[:4], 0.2]]}
         with np.load(Path(asked["scene"]) / "bodies.npz") as arrays:
             asked["lowest"] = float(arrays["vertices"][..., 1].min())
-        (folder / "asked.json").write_text(json.dumps(asked))
+        replace(folder / "asked.json", asked)
         told = {"detectors": {given("--detector"): seen}, "pictures": {"clothing": str(folder / "clothing.png")}}
-        temporary = folder / ".look.json"
-        temporary.write_text(json.dumps(told | {"width": asked["width"], "height": asked["height"]}))
-        os.replace(temporary, folder / "look.json")
+        replace(folder / "look.json", told | {"width": asked["width"], "height": asked["height"]})
+
+
+def replace(path: Path, record: dict) -> None:
+    """All or nothing, for somebody who looks while it is written."""
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text(json.dumps(record))
+    os.replace(temporary, path)
 
 
 def sample(out: Path) -> None:
