@@ -86,6 +86,8 @@ def test_what_was_kept_back_is_known_either_way():
     for inputs in (directly, through_blender):
         assert kept_back("scene", {"inputs": inputs}) == "sample:unseen"
         assert kept_back("backgrounds", {"inputs": inputs}) == "procedural:test:64"
+    for name in ("sample-clothed", "sample-tight"):
+        assert kept_back("scene", {"inputs": {"scene": f"{name}:train[walking*]"}}) == f"{name}:unseen"
     with pytest.raises(InputError, match="--scene: say what to evaluate on"):
         kept_back("scene", {"inputs": {"scene": "/runs/demo.input/scene"}})
 

@@ -8,12 +8,12 @@ import torch
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.evaluation.trained_run import EMBEDDED
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.opening import load_scene
-from cloak_core.scene.people.samples import sample_bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def open_bodies_and_backgrounds(
     unseen_backgrounds: str | None = None,
 ) -> Materials:
     """Open everything else by spec. Without `unseen`, every second body of `scene` is kept from training, and so is
-    every second outfit; likewise for a folder of backgrounds. "sample" and "procedural" have their own unseen parts.
+    every second outfit; likewise for a folder of backgrounds. What is embedded has unseen parts of its own.
     """
     return Materials(
         *_open_bodies(scene, unseen),
@@ -101,8 +101,8 @@ def open_bodies_and_backgrounds(
 def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
     if unseen is not None:
         return load_scene(scene), load_scene(unseen)
-    if scene == "sample":
-        parts = (sample_bodies("train"), sample_bodies("unseen"))
+    if scene in EMBEDDED:
+        parts = (load_scene(f"{scene}:train"), load_scene(f"{scene}:unseen"))
     else:
         bodies = load_scene(scene)
         if bodies.pose_count < 2:
