@@ -34,12 +34,13 @@ def steps():
     if LANGUAGE:
         speak(LANGUAGE)
     bpy.ops.mesh.primitive_cube_add(size=2)
+    cube = bpy.context.object  # named in the language of the window
     subprocess.run(["xdotool", "key", "Escape"], check=True)  # the splash screen
     view_area().spaces.active.show_region_ui = True
     yield 0.5
     bpy.ops.cloak.add_sample_body()
     yield from until_done()
-    body, cube = bpy.data.objects["Sample Body"], bpy.data.objects["Cube"]
+    body = bpy.data.objects["Sample Body"]
     assert bpy.context.object == body and body.location.x - cube.location.x > 1, "it must not stand in the cube"
     yield from show_tab()
     yield 4.0
