@@ -1,6 +1,7 @@
 """The loops that the CPU runs against the torch operations that other devices run: the same views."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from bodies_made import sphere
 
 from cloak_core.bench.oracle import screen_of
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.render import seam
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.views import ViewBank
 from cloak_core.render.visibility.projection import GRID, GUARD
@@ -114,3 +116,10 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
             theirs = rasterize(screen, triangles, grid, torch.tensor([cull]))
         assert torch.equal(ours.keys, theirs.keys)
         assert (ours.triangles() >= 0).any()
+
+
+def test_a_device_chooses_in_one_place() -> None:
+    """Beside the seam only the names of stored views ask who builds them."""
+    room = Path(seam.__file__).parent
+    asking = {path.name for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
+    assert asking == {"compiled.py", "seam.py", "view_files.py"}
