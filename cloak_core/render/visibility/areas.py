@@ -158,30 +158,41 @@ def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
     return lines
 
 
+def _hiders(pieces: Pieces) -> tuple[Tensor, Tensor, Tensor]:
+    """Which pieces, sorted by place, may hide which: for each its first entry in a list, how many there are, and the
+    list."""
+    _, group, size = torch.unique_consecutive(pieces.place, return_inverse=True, return_counts=True)
+    begin, rivals = (size.cumsum(0) - size)[group], size[group]
+    (least, most), low, high = pieces.depth_range(), pieces.shape.amin(0), pieces.shape.amax(0)
+    found, count = [begin[:0]], torch.zeros_like(rivals)
+    for mine, offset in expand(rivals):
+        other = begin[mine] + offset
+        meet = (mine != other) & (most[other] >= least[mine] - 1)
+        meet &= ((high[:, other] > low[:, mine]) & (low[:, other] < high[:, mine])).all(0)
+        found.append(other[meet])
+        count += torch.bincount(mine[meet], minlength=len(count))
+    return count.cumsum(0) - count, count, torch.cat(found)
+
+
 def _uncovered(
     pieces: Pieces, triangles: Triangles, width: int
 ) -> tuple[Float64[Tensor, "C 2 N"], Int64[Tensor, " N"]]:
     """What is seen of pieces, sorted by place: convex parts, and which piece each part belongs to.
 
-    In each turn every piece meets one more of those in its pixel.
+    In each turn every piece meets one more of those that may hide it.
     """
     lines, name = _lines(pieces, triangles, width), triangles.ids.index_select(0, pieces.owner)
-    _, group, size = torch.unique_consecutive(pieces.place, return_inverse=True, return_counts=True)
-    begin, rivals = (size.cumsum(0) - size)[group], size[group]
-    (least, most), low, high = pieces.depth_range(), pieces.shape.amin(0), pieces.shape.amax(0)
+    first, count, hider = _hiders(pieces)
     shape, owner, done = pieces.shape, torch.arange(len(name), device=name.device), []
     for turn in itertools.count():
-        left = (rivals[owner] > turn).nonzero().view(-1)
-        finished = (rivals[owner] <= turn).nonzero().view(-1)
-        done.append((shape.index_select(-1, finished), owner[finished]))
-        if not len(left):
+        finished = count[owner] <= turn
+        done.append((shape[..., finished], owner[finished]))
+        shape, owner = shape[..., ~finished], owner[~finished]
+        if not len(owner):
             break
-        shape, owner = shape.index_select(-1, left), owner[left]
-        by = begin[owner] + turn
-        meet = (by != owner) & (most[by] >= least[owner] - 1)
-        meet &= ((high[:, by] > low[:, owner]) & (low[:, by] < high[:, owner])).all(0)
+        by = hider[first[owner] + turn]
         hiding = [*(tuple(t[by] for t in line) for line in lines), _nearer(pieces, name, by, owner)]
-        shape, kept = _subtract(shape, hiding, meet)
+        shape, kept = _subtract(shape, hiding)
         owner = owner[kept]
     shapes, owners = zip(*done, strict=True)
     return join(list(shapes)), torch.cat(owners)
@@ -198,12 +209,10 @@ def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
 
 
 def _subtract(
-    shape: Float64[Tensor, "C 2 N"], hiding: list[Line], meet: Tensor
+    shape: Float64[Tensor, "C 2 N"], hiding: list[Line]
 ) -> tuple[Float64[Tensor, "K 2 M"], Int64[Tensor, " M"]]:
-    """What of the polygons that may meet a convex area each, given by its sides, lies outside of it, and all of the
-    others; and which polygon each part is of."""
-    for line in hiding:
-        meet = meet & (distances(shape, line) > 0).any(0)
+    """What of polygons lies outside of a convex area each, given by its sides; and which polygon each part is of."""
+    meet = torch.stack([(distances(shape, line) > 0).any(0) for line in hiding]).all(0)
     apart, own = (~meet).nonzero().view(-1), meet.nonzero().view(-1)
     shapes, owners, rest = [shape.index_select(-1, apart)], [apart], shape.index_select(-1, own)
     for line in hiding:
