@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.abc
+import json
 import os
 import pkgutil
 import subprocess
@@ -163,3 +164,17 @@ def red_faces(obj: bpy.types.Object) -> list[int]:
     from cloak import colors
 
     return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()
+
+
+@pytest.fixture
+def dressed(stub: Path, tmp_path: Path) -> bpy.types.Object:
+    """A body that wears a run's colours."""
+    from made import make_egg
+    from test_colors import made_run
+
+    obj = make_egg()
+    run = made_run(tmp_path, obj, [10, 20, 333], np.tile(np.float32([1, 0, 0]), (3, 1)))
+    (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
+    obj.cloak.run = str(run)
+    bpy.ops.cloak.result_load()
+    return obj

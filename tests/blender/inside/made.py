@@ -3,6 +3,7 @@
 import bmesh
 import bpy
 import numpy as np
+from mathutils import Vector
 
 
 def link(mesh: bpy.types.Mesh, name: str = "Body") -> bpy.types.Object:
@@ -96,3 +97,14 @@ def centers(obj: bpy.types.Object) -> np.ndarray:
     values = np.empty(3 * len(obj.data.polygons), np.float32)
     obj.data.polygons.foreach_get("center", values)
     return values.reshape(-1, 3)
+
+
+def add_camera(place: tuple, target: tuple = (0, 0, 0.9)) -> bpy.types.Object:
+    """The scene's camera, looking at the middle of an egg."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    camera.location = place
+    camera.rotation_euler = (Vector(place) - Vector(target)).to_track_quat("Z", "Y").to_euler()
+    bpy.context.scene.camera = camera
+    bpy.context.view_layer.update()
+    return camera

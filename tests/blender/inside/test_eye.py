@@ -1,0 +1,201 @@
+"""The detector's eye: where it looks from, what it asks and when, what it draws, when it closes."""
+
+import json
+import math
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from cloak import eye, eye_drawing, jobs, onlooker, viewpoints
+from cloak.files.errors import InputError
+from conftest import folder_of, run_job
+from made import add_camera, set_mode
+from mathutils import Matrix, Vector
+
+# --- where one looks from --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("azimuth", "elevation", "distance"), [(0, 0, 2), (35, 20, 3), (-130, -15, 1.5), (20, 90, 4)])
+def test_a_viewpoint_stands_where_the_camera_does(azimuth, elevation, distance):
+    a, e = math.radians(azimuth), math.radians(elevation)
+    away = Vector((math.cos(e) * math.sin(a), -math.cos(e) * math.cos(a), math.sin(e)))
+    turn = Matrix.Rotation(a, 4, "Z") @ Matrix.Rotation(math.pi / 2 - e, 4, "X")
+    middle = Vector((3, 1, 0.9))
+    found = viewpoints.viewpoint(Matrix.Translation(middle + distance * away) @ turn, 50.0, 400, 300, middle)
+    assert math.isclose(found.azimuth, azimuth, abs_tol=1e-3) and math.isclose(found.elevation, elevation, abs_tol=1e-3)
+    assert math.isclose(found.distance, distance, rel_tol=1e-5)
+    assert np.allclose(found.pivot, (3, 0.9, -1), atol=1e-5)  # y up, facing +z
+    assert found.is_like(found.sized(100)) and not found.is_like(viewpoints.replace(found, azimuth=azimuth + 1.0))
+
+
+def test_what_no_camera_of_the_trainer_can_see_is_refused():
+    upright = Matrix.Translation((0, -2, 0.9)) @ Matrix.Rotation(math.pi / 2, 4, "X")
+    for matrix, words in (
+        (upright @ Matrix.Rotation(0.2, 4, "Z"), "rolled"),
+        (upright @ Matrix.Rotation(math.pi, 4, "Z"), "rolled"),
+        (upright @ Matrix.Rotation(math.pi, 4, "Y"), "behind the camera"),
+    ):
+        with pytest.raises(InputError, match=words):
+            viewpoints.viewpoint(matrix, 50.0, 400, 300, Vector((0, 0, 0.9)))
+
+
+def seen_at(view: viewpoints.Viewpoint, point: tuple) -> tuple[float, float]:
+    """Where the trainer sees a point of Blender's, in shares of the picture from its lower left."""
+    a, e = math.radians(view.azimuth), math.radians(view.elevation)
+    right = np.array([math.cos(a), 0.0, -math.sin(a)])
+    up = np.array([-math.sin(e) * math.sin(a), math.cos(e), -math.sin(e) * math.cos(a)])
+    away = np.array([point[0], point[2], -point[1]]) - view.place()
+    focal = 0.5 / math.tan(math.radians(view.field_of_view) / 2) / -np.dot(away, np.cross(right, up))
+    return 0.5 + focal * np.dot(away, right) * view.height / view.width, 0.5 + focal * np.dot(away, up)
+
+
+def test_the_scenes_camera(dressed):
+    scene = bpy.context.scene
+    with pytest.raises(InputError, match="no camera"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+    camera = add_camera((2, 0, 0.9))
+    scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
+    found = viewpoints.of_camera(scene, Vector((0, 0, 0.9)), 1.0)
+    assert math.isclose(found.azimuth, 90, abs_tol=1e-3) and math.isclose(found.distance, 2, rel_tol=1e-5)
+    for point in ((0.3, 0.2, 1.5), (-0.4, -0.5, 0.1)):
+        wanted = world_to_camera_view(scene, camera, Vector(point))
+        assert np.allclose(seen_at(found, point), wanted[:2], atol=1e-5)
+    assert (found.sized(640).width, found.sized(640).height) == (640, 360)
+    camera.data.shift_x = 0.1
+    with pytest.raises(InputError, match="lens shift"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+    camera.data.type = "ORTHO"
+    with pytest.raises(InputError, match="no perspective"):
+        viewpoints.of_camera(scene, Vector(), 1.0)
+
+
+# --- the detector's eye ----------------------------------------------------------------------------------------------
+
+
+def watch(until, seconds: float = 20) -> None:
+    """Let the eye look, as Blender's timer would."""
+    end = time.monotonic() + seconds
+    while not until():
+        assert time.monotonic() < end and eye.current is not None, eye.closed_because or eye.current.message
+        eye.tick()
+        time.sleep(0.02)
+
+
+def asked() -> dict:
+    return json.loads(Path(bpy.app.tempdir, "cloak eye", "asked.json").read_text())
+
+
+@pytest.fixture
+def open_eye(dressed):
+    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    bpy.ops.cloak.eye()
+    watch(lambda: eye.current.seen is not None)
+    yield eye.current
+    eye.close_eye()
+
+
+def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
+    glances = open_eye.seen.glances["builtin"]
+    assert glances["clothing"].describe() == "found, 0.90" and glances["cloak"].describe() == "hidden, 0.20"
+    told = asked()
+    assert math.isclose(told["azimuth"], 0, abs_tol=1e-3) and math.isclose(told["distance"], 3, rel_tol=1e-4)
+    assert told["colors"] == str(folder_of(dressed) / "colors.npy") and max(told["width"], told["height"]) == 640
+    words = [line for line, _ in eye_drawing.lines(open_eye, fits=True)]
+    assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
+    box = eye_drawing.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
+    assert np.allclose(box, (100, 50, 200, 150))
+    assert not jobs.busy()  # it is no job: a training may run beside it
+
+
+def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch):
+    monkeypatch.setenv("CLOAK_STUB", "slow")
+    bpy.context.scene.cloak.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    bpy.ops.cloak.eye()
+    try:
+        watch(lambda: eye.current.seen is not None)
+        assert list(eye.current.seen.glances["builtin"]) == ["clothing"]
+        bpy.ops.cloak.train_start()
+
+        def sees_the_cloak() -> bool:
+            jobs.tick()
+            return "cloak" in eye.current.seen.glances["builtin"]
+
+        watch(sees_the_cloak)
+        assert jobs.busy()  # while it is being trained
+        assert run_job().state == "done"
+        told = asked()
+        watch(lambda: not eye.current.waiting)
+        assert told["colors"] == str(folder_of(ready) / "colors.npy")
+    finally:
+        eye.close_eye()
+
+
+def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye):
+    before = asked()
+    bpy.context.scene.camera.location.x = 1.5
+    bpy.context.scene.camera.rotation_euler = (
+        (Vector((1.5, -3, 0.9)) - Vector((0, 0, 0.9))).to_track_quat("Z", "Y").to_euler()
+    )
+    bpy.context.view_layer.update()
+    watch(lambda: asked()["azimuth"] > 20)
+    dressed.location.z = 0.25
+    bpy.context.view_layer.update()
+    watch(lambda: math.isclose(asked()["lowest"], 0.25, abs_tol=1e-4))
+    (folder_of(dressed) / "colors.npy").unlink()  # as before training
+    watch(lambda: "colors" not in asked())
+    assert "colors" in before
+    watch(lambda: "cloak" not in open_eye.seen.glances["builtin"])
+    bpy.context.scene.cloak.judging.eye_background = 7
+    watch(lambda: asked()["background"] == 7)
+    calm = Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns
+    for _ in range(20):
+        eye.tick()
+        time.sleep(0.01)
+    assert Path(bpy.app.tempdir, "cloak eye", "asked.json").stat().st_mtime_ns == calm  # nothing new, nothing asked
+
+
+def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
+    bpy.context.scene.camera.data.type = "ORTHO"
+    watch(lambda: "no perspective" in open_eye.message)
+    assert eye_drawing.lines(open_eye, fits=True)[1][0] == open_eye.message
+    bpy.context.scene.camera.data.type = "PERSP"
+    watch(lambda: not open_eye.message)
+    set_mode("EDIT")
+    watch(lambda: "Leave Edit Mode" in open_eye.message)
+    set_mode("OBJECT")
+    watch(lambda: not open_eye.message)
+
+
+def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
+    process = open_eye._onlooker._process
+    bpy.ops.cloak.eye()
+    assert eye.current is None and process.poll() is not None
+    bpy.ops.cloak.eye()
+    process = eye.current._onlooker._process
+    process.kill()
+    process.wait()
+    assert eye.tick() is None and eye.current is None and "exit code -9" in eye.closed_because
+    bpy.ops.cloak.eye()
+    assert eye.closed_because == ""
+    bpy.data.objects.remove(dressed)
+    assert eye.tick() is None and "is gone" in eye.closed_because
+
+
+def test_an_answer_that_is_an_error_is_told(tmp_path, stub):
+    looks = onlooker.Onlooker([str(stub), "-c", "input()"], tmp_path)
+    looks.ask({"scene": "x"})
+    assert looks.answer() is None
+    (tmp_path / "look.json").write_text('{"error": "no such scene"}')
+    with pytest.raises(InputError, match="no such scene"):
+        looks.answer()
+    assert not looks.waiting
+    looks.ask({})
+    (tmp_path / "look.json").write_text('{"detectors": {}}')
+    with pytest.raises(InputError, match="not the answer"):
+        looks.answer()
+    looks.stop()
