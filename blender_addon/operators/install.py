@@ -88,7 +88,8 @@ index. Asks first, and says how much it takes"""
         for text, icon in (
             (f"Takes about {size:g} GB and some minutes", "INFO"),
             (f"Into: {trainer_folder()}", "FILE_FOLDER"),
-            (f"What: {source.name}, and what it needs, by pip from your package index", "PACKAGE"),
+            (f"What: {source.name}", "PACKAGE"),
+            ("And what it needs, by pip from your package index", "BLANK1"),
             (f"By: {self._found.describe()}", "CONSOLE"),
         ):
             column.label(text=text, icon=icon)
