@@ -23,7 +23,7 @@ FIGURE = re.compile(r"(-?\d[\d,]*(?:\.\d+)?)( %)?\D*$")
 
 
 def cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip("| \n").split("|")]
+    return [cell.strip() for cell in line.strip().removeprefix("|").removesuffix("|").split("|")]
 
 
 def table_citations(file: str, names: str, table: str) -> list[tuple[str, str, str]]:
