@@ -12,14 +12,13 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import threading
 from dataclasses import dataclass
 from pathlib import Path
 
 from .files.errors import InputError
 from .jobs import Job
-from .trainer_python import about_command, candidates, clean_environment, no_window
+from .trainer_python import about_command, ask, candidates
 
 PYTHON_NEEDED, TORCH_NEEDED = (3, 11), (2, 14)
 PIP_FOR_OTHERS = (22, 3)
@@ -71,21 +70,9 @@ class Base:
 def read_base(python: str) -> Base:
     """Ask a Python whether it can make environments; `InputError` says why not. Takes a tenth of a second."""
     try:
-        answer = subprocess.run(
-            [python, "-c", _PROBE],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=20,
-            env=clean_environment(),
-            stdin=subprocess.DEVNULL,
-            check=False,
-            **no_window(),
-        )
-    except OSError as error:
-        raise InputError(f"Python '{python}' cannot be run ({error.strerror})") from None
-    except subprocess.TimeoutExpired:
-        raise InputError(f"Python '{python}' does not answer") from None
+        answer = ask(python, _PROBE)
+    except InputError as error:
+        raise InputError(f"Python '{python}' {error}") from None
     said = (answer.stderr.strip().splitlines() or ["no answer"])[-1]
     if answer.returncode and "No module named 'venv'" not in said:
         raise InputError(f"Python '{python}' does not work: {said[:200]}")

@@ -58,11 +58,11 @@ def candidates() -> list[str]:
     return list(dict.fromkeys(place for place in places if place and os.access(place, os.X_OK)))
 
 
-def trainer_reason(python: str) -> str:
-    """Why this Python cannot train; "" when it has everything. Takes a tenth of a second."""
+def ask(python: str, program: str) -> subprocess.CompletedProcess:
+    """What a Python answers to a short program. Raises `InputError`, without the Python's name: it does not answer."""
     try:
-        answer = subprocess.run(
-            [python, "-c", _PROBE],
+        return subprocess.run(
+            [python, "-c", program],
             capture_output=True,
             text=True,
             errors="replace",
@@ -73,9 +73,17 @@ def trainer_reason(python: str) -> str:
             **no_window(),
         )
     except OSError as error:
-        return f"cannot be run ({error.strerror})"
+        raise InputError(f"cannot be run ({error.strerror})") from None
     except subprocess.TimeoutExpired:
-        return "does not answer"
+        raise InputError("does not answer") from None
+
+
+def trainer_reason(python: str) -> str:
+    """Why this Python cannot train; "" when it has everything. Takes a tenth of a second."""
+    try:
+        answer = ask(python, _PROBE)
+    except InputError as error:
+        return str(error)
     if answer.returncode == 0:
         return ""
     said = answer.stderr.strip().splitlines()

@@ -53,9 +53,11 @@ def _leg(table: Keys, phase: Number, reach: Number, outward: Number) -> Leg:
 def walk(phase: Number, reach: Number = 1.0, swing: Number = 22.0, lean: Number = 2.0) -> Pose:
     """Walking; `reach` scales the step, `swing` is the arms' in degrees."""
     beat = np.cos(2 * np.pi * phase)
-    arm = lambda beat: Arm(
-        shoulder=2 + swing * beat, abduction=15, inward=12, elbow=16 + 0.5 * swing * max(beat, 0), pronation=18
-    )
+
+    def arm(beat: Number) -> Arm:
+        elbow = 16 + 0.5 * swing * max(beat, 0)
+        return Arm(shoulder=2 + swing * beat, abduction=15, inward=12, elbow=elbow, pronation=18)
+
     turn = -4.0 * reach * beat
     return Pose(
         left_leg=_leg(WALK, phase, reach, 6),
@@ -73,9 +75,11 @@ def walk(phase: Number, reach: Number = 1.0, swing: Number = 22.0, lean: Number 
 def run(phase: Number, reach: Number = 1.0, drive: Number = 32.0, lean: Number = 7.0) -> Pose:
     """Running; `drive` is the arms' swing in degrees."""
     beat = np.cos(2 * np.pi * (phase + 0.08))
-    arm = lambda beat: Arm(
-        shoulder=-6 + drive * beat, abduction=22, inward=8 + 14 * beat, elbow=90 + 6 * beat, pronation=10, curl=40
-    )
+
+    def arm(beat: Number) -> Arm:
+        inward, elbow = 8 + 14 * beat, 90 + 6 * beat
+        return Arm(shoulder=-6 + drive * beat, abduction=22, inward=inward, elbow=elbow, pronation=10, curl=40)
+
     turn = -7.0 * reach * beat
     return Pose(
         left_leg=_leg(RUN, phase, reach, 3),
