@@ -44,6 +44,15 @@ def face_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
     return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
 
 
+def vertex_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "vertices 3"]:
+    """Unit normals: the mean of the triangles around a vertex, by area; zero for a vertex without any."""
+    vectors, _ = area_vectors(bodies, pose)
+    total = np.zeros((bodies.vertex_count, 3))
+    for corner in range(3):
+        np.add.at(total, bodies.triangles[:, corner], vectors)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+
 def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
     """Centroids, weighted by area; of a face without area, the mean of its triangles' corners."""
     vectors, centroid = area_vectors(bodies, pose)

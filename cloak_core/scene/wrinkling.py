@@ -13,6 +13,7 @@ from jaxtyping import Float, Integer
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.checks import frozen
+from cloak_core.scene.geometry import vertex_normals
 from cloak_core.scene.meshes.polygons import polygon_loops
 
 LENGTHS = (0.05, 0.25)
@@ -27,13 +28,14 @@ def wrinkled(bodies: Bodies, faces: Integer[np.ndarray, " logo"], depth: float, 
     axis besides; vertices of other faces stay, so that nothing tears. Pose p becomes poses p * draws and those that
     follow it; the same seed gives the same folds.
     """
-    free, normals_of = _inner_vertices(bodies, faces), _Normals(bodies)
+    free = _inner_vertices(bodies, faces)
     place = bodies.vertices[0].astype(np.float64)[free]
     vertices = np.repeat(bodies.vertices, draws, axis=0)
     for number, pose in enumerate(vertices):
+        if number % draws == 0:
+            outwards = vertex_normals(bodies, number // draws)[free]
         random = np.random.default_rng([seed, number])
         folds = np.stack([smooth_field(place, random) for _ in range(4)], axis=-1)
-        outwards = normals_of(pose.astype(np.float64))[free]
         pose[free] += depth * (outwards * (1 + folds[:, :1]) + folds[:, 1:] * (1 - np.abs(outwards)))
     names = tuple(f"{name} in folds {draw}" for name in bodies.names for draw in range(draws))
     return replace(bodies, vertices=frozen(vertices), names=names, recorded_topology=bodies.topology)
@@ -58,17 +60,3 @@ def _inner_vertices(bodies: Bodies, faces: np.ndarray) -> Integer[np.ndarray, " 
     inside[loop_vertices[mine]] = True
     inside[loop_vertices[~mine]] = False
     return np.flatnonzero(inside)
-
-
-class _Normals:
-    """Unit vertex normals [V, 3] of any pose."""
-
-    def __init__(self, bodies: Bodies) -> None:
-        self._triangles = bodies.triangles
-
-    def __call__(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        a, b, c = (vertices[self._triangles[:, corner]] for corner in range(3))
-        area, total = np.cross(b - a, c - a), np.zeros_like(vertices)
-        for corner in range(3):
-            np.add.at(total, self._triangles[:, corner], area)
-        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
