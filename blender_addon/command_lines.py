@@ -11,7 +11,7 @@ from pathlib import Path
 
 from .files.specs import split_spec
 
-SAMPLE = "sample:train"
+SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """The people that Add Sample Body brings; those kept back from them are for evaluation."""
 
 
@@ -69,9 +69,10 @@ def heatmap_command(python: str, request: TrainRequest, scene: Path, out: Path, 
     return _cloak(python, "logo", "heatmap", "--scene", scene, *options, "--out", out, "--events", events)
 
 
-def sample_command(python: str, out: Path) -> list[str]:
-    """`cloak scene sample`."""
-    return _cloak(python, "scene", "sample", "--out", out, "--split", SAMPLE.partition(":")[2])
+def sample_command(python: str, out: Path, people: str = "BARE") -> list[str]:
+    """`cloak scene sample`; `people` are a key of `SAMPLES`."""
+    clothed = ["--clothed"] if people == "CLOTHED" else []
+    return _cloak(python, "scene", "sample", "--out", out, "--split", SAMPLES[people].partition(":")[2], *clothed)
 
 
 def check_command(python: str, request: TrainRequest, image: Path) -> list[str]:

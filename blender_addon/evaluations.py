@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from .command_lines import SAMPLE
+from .command_lines import SAMPLES
 from .files.errors import InputError
 from .files.reading import read_json
 
@@ -129,6 +129,6 @@ def kept_back(run: Path) -> bool:
     """Whether the run was trained on Cloak's own people, of whom some were kept back."""
     try:
         inputs = read_json(run / "config.json").get("inputs", {})
-        return str(inputs.get("made_from") or inputs.get("scene", "")).startswith(SAMPLE)
+        return str(inputs.get("made_from") or inputs.get("scene", "")).startswith(tuple(SAMPLES.values()))
     except (InputError, AttributeError):
         return False

@@ -19,13 +19,13 @@ from . import overlay
 from .blend_paths import absolute
 from .body import object_of, topology
 from .files.errors import InputError
+from .garments import clothing_of
 from .mesh_arrays import evaluated_mesh, read, to_world
 from .onlooker import Onlooker, Seen
 from .poses import PoseChoice
 from .properties import settings_of
 from .run_list import redraw
 from .runs import trained_faces
-from .scene_export import clothing_of
 from .viewpoints import Viewpoint, middle_of, of_camera, of_region
 from .worn_scenes import export_worn
 

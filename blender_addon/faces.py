@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import bmesh
@@ -288,12 +288,27 @@ class LogoStats:
 
     faces: int
     hidden: int
-    area_share: float
-    """Of the body's surface, 0 to 1."""
+    area: float
+    whole_area: float
+    """Of the body's surface."""
     projected_area: float
     """Of the faces turned to the front, as seen from there (occlusion aside)."""
-    projected_share: float
-    """Of the same figure for the whole body, 0 to 1."""
+    whole_projected_area: float
+    """The same figure for the whole body."""
+
+    @property
+    def area_share(self) -> float:
+        """Of the body's surface, 0 to 1."""
+        return self.area / max(self.whole_area, 1e-12)
+
+    @property
+    def projected_share(self) -> float:
+        """Of the body as seen from the front, 0 to 1."""
+        return self.projected_area / max(self.whole_projected_area, 1e-12)
+
+    def __add__(self, other: LogoStats) -> LogoStats:
+        """Of two objects that wear the logo together."""
+        return LogoStats(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
@@ -304,13 +319,9 @@ def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
     areas = np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mask))
     # The front looks along +y, so front faces have normals along -y.
     frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(mask)), 0)
-    return LogoStats(
-        faces=int(mask.sum()),
-        hidden=int((mask & hidden).sum()),
-        area_share=float(areas[mask].sum() / max(areas.sum(), 1e-12)),
-        projected_area=float(frontal[mask].sum()) * bpy.context.scene.unit_settings.scale_length**2,
-        projected_share=float(frontal[mask].sum() / max(frontal.sum(), 1e-12)),
-    )
+    square = bpy.context.scene.unit_settings.scale_length**2
+    sums = (values.sum() * square for values in (areas[mask], areas, frontal[mask], frontal))
+    return LogoStats(int(mask.sum()), int((mask & hidden).sum()), *map(float, sums))
 
 
 def face_areas(obj: bpy.types.Object) -> np.ndarray:

@@ -15,8 +15,10 @@ import numpy as np
 
 from . import colors
 from .body import topology
+from .faces import logo_names, read_faces
 from .files.errors import InputError
 from .files.reading import read_json
+from .poses import armature_of
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,41 @@ def read_garments(record: Path) -> list[Garment]:
         return [Garment(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in found]
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{record}: not the record of an export") from None
+
+
+def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Visible meshes worn by the body: its children, and what shares its armature."""
+    armature = armature_of(obj)
+    candidates = list(obj.children_recursive)
+    if armature is not None:
+        candidates += [o for o in bpy.context.view_layer.objects if o.type == "MESH" and armature_of(o) == armature]
+    worn = {o for o in candidates if o.type == "MESH" and o != obj and o.visible_get() and len(o.data.polygons)}
+    return sorted(worn, key=lambda o: o.name)
+
+
+def also_wearing(obj: bpy.types.Object, logo: str) -> list[bpy.types.Object]:
+    """Clothing that has a logo of this name too."""
+    return [worn for worn in clothing_of(obj) if logo in logo_names(worn.data)]
+
+
+def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
+    """Mask [F] of a logo, or of those joined by "+", as far as the object has them."""
+    names = [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
+    found = [read_faces(obj, name) for name in names if name in logo_names(obj.data)]
+    return np.logical_or.reduce([np.zeros(len(obj.data.polygons), bool), *found])
+
+
+def is_dressed(obj: bpy.types.Object) -> bool:
+    """Whether some faces of the body or of its clothing wear the cloak."""
+    return any(map(colors.is_dressed, (obj, *clothing_of(obj))))
+
+
+def undress(obj: bpy.types.Object) -> None:
+    """Give the faces of the body and of its clothing their own material back."""
+    for worn in (obj, *clothing_of(obj)):
+        colors.undress(worn)
+        if colors.OUTFIT in worn.data.color_attributes:
+            colors.activate(worn, colors.OUTFIT)
 
 
 class WornColors:

@@ -17,7 +17,8 @@ from bpy.app.handlers import persistent
 
 from . import colors, faces
 from .faces import LogoStats
-from .mesh_arrays import corner_counts, current_mesh, face_triangles, hidden_faces, read, vertex_points
+from .garments import clothing_of, logo_mask
+from .mesh_arrays import corner_counts, current_mesh, face_triangles, hidden_faces, read, to_world, vertex_points
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 OUTLINE = (1.0, 1.0, 1.0, 1.0)
@@ -45,6 +46,7 @@ class _Key:
     mode: str
     scale: tuple[float, ...]
     """The object's transform without its place."""
+    clothed: bool
 
 
 def _key(obj: bpy.types.Object) -> _Key | None:
@@ -53,7 +55,7 @@ def _key(obj: bpy.types.Object) -> _Key | None:
         return None
     logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
     scale = tuple(value for row in obj.matrix_world.to_3x3() for value in row)
-    return _Key(obj.session_uid, logo, _changes, obj.mode, scale)
+    return _Key(obj.session_uid, logo, _changes, obj.mode, scale, bpy.context.scene.cloak.clothing)
 
 
 class _Kept:
@@ -118,12 +120,33 @@ def _catch_up() -> float | None:
     return None
 
 
-def tint_triangles(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+def _worn_with(obj: bpy.types.Object) -> list[tuple[bpy.types.Object, np.ndarray, str]]:
+    """Clothing that is trained with the body, and where the active logo goes on on it."""
+    key = _key(obj)
+    worn = clothing_of(obj) if key is not None and key.clothed else []
+    return [(o, logo_mask(o, key.logo), key.logo) for o in worn]
+
+
+def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
+    """Figures of the body's logo, and of its clothing where that is trained too."""
+    return sum((faces.logo_stats(o, on_it) for o, on_it, _ in _worn_with(obj)), faces.logo_stats(obj, mask))
+
+
+def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+    """`tint_triangles` of the body and of its clothing, in the body's space."""
+    back, found = np.array(obj.matrix_world.inverted_safe()), [tint_triangles(obj, mask)]
+    for worn, on_it, logo in _worn_with(obj):
+        if on_it.any():
+            found.append(to_world(tint_triangles(worn, on_it, logo), back @ np.array(worn.matrix_world)))
+    return np.concatenate(found).astype(np.float32)
+
+
+def tint_triangles(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> np.ndarray:
     """[3 n, 3] float32: corners of the logo's triangles in the object's space, lifted off the surface."""
     if obj.mode == "EDIT":
         corners, normals = _edit_triangles(obj, mask)
     else:
-        corners, normals = _evaluated_triangles(obj, mask)
+        corners, normals = _corners(*_shown_mesh(obj, mask, logo))
     return (corners + LIFT * _size(obj) * normals).astype(np.float32)
 
 
@@ -147,22 +170,18 @@ def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray
         return _corners(mesh, mask & ~hidden_faces(mesh))
 
 
-def _evaluated_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _corners(*_shown_mesh(obj, mask))
-
-
-def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray) -> tuple[bpy.types.Mesh, np.ndarray]:
-    """The mesh that viewports show, and the logo's faces on it."""
-    mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    return (mesh, mask) if len(mesh.polygons) == len(mask) else _carried_mask(obj, mesh, mask)
+def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tuple[bpy.types.Mesh, np.ndarray]:
+    """The mesh that viewports show, and the faces of the logo (the active one, unless named) on it."""
+    mesh, key = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data, _key(obj)
+    name = logo or (key.logo if key else "")
+    return (mesh, mask) if len(mesh.polygons) == len(mask) else _carried_mask(obj, mesh, mask, name)
 
 
 def _carried_mask(
-    obj: bpy.types.Object, evaluated: bpy.types.Mesh, mask: np.ndarray
+    obj: bpy.types.Object, evaluated: bpy.types.Mesh, mask: np.ndarray, logo: str
 ) -> tuple[bpy.types.Mesh, np.ndarray]:
     """The logo where modifiers make other faces: as its attribute arrives there, else on the rest shape."""
-    key = _key(obj)
-    attribute = evaluated.attributes.get(key.logo) if key else None
+    attribute = evaluated.attributes.get(logo)
     if attribute is None or attribute.domain != "FACE":
         return obj.data, mask
     return evaluated, read(attribute.data, "value", dtype=bool)
@@ -174,7 +193,7 @@ def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.nda
     return vertex_points(mesh)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
 
 
-_stats, _tint, _outline = _Kept(faces.logo_stats), _Kept(tint_triangles), _Kept(outline_edges)
+_stats, _tint, _outline = _Kept(worn_stats), _Kept(worn_tint), _Kept(outline_edges)
 
 
 def _draw() -> None:

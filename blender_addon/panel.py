@@ -42,7 +42,9 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         splits.enabled = not reason
         splits.operator("cloak.subdivide", text="Subdivide")
         splits.prop(settings_of(context), "triangulate", toggle=True)
-        row.operator("cloak.add_sample_body", text="Sample Body" if reason else "", icon="ADD")
+        row = self.layout.row(align=True)
+        row.operator("cloak.add_sample_body", text="Sample Body", icon="ADD").people = "BARE"
+        row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"
         self.progress(context, "Sample body")
         self._trainer(context)
 

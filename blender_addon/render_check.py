@@ -22,8 +22,8 @@ from . import colors
 from .files.errors import InputError
 from .files.reading import read_json
 from .files.writing import write_json
+from .garments import clothing_of, undress
 from .mesh_arrays import evaluated_mesh, image_pixels, read, to_world
-from .scene_export import clothing_of, undress
 
 THRESHOLD = 0.6
 """A person counts as detected at this score."""

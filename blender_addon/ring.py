@@ -18,6 +18,7 @@ from mathutils import Vector
 from . import colors, run_list
 from .drawing import fill, short, size_of_words, write
 from .evaluations import Evaluation, Sector
+from .garments import is_dressed
 from .mesh_arrays import to_world
 from .properties import settings_of
 
@@ -112,7 +113,7 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
         return None
     if not settings_of(context).judging.ring or not obj.visible_get() or not obj.data.polygons:
         return None
-    if not state.evaluation.worst_sectors() or not colors.is_dressed(obj) or colors.shows_heat(obj):
+    if not state.evaluation.worst_sectors() or not is_dressed(obj) or colors.shows_heat(obj):
         return None
     return obj, state.evaluation
 

@@ -7,6 +7,7 @@ import bpy
 
 from . import colors, jobs, run_list, steps
 from .body import active_body
+from .garments import is_dressed
 from .panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from .render_check import THRESHOLD, Verdict
 from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
@@ -117,7 +118,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         reason = steps.result_reason(context)
         column = self.gate(context, reason)
-        dressed = not reason and colors.is_dressed(active_body(context))
+        dressed = not reason and is_dressed(active_body(context))
         column.operator("cloak.result_load", icon="IMPORT")
         column.operator("cloak.result_toggle", text="Show Original" if dressed else "Show Cloak", icon="HIDE_OFF")
         warning = colors.view_transform_reason(context.scene)

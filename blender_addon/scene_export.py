@@ -19,15 +19,15 @@ from .body import require_body, require_upright, scene_axes, topology
 from .exchange.bodies import Bodies
 from .exchange.face_lists import write_face_list
 from .exchange.scenes import write_scene
-from .faces import logo_names, read_faces, require_logo
+from .faces import require_logo
 from .files.errors import InputError
 from .files.identity import sha256_arrays, sha256_record
 from .files.reading import read_json
 from .files.writing import new_folder, write_json
-from .garments import Garment
+from .garments import Garment, clothing_of, logo_mask
 from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
 from .modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
-from .poses import PoseChoice, armature_of, list_poses, require_size, visit
+from .poses import PoseChoice, list_poses, require_size, visit
 
 RECORD = "export.json"
 
@@ -48,22 +48,6 @@ class Part:
     def face_count(self) -> int:
         """Polygons that come from none of the mesh's own faces count behind those."""
         return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
-
-
-def clothing_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Visible meshes worn by the body: its children, and what shares its armature."""
-    armature = armature_of(obj)
-    candidates = list(obj.children_recursive)
-    if armature is not None:
-        candidates += [o for o in bpy.context.view_layer.objects if o.type == "MESH" and armature_of(o) == armature]
-    worn = {o for o in candidates if o.type == "MESH" and o != obj and o.visible_get() and len(o.data.polygons)}
-    return sorted(worn, key=lambda o: o.name)
-
-
-def undress(obj: bpy.types.Object) -> None:
-    """Give the faces of the body and of its clothing their own material back."""
-    for worn in (obj, *clothing_of(obj)):
-        colors.undress(worn)
 
 
 def export_bodies(
@@ -95,9 +79,9 @@ def _bodies_and_garments(
                 graph = context.evaluated_depsgraph_get()
                 frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])
                 _require_same_topology(objects, frames)
-    worn = [_outfit(o, part) for o, part in zip(clothing, frames[0][1:], strict=True)]
     body = [_filled_up(outfit, frames[0][0].face_count) for outfit in colors.own_outfits(obj)]
-    outfits = np.stack([np.concatenate([outfit, *worn]) for outfit in body])
+    worn = [_outfits(o, part, len(body)) for o, part in zip(clothing, frames[0][1:], strict=True)]
+    outfits = np.stack([np.concatenate(together) for together in zip(body, *worn, strict=True)])
     try:
         bodies = _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
     except InputError as error:
@@ -105,13 +89,6 @@ def _bodies_and_garments(
     starts = np.cumsum([0, *(part.face_count for part in frames[0])]).tolist()
     found = ((o, start) for o, start in zip(objects, starts, strict=False) if o in wearing[1:])
     return bodies, [Garment(o.name, start, len(o.data.polygons), topology(o)) for o, start in found]
-
-
-def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
-    """Mask [F] of a logo, or of those joined by "+", as far as the object has them."""
-    names = [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
-    found = [read_faces(obj, name) for name in names if name in logo_names(obj.data)]
-    return np.logical_or.reduce([np.zeros(len(obj.data.polygons), bool), *found])
 
 
 def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, with_triangles: bool) -> Part:
@@ -142,13 +119,14 @@ def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Pa
             raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
 
 
-def _outfit(obj: bpy.types.Object, part: Part) -> np.ndarray:
-    """[F, 3] sRGB of a piece of clothing."""
-    own = colors.own_face_colors(obj)
-    if len(own) == len(part.loop_total) or part.own_face is not None:
-        return _filled_up(own, part.face_count)
+def _outfits(obj: bpy.types.Object, part: Part, count: int) -> list[np.ndarray]:
+    """`count` times [F, 3] sRGB of a piece of clothing: with the body's outfits it changes, if it has as many."""
+    own = colors.own_outfits(obj)
+    own = own if len(own) == count else np.repeat(own[:1], count, axis=0)
+    if own.shape[1] == len(part.loop_total) or part.own_face is not None:
+        return [_filled_up(outfit, part.face_count) for outfit in own]
     # Clothing whose modifiers change its faces: its main material's colour for all of them.
-    return np.tile(np.median(own, axis=0), (len(part.loop_total), 1)).astype(np.float32)
+    return [np.tile(np.median(outfit, axis=0), (len(part.loop_total), 1)).astype(np.float32) for outfit in own]
 
 
 def _filled_up(own: np.ndarray, count: int) -> np.ndarray:
@@ -219,10 +197,11 @@ def export(
 ) -> Export:
     """Write scene package, face list and record into `folder`, which appears whole or not at all."""
     require_body(obj)
-    mask = require_logo(obj, logo)
+    clothing = clothing_of(obj) if with_clothing else []
+    worn_elsewhere = any(logo_mask(o, logo).any() for o in clothing)
+    mask = logo_mask(obj, logo) if worn_elsewhere else require_logo(obj, logo)
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another output folder")
-    clothing = clothing_of(obj) if with_clothing else []
     bodies, garments = _bodies_and_garments(context, obj, choice, clothing, logo)
     worn = [np.flatnonzero(logo_mask(bpy.data.objects[g.object], logo)) + g.first for g in garments]
     ids = np.concatenate([np.flatnonzero(mask), *worn])

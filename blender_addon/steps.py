@@ -12,16 +12,16 @@ import bpy
 from . import jobs, run_list
 from .blend_paths import absolute
 from .body import active_body, require_upright
-from .colors import HEAT, is_dressed
+from .colors import HEAT
 from .command_lines import differing_options
 from .faces import logo_names
 from .files.errors import InputError
+from .garments import also_wearing, clothing_of, is_dressed
 from .modifiers import modifiers_reason
 from .outputs import made
 from .poses import PoseChoice, list_poses, require_size
 from .properties import pose_choice, settings_of, train_request
 from .run_states import DONE, RUNNING, RunState, read_state
-from .scene_export import clothing_of
 from .viewpoints import middle_of, of_camera
 
 NO_BODY = "Choose a body first"
@@ -277,7 +277,7 @@ def export_summary(context: bpy.types.Context) -> str:
     poses = len(list_poses(obj, pose_choice(settings)))
     text = f"{poses} pose{'s' * (poses != 1)} of {len(obj.data.polygons):,} faces"
     worn = clothing_of(obj)
-    too = [o.name for o in worn if obj.cloak.logo in logo_names(o.data)]
+    too = [o.name for o in also_wearing(obj, obj.cloak.logo)]
     if settings.clothing:
         text += f", clothing: {', '.join(o.name for o in worn) if worn else 'none found'}"
         text += f"; the logo goes on over {', '.join(too)}" if too else ""

@@ -7,23 +7,20 @@ import shutil
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from .. import steps
-from ..body import add_from_scene, subdivide, topology
-from ..command_lines import SAMPLE, sample_command
+from ..body import subdivide
+from ..command_lines import SAMPLES, sample_command
 from ..exchange.scenes import read_scene
+from ..faces import logo_names
 from ..files.errors import InputError
 from ..jobs import Job, launch, require_idle
-from ..mesh_arrays import to_world
 from ..modifiers import applied_copy
 from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
+from ..samples import CLOTHES, add_people
 from .base import BodyOperator, CloakOperator, push_undo
 from .cursor import progress_cursor
-
-GAP = 0.3
-"""Between a new body and what stands beside it, in Blender's units."""
 
 
 class CLOAK_OT_subdivide(BodyOperator):
@@ -60,56 +57,47 @@ modifiers stay; shape keys end in their present mix"""
 
 
 class CLOAK_OT_add_sample_body(CloakOperator):
-    """Add Cloak's sample body: people of varied shape as shape keys, one per frame, with named regions as logos"""
+    """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
+or walking and running in a shirt and trousers that are objects of their own"""
 
     bl_label = "Add Sample Body"
     needs = staticmethod(steps.idle_reason)
 
+    people: bpy.props.EnumProperty(
+        name="People",
+        description="Whom to add",
+        items=(
+            ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
+            ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
+        ),
+    )
+
     def run(self, context: bpy.types.Context) -> str:
         require_idle()
-        folder = user_folder("sample")
+        folder, people = user_folder("sample"), self.people
         scene = folder / "scene"
         shutil.rmtree(scene, ignore_errors=True)
-        command = sample_command(chosen_python(), scene)
-        launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene)))
+        command = sample_command(chosen_python(), scene, people)
+        launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene, people)))
         return "Fetching the sample body from the trainer"
 
 
-def _add(job: Job, scene: Path) -> str | None:
+def _add(job: Job, scene: Path, people: str) -> str | None:
     if job.state != "done":
         return None
-    bodies = read_scene(scene)
-    obj = add_from_scene(bpy.context, bodies)
-    obj.name = obj.data.name = "Sample Body"
-    obj.cloak.made_from = f"{SAMPLE}|{topology(obj)}"
-    stand_clear(bpy.context, obj)
+    bodies, clothed = read_scene(scene), people == "CLOTHED"
+    obj = add_people(bpy.context, bodies, clothed, "Sample Body")
+    obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
     look_at_selected()
     settings = settings_of(bpy.context)
-    settings.pose_source, settings.frame_step = "RANGE", 1
+    settings.pose_source, settings.frame_step, settings.clothing = "RANGE", 1, clothed
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
-    if "chest" in bodies.regions:
-        obj.cloak.logo = "chest"
+    logo = CLOTHES if clothed else "chest"
+    if logo in logo_names(obj.data):
+        obj.cloak.logo = logo
     push_undo("Add Sample Body")
-    return f"Added '{obj.name}': {len(obj.data.polygons):,} faces"
-
-
-def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
-    """Move a new body to the right until it stands in no other visible mesh, such as the cube of a new file."""
-    context.view_layer.update()
-    low, high = _bounds(obj)
-    meshes = [o for o in context.visible_objects if o.type == "MESH" and o != obj and len(o.data.vertices)]
-    start = low[0]
-    for other_low, other_high in sorted(map(_bounds, meshes), key=lambda box: box[0][0]):
-        if (low < other_high).all() and (other_low < high).all():
-            step = other_high[0] + GAP - low[0]
-            low[0], high[0] = low[0] + step, high[0] + step
-    obj.location.x += low[0] - start
-
-
-def _bounds(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner [3] of the object's box in the world."""
-    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
-    return corners.min(0), corners.max(0)
+    worn = [f"{o.name}: {len(o.data.polygons):,} faces" for o in (obj, *obj.children)]
+    return f"Added {', '.join(worn)}"
 
 
 def look_at_selected() -> None:

@@ -11,10 +11,10 @@ from .. import colors, render_check, run_list, runs, steps
 from ..blend_paths import absolute
 from ..body import active_body, object_of
 from ..command_lines import check_command, report_command
+from ..garments import is_dressed, undress
 from ..jobs import Job, launch, require_idle
 from ..preferences import chosen_python
 from ..properties import settings_of, train_request
-from ..scene_export import undress
 from .base import WITH_UNDO, BodyOperator, CloakOperator
 
 
@@ -41,7 +41,7 @@ class CLOAK_OT_result_toggle(BodyOperator):
     needs = staticmethod(steps.wear_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if colors.is_dressed(obj):
+        if is_dressed(obj):
             undress(obj)
             colors.show_attribute(context, obj, None)
             return f"'{obj.name}' shows its own materials"

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import jobs, run_list, runs, steps
 from ..blend_paths import blend_folder, portable
-from ..body import active_body, topology
+from ..body import active_body
 from ..command_lines import train_command
 from ..exchange.face_lists import read_face_list
 from ..faces import logo_names
@@ -55,13 +55,13 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
     options, python = train_request(settings).options(), chosen_python()
     options += [f"--init={begun.path}"] if begun else []
-    made_from, _, faces = obj.cloak.made_from.partition("|")
-    options += [f"--made-from={made_from}"] if made_from and faces == topology(obj) else []
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
     _remove_failed_start()
     run = runs.new_run(output_folder(settings), obj.name, logo)
     done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run), settings.clothing)
+    made_from, _, faces = obj.cloak.made_from.partition("|")
+    options += [f"--made-from={made_from}"] if made_from and faces == read_face_list(done.face_list).topology else []
     runs.remember_options(run, options)
     begin(obj, run, train_command(python, options, done.scene, done.face_list, run))
     begins = f", from the colours of {begun.title}" if begun else ""

@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, colors, faces, runs, scene_export, steps
+from cloak import body, colors, faces, garments, runs, scene_export, steps
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
@@ -145,7 +145,7 @@ def test_clothing_follows_the_body_and_keeps_its_faces_ids(tmp_path):
     hidden.hide_set(True)
     bpy.context.view_layer.objects.active = obj
     bpy.context.view_layer.update()
-    assert scene_export.clothing_of(obj) == [shirt] and stranger not in scene_export.clothing_of(obj)
+    assert garments.clothing_of(obj) == [shirt] and stranger not in garments.clothing_of(obj)
     count = len(obj.data.polygons)
     faces.new_logo(obj, "chest", np.arange(count) >= count - 5)
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input", with_clothing=True)
@@ -195,7 +195,7 @@ def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
     live = runs.LiveColors(obj, run, done.topology, face_list.ids)
     assert live.update(bpy.context)
     check()
-    scene_export.undress(obj)
+    garments.undress(obj)
     assert not colors.is_dressed(obj) and not colors.is_dressed(shirt)
     runs.import_colors(bpy.context, obj, run)
     check()
@@ -211,7 +211,7 @@ def test_clothing_on_the_same_armature_is_found():
     shirt.modifiers.new("Armature", "ARMATURE").object = armature
     bpy.context.view_layer.objects.active = obj
     bpy.context.view_layer.update()
-    assert scene_export.clothing_of(obj) == [shirt]
+    assert garments.clothing_of(obj) == [shirt]
 
 
 # --- colours of the body ---------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """What only a window can show of picking: the brush and the dragged stamp under a real mouse.
 
-    real_blender.sh gui sid OUT.png tests/blender/real/check_pick.py ZIP [FACES [brush|drag]]
+    window.sh OUT.png tests/blender/real/check_pick.py ZIP [FACES [brush|drag]]
 
 Ends Blender with exit code 3 at the first check that fails; the picture is taken in the middle of a stroke, or of
 a drag. Prints the milliseconds that events took on a body of FACES faces (300,000 where none is given).

@@ -16,14 +16,14 @@ MODULE = "bl_ext.user_default.cloak"
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
 
 
-def install(package: str, python: str = "") -> None:
-    """Install and enable the extension, known as `cloak` afterwards; an empty file."""
+def install(package: str, python: str = "", empty: bool = True) -> None:
+    """Install and enable the extension, known as `cloak` afterwards; the file without its cube, unless not `empty`."""
     bpy.ops.extensions.package_install_files(filepath=package, repo="user_default", enable_on_install=True)
     bpy.context.preferences.addons[MODULE].preferences.python = python
     bpy.context.preferences.view.show_splash = False
     for name in [name for name in sys.modules if name.split(".")[:3] == MODULE.split(".")]:
         sys.modules[name.replace(MODULE, "cloak", 1)] = sys.modules[name]
-    for obj in list(bpy.data.objects):
+    for obj in list(bpy.data.objects) if empty else ():
         bpy.data.objects.remove(obj)
 
 

@@ -1,7 +1,7 @@
 """Measures what a user waits for while picking a logo in Edit Mode, in a real Blender or under the bpy package.
 
     python tests/blender/real/latencies.py -- ZIP SCENE [FACES ...]                       (a Python with bpy)
-    real_blender.sh gui sid /tmp/x.png tests/blender/real/latencies.py ZIP SCENE [FACES ...]      (with the window)
+    window.sh tests/blender/real/latencies.py ZIP SCENE [FACES ...]      (with the window)
 
 SCENE is a scene package whose poses become shape keys (`cloak scene sample --out SCENE`); FACES are the sizes of the
 other bodies, 55,000 and 300,000 where none is given. Prints one JSON object of milliseconds: the median of REPEATS by

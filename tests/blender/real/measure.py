@@ -1,6 +1,6 @@
 """Measures the add-on's figures on 55,000 faces, in a real Blender window or under the bpy package.
 
-    real_blender.sh gui sid /tmp/x.png tests/blender/real/measure.py ZIP        (with the window's redraw)
+    window.sh tests/blender/real/measure.py ZIP        (with the window's redraw)
     python tests/blender/real/measure.py -- ZIP                                 (a Python with bpy)
 
 Prints one JSON object; medians and maxima of REPEATS, in milliseconds.

@@ -1,6 +1,6 @@
 """Opens the panel on runs in every state, in a real Blender window, for a screenshot.
 
-    real_blender.sh gui sid OUT.png tests/blender/real/show_runs.py ZIP FOLDER [PANEL ...]
+    window.sh OUT.png tests/blender/real/show_runs.py ZIP FOLDER [PANEL ...]
 
 The runs are made by hand, so no trainer is needed; FOLDER is for them. PANEL are the panels to show (default: runs and
 compare; all of them with `all`). Every panel is drawn, so one that cannot be drawn ends Blender with exit code 3.
