@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_experiments import Glow
 
-from cloak_core.attack.settings import make_settings
+from cloak_core.attack.settings import make_settings, merge
 from cloak_core.cli import load
 from cloak_core.commands import parsing
 from cloak_core.evaluation.experiments import lab as lab_module
@@ -55,7 +55,9 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
 def test_rungs_are_alone_or_in_order_and_their_settings_exist():
     assert rungs.changes("best") == {"preset": "best"}
     assert rungs.changes("shake") == {"preset": "best", "shake": 0.3}
-    assert rungs.changes("+shake") == {"preset": "best", "ensemble": "adaptive", "shake": 0.3}
+    assert rungs.changes("+window") == {"preset": "best", "smooth": 8, "crop": 0.15, "pad": 0.3}
+    recipe, upon = merge(rungs.changes("recipe")), merge(rungs.changes("+cutout"))
+    assert {name for name in upon if recipe[name] != upon[name]} == {"preset", "steps"}
     assert rungs.changes("recipe") == {"preset": "transfer"}
     every = rungs.names(("ladder", "best"))
     assert len(every) == len(set(every)) == 2 * len(rungs.LADDER) + 2

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from cloak_core.files.errors import InputError
 
 LADDER: dict[str, dict[str, object]] = {
+    "smooth": {"smooth": 8},
+    "window": {"crop": 0.15, "pad": 0.3},
     "adaptive": {"ensemble": "adaptive"},
+    "cutout": {"cutout": 0.3},
+    "quality": {"blur": 1.0, "jpeg": "50:95"},
     "shake": {"shake": 0.3},
     "depth": {"random_depth": 0.1},
     "noise": {"activation_noise": 0.1},
-    "cutout": {"cutout": 0.3},
-    "window": {"crop": 0.15, "pad": 0.3},
-    "quality": {"blur": 1.0, "jpeg": "50:95"},
     "colour": {"tint": 0.2},
     "background": {"background_mix": 0.3},
     "sharpness": {"sharpness": 0.02, "ascent": "momentum"},
     "mi": {"optimizer": "mi", "momentum": 0.9, "lr": 0.02},
-    "smooth": {"smooth": 8},
     "views": {"angles": "-20..20", "elevation": "0:20", "distance": "1.8:3.5"},
 }
-"""What each rung changes of preset `best`, in order."""
+"""What each rung changes of preset `best`, in order; up to `cutout` they are the recipe."""
 ASIDE: dict[str, dict[str, object]] = {"score": {"loss": "score"}}
 """Rungs that stand alone: steps back from `best`."""
 BASE, RECIPE, ALL = "best", "recipe", "ladder"
