@@ -46,6 +46,7 @@ COMMANDS: dict[str, str] = {
     "harden": "harden:Harden",
     "zoo list": "zoo:List",
     "zoo show": "zoo:Show",
+    "zoo reproduce": "zoo:Reproduce",
     "zoo export": "zoo:Export",
     "zoo add": "zoo:Add",
     "detectors list": "detectors:List",

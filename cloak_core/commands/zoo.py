@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.table import Table
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
+from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.progress import counted
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,6 +72,67 @@ class Show(Command):
             box = boxes.get(told["white_box"].get(spec), "?")
             table.add_row(short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"]))
         out.print(table)
+
+
+@dataclass(kw_only=True)
+class Reproduce(Command):
+    """Judge entries again as their records say: the new figures beside the recorded ones. What does not ship
+    (detectors, scenes, photographs) is looked for where you say; entries whose files are not there are left out, and
+    named."""
+
+    names: Positional[tuple[str, ...]] = ()
+    """Entries (default: all)."""
+    files: Path | None = None
+    """Folder with the detectors' files and the scenes, by the names in the records, at any depth."""
+    backgrounds: Path | None = None
+    """Folder of the photographs that were trained and judged before; what training saw is left out by its content."""
+    most_images: int | None = None
+    """Of every entry's images only so many: quicker, and less sure."""
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        from cloak_core.evaluation.zoo_again import Files, judge_again
+        from cloak_core.zoo.shelf import entry, shelved
+
+        prepare_process(self.compute)
+        files, rows, left_out = Files(self.files, self.backgrounds), [], {}
+        for found in [entry(name) for name in self.names or shelved()]:
+            name = found.record["name"]
+            try:
+                with counted(f"zoo:{name}") as tell:
+                    judged = judge_again(found, files, self.most_images, self.compute.device, tell)
+            except InputError as error:
+                if self.names:
+                    raise
+                left_out[name] = str(error)
+                continue
+            rows.append({"name": name, "detectors": judged})
+        return {"zoo": rows, "left_out": left_out}
+
+    def failures(self, result: dict) -> list[str]:
+        return [
+            f"zoo:{row['name']}: {spec}: not what was recorded, beyond the 95 % intervals"
+            for row in result["zoo"]
+            for spec, told in row["detectors"].items()
+            if not told["holds"]
+        ]
+
+    def show(self, result: dict) -> None:
+        from cloak_core.evaluation.report.words import interval, percent, short_name
+
+        table = Table(title="success as recorded, with its interval, and again")
+        for column in ("name", "judged by", "at 0.6", "again", "95 %", "at its own", "again", "images"):
+            words = column in ("name", "judged by")
+            table.add_column(column, justify="left" if words else "right", no_wrap=not words, overflow="fold")
+        for row in result["zoo"]:
+            for spec, told in row["detectors"].items():
+                old, new = told["recorded"], told["again"]
+                shares = [percent(rates[key]) for key in ("success", "success_own") for rates in (old, new)]
+                shares.insert(2, interval(old["ci95"]))
+                table.add_row(row["name"], short_name(spec), *shares, str(new["n"]))
+        out.print(table)
+        for name, why in result["left_out"].items():
+            out.print(f"left out: {name}: {why}")
 
 
 @dataclass(kw_only=True)

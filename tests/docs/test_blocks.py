@@ -30,6 +30,7 @@ REDUCED = {
     "zoo export": {"dpi": "20"},
     "judge": {"every": "50", "resamples": "100", "threads": "1"},
     "sweep": {"threads": "1"},
+    "zoo reproduce": {"most-images": "2", "threads": "1"},
 }
 """Options that take the place of those that a page shows, and their values."""
 LONG = {"assess", "demo", "harden", "reproduce", "transfer"}
@@ -46,6 +47,7 @@ NOT_RUN = {
     "needs photographs of a printed chart": lambda c: "--measured" in c or "PRINTED" in " ".join(c) or "AGAIN" in c,
     "needs a body with a UV map": lambda c: "texture.png" in c or "--pieces" in c,
     "needs a list of pictures and boxes": lambda c: "--boxes" in c,
+    "needs every detector of the zoo": lambda c: c[:2] == ["zoo", "reproduce"] and "--files" in c,
     "needs files of the reader's": lambda c: any(word.endswith((".obj", ".pkl")) for word in c),
 }
 """Why a command is understood but not run here; the first that holds."""
@@ -200,6 +202,7 @@ PRINTED = [
     "detectors check builtin --image photo.jpg",
     "detectors verify builtin",
     "zoo list",
+    "zoo reproduce builtin-sample",
     "zoo export builtin-sample --out ENTRY",
     "film RUN --scene UNSEEN --out film.gif",
     "judge PHOTOS --detector builtin",
