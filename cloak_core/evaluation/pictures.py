@@ -62,10 +62,10 @@ def shoot_pair(folder: Path, stage: Stage, trial: int, detectors: dict[str, Dete
 
 def gallery_trials(trials: Trials) -> list[int]:
     """The first image of each shown body (three, evenly spaced) at each shown angle (five, likewise), in that order; of
-    a body without an image at that angle (few images were asked for), the one nearest to it."""
+    a body without an image at that angle (few images were asked for), the one nearest to it, once."""
     angles, bodies = _spaced(np.unique(trials.angle), ANGLES), _spaced(np.unique(trials.pose), BODIES)
     images = [np.flatnonzero(trials.pose == p) for p in bodies]
-    return [int(own[np.abs(trials.angle[own] - a).argmin()]) for own in images for a in angles]
+    return list(dict.fromkeys(int(own[np.abs(trials.angle[own] - a).argmin()]) for own in images for a in angles))
 
 
 def _spaced(values: np.ndarray, count: int) -> np.ndarray:

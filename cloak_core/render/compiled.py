@@ -56,7 +56,7 @@ if numba is not None:
             self.said = True
             kept = hasattr(dispatcher.stats, "cache_path") and dispatcher.stats.cache_path
             often = "once after installation" if kept else "at every start: no folder to keep them in can be written to"
-            _log.warning("compiling the loops that draw, %s: about a minute", often)
+            _log.warning("compiling the loops that draw, %s: about a minute, longer on a busy machine", often)
 
         def on_end(self, event: event.Event) -> None:
             pass

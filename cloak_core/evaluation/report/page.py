@@ -105,7 +105,8 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         _detector(stored, d, spec, rates, threshold) for d, (spec, rates) in enumerate(summary["detectors"].items())
     ]
     specs = list(summary["detectors"])
-    gallery = [_pair(folder, specs, shot) for shot in pictures["gallery"]]
+    shown = [_pair(folder, specs, shot) for shot in pictures["gallery"]]
+    gallery = [(body, list(pairs)) for body, pairs in groupby(shown, key=itemgetter("body"))]
     return {
         "summary": summary,
         "threshold": threshold,
@@ -113,7 +114,8 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         "controls": list(stored.measurement.controls),
         "lede": words.lede(summary),
         "badges": words.badges(summary),
-        "gallery": [(body, list(pairs)) for body, pairs in groupby(gallery, key=itemgetter("body"))],
+        "gallery": gallery,
+        "columns": max([3, *(len(pairs) for _, pairs in gallery)]),  # fewer would be larger than they were rendered
         "strip": _strip(folder, specs, pictures["controls"]),
         "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
         "size": summary["settings"]["size"],
