@@ -162,7 +162,7 @@ def _trade(by_detector: dict[str, Rows], names: Mapping[str, str]) -> Figure:
                 for row in _attacks(rows, logo)[-1:]:
                     shape = {"fmt": marker, "color": color, "mfc": filling, "label": label, "lw": 1.2}
                     axis.errorbar([row[key]], [row["success"]], yerr=errors([row]), clip_on=False, **shape)
-        axis.xaxis.set_major_formatter(PercentFormatter(1, decimals=1))
+        axis.xaxis.set_major_formatter(PercentFormatter(1))
         axis.xaxis.set_major_locator(MaxNLocator(5))
         axis.set_xlabel(f"{words} at {THRESHOLD:g}")
     axes[0].plot([], [], ls="", marker="o", mfc="none", color=INK, label=f"on {SHIRT}")
