@@ -67,7 +67,10 @@ class RayCluster:
             local = {"include_dashboard": False} if self.address == LOCAL else {}
             try:
                 ray.init(self.address, log_to_driver=False, logging_level="error", **local)
-            except (ConnectionError, ValueError, RuntimeError) as error:
+            except Exception as error:
+                # A bare one says that this machine was too busy to start a node within half a minute.
+                if not isinstance(error, (ConnectionError, ValueError, RuntimeError)) and type(error) is not Exception:
+                    raise
                 raise InputError(f"--ray {self.address}: {str(error).splitlines()[0]}") from None
         try:
             yield

@@ -4,6 +4,7 @@ import pytest
 
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import InOrder, Job
+from cloak_core.jobs.ray_cluster import RayCluster
 
 DONE = []
 
@@ -32,3 +33,16 @@ def test_who_stops_listening_stops_the_rest():
 def test_a_defect_is_raised():
     with pytest.raises(TypeError):
         list(InOrder().run([Job("none", square, {"number": None})]))
+
+
+def test_a_cluster_that_does_not_start_is_one_line(monkeypatch):
+    def too_busy(*_, **__):
+        raise Exception("The current node timed out during startup. This\ncould happen because")
+
+    ray = pytest.importorskip("ray")
+    monkeypatch.setattr(ray, "init", too_busy)
+    with pytest.raises(InputError, match="--ray local: The current node timed out during startup"):
+        list(RayCluster().run([Job("a", square, {"number": 1})]))
+    monkeypatch.setattr(ray, "init", lambda *_, **__: {}["defect"])
+    with pytest.raises(KeyError):
+        list(RayCluster().run([Job("a", square, {"number": 1})]))
