@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -18,7 +19,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TAKEN = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
-WIDTH = "96"
+WIDTH = "80"
+"""Columns of the commands' help: what a page shows without scrolling on a desk."""
+CODE = re.compile(r"(^```.*?^```$|^    [^\n]*$|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
+UNIT = re.compile(r"(\d) (%|GB|MB|ms|px|dpi|cm)(?!\w)")
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the theme would fetch from elsewhere, so that the search works from the disk; ours does it instead."""
 
@@ -63,6 +67,14 @@ def lay_out(pages: Path) -> None:
     (reference / "python.md").write_text(python_page(), "utf-8")
     notebook = pages / "docs" / "notebooks" / "first_cloak.ipynb"
     notebook.with_suffix(".md").write_text(notebook_page(notebook), "utf-8")
+    for page in pages.rglob("*.md"):
+        page.write_text(unbroken(page.read_text("utf-8")), "utf-8")
+
+
+def unbroken(text: str) -> str:
+    """The page with spaces that no line ends at between figures and their unit; code stays as it is."""
+    parts = CODE.split(text)
+    return "".join(part if i % 2 else UNIT.sub("\\1\u00a0\\2", part) for i, part in enumerate(parts))
 
 
 def commands_page() -> str:
@@ -74,7 +86,7 @@ def commands_page() -> str:
     lines = ["# Command line", "", "What `--help` of each command says; it is made of the code.", ""]
     lines += ["| command | what it does |", "|---|---|"]
     for name in COMMANDS:
-        first = (load(name).__doc__ or "").strip().splitlines()[0].replace("|", "\\|")
+        first = first_sentence(load(name).__doc__ or "").replace("|", "\\|")
         lines.append(f"| [`cloak {name}`](#cloak-{name.replace(' ', '-')}) | {first} |")
     for name in COMMANDS:
         said = io.StringIO()
@@ -82,6 +94,12 @@ def commands_page() -> str:
             parse(load(name), name, ["--help"])
         lines += ["", f"## cloak {name}", "", "```text", said.getvalue().rstrip(), "```"]
     return "\n".join(lines) + "\n"
+
+
+def first_sentence(words: str) -> str:
+    """Of a docstring: up to the first full stop that a capital follows; a name such as .npz ends none."""
+    paragraph = " ".join(words.strip().partition("\n\n")[0].split())
+    return re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
 
 
 def json_page() -> str:
@@ -94,6 +112,8 @@ def json_page() -> str:
         lines += [f"## {title}", "", schema["description"], "", "| key | is | what |", "|---|---|---|"]
         rows = schema["properties"].items()
         lines += [_row(key, value, key in schema.get("required", ()), told["commands"]) for key, value in rows]
+        if each := schema.get("additionalProperties"):
+            lines.append(f"| each SPEC | {each['type']} | {', '.join(f'`{key}`' for key in each['required'])} |")
         lines.append("")
     return "\n".join(lines)
 

@@ -1,5 +1,6 @@
 """The site is built without a dead link, opens without a network, and leaves no public name without words."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -74,3 +75,14 @@ def test_no_public_name_is_without_words() -> None:
         own = [member for member, m in members if not (member.startswith("_") or m.is_alias or m.has_docstring)]
         bare += [f"{name}.{member}" for member in own] + [name] * (not thing.has_docstring)
     assert not bare
+
+
+def test_pages_are_laid_out_with_care(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    build = importlib.import_module("build_docs")
+    page = "93 % `5 %`\n\n    code 5 %\n\n```sh\nx 4 %\n```\n4 ms, 3 mss\n"
+    assert build.unbroken(page) == page.replace("93 %", "93\u00a0%").replace("4 ms,", "4\u00a0ms,")
+    assert (
+        build.first_sentence("Read .npz files, and\n    more. Not this.\n\n    Nor this.")
+        == "Read .npz files, and more."
+    )
