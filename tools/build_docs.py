@@ -92,7 +92,12 @@ def commands_page() -> str:
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
             parse(load(name), name, ["--help"])
-        lines += ["", f"## cloak {name}", "", "```text", said.getvalue().rstrip(), "```"]
+        told = [
+            line
+            for long in said.getvalue().rstrip().splitlines()
+            for line in textwrap.wrap(long, int(WIDTH), break_on_hyphens=False) or [""]
+        ]
+        lines += ["", f"## cloak {name}", "", "```text", *told, "```"]
     return "\n".join(lines) + "\n"
 
 

@@ -36,7 +36,9 @@ class List(Command):
 
         table = Table(title="zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)")
         for column in ("name", "logo", "trained on", "success", "licence"):
-            table.add_column(column, justify="right" if column == "success" else "left")
+            # Names are copied: none is cut.
+            width = max((len(record[column]) for record in result["zoo"]), default=1) if column == "name" else None
+            table.add_column(column, justify="right" if column == "success" else "left", min_width=width)
         for record in result["zoo"]:
             trained = ", ".join(short_name(spec) for spec in record["detectors"])
             table.add_row(record["name"], record["logo"], trained, percent(record["success"]), record["licence"])
@@ -123,7 +125,9 @@ class Reproduce(Command):
         table = Table(title="success as recorded, with its interval, and again")
         for column in ("name", "judged by", "at 0.6", "again", "95 %", "at its own", "again", "images"):
             words = column in ("name", "judged by")
-            table.add_column(column, justify="left" if words else "right", no_wrap=not words, overflow="fold")
+            width = max((len(row["name"]) for row in result["zoo"]), default=1) if column == "name" else None
+            justify = "left" if words else "right"
+            table.add_column(column, justify=justify, min_width=width, no_wrap=not words, overflow="fold")
         for row in result["zoo"]:
             for spec, told in row["detectors"].items():
                 old, new = told["recorded"], told["again"]
