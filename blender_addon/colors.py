@@ -267,7 +267,8 @@ def _material_colors(obj: bpy.types.Object, material: bpy.types.Material, faces:
 
 
 def _base_color_input(material: bpy.types.Material) -> bpy.types.NodeSocket | None:
-    nodes = material.node_tree.nodes if material.node_tree and getattr(material, "use_nodes", True) else ()
+    uses = bpy.app.version >= (5, 0, 0) or material.use_nodes  # from then on all materials do
+    nodes = material.node_tree.nodes if material.node_tree and uses else ()
     for node in nodes:
         if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "EMISSION"):
             return node.inputs.get("Base Color") or node.inputs.get("Color")

@@ -24,7 +24,7 @@ from .mesh_arrays import evaluated_mesh, read, to_world
 from .onlooker import Onlooker, Seen
 from .poses import PoseChoice
 from .properties import settings_of
-from .run_list import redraw
+from .redrawing import redraw
 from .runs import trained_faces
 from .viewpoints import Viewpoint, middle_of, of_camera, of_region
 from .worn_scenes import export_worn

@@ -24,6 +24,7 @@ from .mesh_arrays import (
     corner_counts,
     current_mesh,
     edited,
+    face_centers,
     hidden_faces,
     polygon_loops,
     read,
@@ -247,7 +248,7 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
     with current_mesh(obj) as mesh:
-        centers, areas = read(mesh.polygons, "center", 3), read(mesh.polygons, "area")
+        centers, areas = face_centers(vertex_points(mesh), *polygon_loops(mesh)), read(mesh.polygons, "area")
     ids = np.flatnonzero(mask)
     reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
     opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)

@@ -21,6 +21,7 @@ import bpy
 
 from .files.errors import InputError
 from .progress import Progress, take_event
+from .redrawing import redraw
 from .trainer_python import clean_environment, no_window
 
 TICK_SECONDS = 0.25
@@ -320,7 +321,7 @@ class TrainingJob(FollowedJob):
 current: Job | None = None
 """The running job, or the last one, whose message the panel still shows."""
 on_tick: list[Callable[[Job], None]] = []
-"""Called with the job on every tick: redraw, live colours."""
+"""Called with the job on every tick: live colours, a log."""
 
 
 def busy() -> str:
@@ -340,6 +341,7 @@ def launch(job: Job) -> Job:
     """Make `job` the current one and let the timer look after it."""
     global current
     current = job
+    on_tick.clear()  # whoever looked after the last job
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=TICK_SECONDS, persistent=True)
     return job
@@ -351,6 +353,7 @@ def tick() -> float | None:
     if job is None:
         return None
     more = job.poll()
+    redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for listener in on_tick:
         listener(job)
     # The job's end may have launched the next one.

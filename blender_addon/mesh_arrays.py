@@ -113,6 +113,22 @@ def corner_counts(mesh: bpy.types.Mesh) -> np.ndarray:
     return np.diff(read(mesh.polygons, "loop_start", dtype=np.int32), append=np.int32(len(mesh.loops)))
 
 
+def corners_by_size(counts: np.ndarray, loops: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Faces [n] with as many corners each, and their vertices [n, size]; one size after the other."""
+    starts = np.cumsum(counts) - counts
+    for size in np.flatnonzero(np.bincount(counts)):
+        faces = np.flatnonzero(counts == size)
+        yield faces, loops[starts[faces][:, None] + np.arange(size)]
+
+
+def face_centers(points: np.ndarray, counts: np.ndarray, loops: np.ndarray) -> np.ndarray:
+    """[P, 3] means of the faces' corners, as Blender's own centres are, which take it twice as long."""
+    centers = np.empty((len(counts), 3), points.dtype)
+    for faces, corners in corners_by_size(counts, loops):
+        centers[faces] = sum((points[corner] for corner in corners.T[1:]), points[corners[:, 0]]) / corners.shape[1]
+    return centers
+
+
 def mean_of_corners(mesh: bpy.types.Mesh, values: np.ndarray) -> np.ndarray:
     """[P, n]: the mean over each face's corners of values [C, n]."""
     counts = corner_counts(mesh)

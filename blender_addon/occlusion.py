@@ -50,7 +50,7 @@ def seen(
     visible = np.ones(len(points), bool)
     counts = last - first
     for part in np.array_split(np.arange(len(points)), 1 + int(counts.sum()) // MAX_PAIRS):
-        point, place = _ranges(part, first[part], counts[part])
+        point, place = ranges(part, first[part], counts[part])
         triangle = triangles[place]
         other = triangle_face[triangle] != faces[point]
         point, triangle = point[other], triangle[other]
@@ -62,12 +62,12 @@ def seen(
 def cells_touched(low: np.ndarray, high: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     """The cells under each bounding box [T, 2] of cells, one after the other, and the box of each."""
     columns, rows = (high - low + 1).T
-    box, place = _ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)
+    box, place = ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)
     x, y = low[box, 0] + place % columns[box], low[box, 1] + place // columns[box]
     return x + side * y, box
 
 
-def _ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each owner repeated `counts` times, beside first, first + 1, ..."""
     places = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
     return np.repeat(owners, counts), places

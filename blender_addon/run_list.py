@@ -20,6 +20,7 @@ from .blend_paths import absolute, blend_folder, portable
 from .body import active_body
 from .files.errors import InputError
 from .properties import output_folder, settings_of
+from .redrawing import redraw
 from .run_states import RunState, find_runs, read_state
 from .runs import input_folder
 
@@ -132,16 +133,8 @@ def is_drawn() -> None:
 def _watch() -> float:
     """The timer's function."""
     if time.monotonic() - _drawn < WATCHED_SECONDS and refresh(bpy.context):
-        redraw()
+        redraw(panels_alone=True)
     return REFRESH_SECONDS
-
-
-def redraw() -> None:
-    """Redraw the sidebars and the preferences."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "PREFERENCES"):
-                area.tag_redraw()
 
 
 @persistent

@@ -15,6 +15,7 @@ from mathutils import Matrix, Vector
 from .files.errors import InputError
 from .mesh_arrays import (
     evaluated_mesh,
+    face_centers,
     face_count,
     face_normals,
     face_triangles,
@@ -26,7 +27,7 @@ from .mesh_arrays import (
     vertex_points,
 )
 from .modifiers import carried_faces, lost_reason, numbered_faces
-from .occlusion import seen
+from .occlusion import ranges, seen
 
 RESOLUTION = 512
 
@@ -54,19 +55,28 @@ def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     scale = RESOLUTION / max(high - low)
     width, height = np.maximum(1, np.ceil((high - low) * scale)).astype(int)
     pixels = (points - low) * scale
-    stamp = np.zeros((height, width), bool)
-    for corners in pixels[triangles]:
-        x0, y0 = np.floor(corners.min(0)).astype(int)
-        x1, y1 = np.ceil(corners.max(0)).astype(int) + 1
-        x, y = np.meshgrid(np.arange(x0, x1) + 0.5, np.arange(y0, y1) + 0.5)
-        sides = [_side(corners[i], corners[(i + 1) % 3], x, y) for i in range(3)]
-        inside = np.all([s >= 0 for s in sides], 0) | np.all([s <= 0 for s in sides], 0)
-        stamp[y0:y1, x0:x1] |= inside[: height - y0, : width - x0]
-    return stamp[::-1]
+    row, left, right = _spans(pixels[triangles])
+    row, left, right = (values[(row >= 0) & (row < height) & (left <= right)] for values in (row, left, right))
+    steps = np.zeros((height, width + 1), np.int32)
+    np.add.at(steps, (row, np.clip(left, 0, width)), 1)
+    np.add.at(steps, (row, np.clip(right + 1, 0, width)), -1)
+    return (steps.cumsum(1)[:, :width] > 0)[::-1]
 
 
-def _side(a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+def _spans(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of triangles [T, 3, 2]: each row of pixels that one crosses, and the first and last pixel covered there."""
+    low = np.ceil(triangles[..., 1].min(1) - 0.5).astype(np.int64)
+    high = np.floor(triangles[..., 1].max(1) - 0.5).astype(np.int64)
+    triangle, row = ranges(np.arange(len(triangles)), low, np.maximum(high - low + 1, 0))
+    start, end = triangles[triangle], np.roll(triangles, -1, axis=1)[triangle]
+    with np.errstate(divide="ignore", invalid="ignore"):  # level sides meet no row, or all of it
+        along = (row[:, None] + 0.5 - start[..., 1]) / (end[..., 1] - start[..., 1])
+        x = start[..., 0] + along * (end[..., 0] - start[..., 0])
+    met = (along >= 0) & (along <= 1)
+    left, right = np.where(met, x, np.inf).min(1), np.where(met, x, -np.inf).max(1)
+    some = met.any(1)
+    first, last = np.ceil(left[some] - 0.5), np.floor(right[some] - 0.5)
+    return row[some], first.astype(np.int64), last.astype(np.int64)
 
 
 def smiley_stamp() -> np.ndarray:
@@ -158,7 +168,7 @@ def _covered_own(
 
 def _covered(mesh: bpy.types.Mesh, matrix: np.ndarray, stamp: np.ndarray, projection: Projection) -> np.ndarray:
     """Mask [P] of an evaluated mesh's covered polygons."""
-    centers, normals = read(mesh.polygons, "center", 3), face_normals(mesh)
+    centers, normals = face_centers(vertex_points(mesh), *polygon_loops(mesh)), face_normals(mesh)
     back = np.linalg.inv(matrix)  # whether a face looks at the viewer is the same in the mesh's own space
     if projection.eye is None:
         facing = normals @ (back[:3, :3] @ np.array(projection.direction)).astype(np.float32) < 0

@@ -14,12 +14,13 @@ import numpy as np
 
 from .files.errors import InputError
 from .mesh_arrays import (
+    corners_by_size,
     evaluated_mesh,
+    face_centers,
     face_count,
     face_normals,
     hidden_faces,
     polygon_loops,
-    read,
     split_faces,
     to_world,
     vertex_points,
@@ -143,9 +144,11 @@ def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, ow
     points = (placed - middle).astype(np.float32)
     counts, loops = polygon_loops(mesh)
     starts = np.cumsum(counts) - counts
-    centers = (to_world(read(mesh.polygons, "center", 3), matrix) - middle).astype(np.float32)
+    centers = face_centers(points, counts, loops)
     normals = face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
-    corners = _squared(points[loops] - np.repeat(centers, counts, axis=0))
-    reach = np.sqrt(np.maximum.reduceat(corners, starts))
+    reach = np.empty(len(centers), np.float32)
+    for faces, corners in corners_by_size(counts, loops):
+        away = [_squared(points[corner] - centers[faces]) for corner in corners.T]
+        reach[faces] = np.sqrt(np.maximum.reduce(away))
     shown = ~hidden_faces(mesh)
     return Surface(middle, points, centers, normals, reach, shown, starts, counts, loops, own, face_count(obj))

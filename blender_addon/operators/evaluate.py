@@ -17,6 +17,7 @@ from ..onlooker import Onlooker
 from ..poses import PoseChoice
 from ..preferences import chosen_python
 from ..properties import settings_of, train_request
+from ..redrawing import redraw
 from ..runs import input_folder, side_folder
 from ..worn_scenes import export_worn
 from .base import CloakOperator
@@ -74,7 +75,7 @@ It goes on looking as you move, and while a training runs, until this is pressed
     def run(self, context: bpy.types.Context) -> str:
         if eye.current is not None:
             eye.close_eye()
-            run_list.redraw()
+            redraw()
             return "The detector looks no more"
         obj, request = active_body(context), train_request(settings_of(context))
         folder = Path(bpy.app.tempdir, "cloak eye")

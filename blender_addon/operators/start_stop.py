@@ -19,7 +19,6 @@ from ..files.errors import InputError
 from ..jobs import Job, TrainingJob, launch, require_idle
 from ..preferences import chosen_python
 from ..properties import output_folder, pose_choice, settings_of, train_request
-from ..run_list import redraw
 from ..run_states import RunState
 from ..scene_export import export, read_export
 from ..steps import refusal
@@ -115,13 +114,13 @@ def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
 def follow(obj: bpy.types.Object, job: TrainingJob, watch: Watch) -> None:
     """Make a training the current job, and its run the body's."""
     obj.cloak.run, obj.cloak.verdict = portable(str(job.run), blend_folder()), ""
-    jobs.on_tick[:] = [watch.tick]
     launch(job)
+    jobs.on_tick[:] = [watch.tick]
     run_list.refresh(bpy.context)
 
 
 class Watch:
-    """Looks after one training on the main thread: redraws the panel, shows live colours, imports the last ones."""
+    """Looks after one training on the main thread: shows live colours, imports the last ones."""
 
     def __init__(self, obj: bpy.types.Object, run: Path, face_ids: np.ndarray, topology: str) -> None:
         self._live = runs.LiveColors(obj, run, topology, face_ids)
@@ -131,7 +130,6 @@ class Watch:
 
     def tick(self, job: Job) -> None:
         """Called by the timer."""
-        redraw()
         if not job.running:
             return
         obj = self._live.object
@@ -145,7 +143,8 @@ class Watch:
         job.notice = self._refused
 
     def finish(self, job: Job) -> str | None:
-        """Called at the end: whatever colours there are come onto the model."""
+        """Called at the end: the list of runs knows it, and whatever colours there are come onto the model."""
+        run_list.refresh(bpy.context)
         if not (self._run / "colors.npy").exists():
             return None
         obj = self._live.object

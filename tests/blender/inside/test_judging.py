@@ -43,6 +43,15 @@ def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
     assert run_states.read_state(folder_of(dressed)).evaluation.outdated
 
 
+def test_the_panel_is_drawn_again_while_any_job_runs(dressed, monkeypatch):
+    """Not only after a training of this session, whose watch is not asked about other jobs."""
+    drawn = []
+    monkeypatch.setattr(jobs, "redraw", lambda panels_alone: drawn.append(panels_alone))
+    jobs.on_tick[:] = [lambda job: pytest.fail("of an earlier job")]
+    bpy.ops.cloak.evaluate()
+    assert run_job().state == "done" and drawn and all(drawn), "the sidebars alone"
+
+
 def test_evaluation_can_be_cancelled(dressed, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.evaluate()

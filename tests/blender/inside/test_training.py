@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from cloak import body, jobs, steps
+from cloak import body, jobs, run_list, steps
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import set_mode
 
@@ -20,6 +20,7 @@ def test_start_to_colours(ready):
     job = run_job()
     assert job.state == "done", job.message
     assert "20/20" in job.message
+    assert run_list.selected(bpy.context).state == "done", "the list knows it, whether or not it is drawn again"
     assert red_faces(ready) == LOGO_FACES
     run = Path(ready.cloak.run)
     assert run.parent.name == "Läufe und mehr" and "/" not in run.name and "Brust_Ärmel" in run.name

@@ -5,8 +5,8 @@
 The extension is installed and PYTHON has cloak_core; all else is as Blender and the panel begin with (of STEPS other
 than the panel's own the words tell). A click goes where the words stand on the screen, so what is clipped, covered or
 missing ends Blender with exit code 3; so do more than CLICKS clicks and keys. OUT gets NN-NAME.jpg for each click, just
-before it and with a ring around it, turntable.gif, demo.blend and newcomer.json: clicks, seconds by the clock, seconds
-of processor that the trainer took.
+before it and with a ring around it, turntable.gif and a strip of its frames, demo.blend, and newcomer.json: clicks,
+seconds by the clock, seconds of processor that the trainer took.
 """
 
 import json
@@ -14,11 +14,13 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from harness import install, play, until_done, view_area
@@ -27,7 +29,7 @@ from words import places, screen
 WORDS = sys.argv[sys.argv.index("--") + 1 :]
 ZIP, PYTHON, OUT, STEPS = WORDS[0], WORDS[1], Path(WORDS[2]), int(WORDS[3]) if len(WORDS) > 3 else 0
 CLICKS = 12
-PATIENCE = 60
+PATIENCE = 180
 """Seconds until words must be there, and a click must have had its effect; a busy machine draws slowly."""
 WIDTH = 1200
 """Of the pictures."""
@@ -49,12 +51,17 @@ def middle_of(kind: str) -> tuple[int, int]:
     return found.x + found.width // 2, window.height - (found.y + found.height // 2)
 
 
+def sidebar() -> tuple[np.ndarray, int, int]:
+    """[h, w] what the sidebar shows, and its left and upper edge on the screen."""
+    found, window = region("UI"), bpy.context.window_manager.windows[0]
+    top = max(0, window.height - found.y - found.height)
+    return screen()[top : window.height - found.y, found.x : found.x + found.width], found.x, top
+
+
 def in_sidebar(text: str, turned: bool = False) -> list[tuple[int, int]]:
     """Where a text stands in the sidebar."""
-    sidebar, window = region("UI"), bpy.context.window_manager.windows[0]
-    top = window.height - sidebar.y - sidebar.height
-    part = screen()[max(0, top) : window.height - sidebar.y, sidebar.x : sidebar.x + sidebar.width]
-    return [(x + sidebar.x, y + top) for x, y in places(text, part, turned)]
+    image, left, top = sidebar()
+    return [(x + left, y + top) for x, y in places(text, image, turned)]
 
 
 def until(condition: Callable[[], object], what: str, patience: float = PATIENCE) -> Iterator[float]:
@@ -85,13 +92,18 @@ def count(what: str) -> None:
 
 def click(text: str, name: str, effect: Callable[[], object], nth: int = 0, turned: bool = False) -> Iterator[float]:
     """Find a text in the sidebar, scrolling down to it if need be; click on it and see that it had its effect."""
-    yield 1.0
     found: list[tuple[int, int]] = []
+    last = np.zeros(0)
 
     def is_found() -> bool:
+        """Once the sidebar stands still: Blender scrolls smoothly."""
+        nonlocal last
+        moving, last = last, sidebar()[0]
+        if not np.array_equal(moving, last):
+            return False
         found[:] = in_sidebar(text, turned)
         if len(found) <= nth:
-            xdo("mousemove", *middle_of("UI"), "click", 5, "click", 5)
+            xdo("mousemove", *middle_of("UI"), *["click", 5] * 6)
         return len(found) > nth
 
     yield from until(is_found, f"'{text}' is not to be read in the sidebar")
@@ -103,14 +115,19 @@ def click(text: str, name: str, effect: Callable[[], object], nth: int = 0, turn
     yield from until(effect, f"'{text}' had no effect")
 
 
-def finished(label: str) -> Iterator[float]:
+def finished(label: str, half_way: Callable[[], None] = lambda: None) -> Iterator[float]:
     """Wait for the job that a click started."""
+    from cloak import jobs
+
     start, before = time.monotonic(), os.times()
+    while jobs.current.running and jobs.current.fraction < 0.5:
+        yield 0.5
+    half_way()
     yield from until_done()
     after = os.times()
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     seconds[label] = {"clock": round(time.monotonic() - start, 1), "processor": round(spent, 1)}
-    print(label, seconds[label], flush=True)
+    print(jobs.current.message, seconds[label], flush=True)
 
 
 def busy_with(label: str) -> Callable[[], bool]:
@@ -131,25 +148,16 @@ def get_a_body() -> Iterator[float]:
 
 
 def train() -> Iterator[float]:
-    from cloak import jobs
-
     if STEPS:
         bpy.context.scene.cloak.steps = STEPS
     yield from click("Start", "start", busy_with("Training"))
-    start, before = time.monotonic(), os.times()
-    yield from until(lambda: jobs.current.fraction > 0.5, "half of the training", 3600)
-    photograph("training")
-    yield from until_done()
-    after = os.times()
-    spent = after.children_user + after.children_system - before.children_user - before.children_system
-    seconds["training"] = {"clock": round(time.monotonic() - start, 1), "processor": round(spent, 1)}
-    print(jobs.current.message, seconds["training"], flush=True)
+    yield from finished("training", lambda: photograph("training"))
 
 
 def take_along() -> Iterator[float]:
     scene = bpy.context.scene
     yield from click("Use Standard", "standard", lambda: scene.view_settings.view_transform == "Standard")
-    yield from click("Take Along", "take_along", lambda: in_sidebar("Print Sheets") or xdo("click", 5, "click", 5))
+    yield from click("Take Along", "take_along", lambda: True)
     yield from click("Turntable", "turntable", busy_with("Turntable"))
     yield from finished("turntable")
     yield from click("Open", "open", lambda: True)
@@ -157,11 +165,23 @@ def take_along() -> Iterator[float]:
     photograph("done")
 
 
+def strip(film: Path) -> None:
+    """Four frames of a film, a quarter of its time apart."""
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(["convert", str(film), "-coalesce", f"{folder}/%04d.png"], check=True)
+        frames = sorted(map(str, Path(folder).iterdir()))
+        four = [frames[quarter * len(frames) // 4] for quarter in range(4)]
+        number = len(list(OUT.glob("*.jpg"))) + 1
+        options = ["+append", "-resize", str(WIDTH), "-quality", "82", str(OUT / f"{number:02}-strip.jpg")]
+        subprocess.run(["convert", *four, *options], check=True)
+
+
 def keep() -> None:
     from cloak import jobs, run_states
 
     run = Path(bpy.path.abspath(bpy.context.object.cloak.run))
     shutil.copy(next(run.parent.glob(f"{run.name}*/turntable.gif")), OUT)
+    strip(OUT / "turntable.gif")
     state = run_states.read_state(run)
     told = {
         "blender": bpy.app.version_string,
