@@ -24,7 +24,7 @@ class CLOAK_UL_runs(bpy.types.UIList):
         state = run_list.states.get(item.path)
         if state is None:
             return
-        split = layout.split(factor=0.7)
+        split = layout.split(factor=0.55)
         split.label(text=state.title, icon=RUN_ICONS[state.state])
         figures = split.row()
         figures.label(text=f"{state.progress.step:,}")

@@ -160,9 +160,7 @@ def take_along() -> Iterator[float]:
     yield from click("Take Along", "take_along", lambda: True)
     yield from click("Turntable", "turntable", busy_with("Turntable"))
     yield from finished("turntable")
-    yield from click("Open", "open", lambda: True)
-    yield 2.0
-    photograph("done")
+    yield from until(lambda: in_sidebar("turntable.gif"), "the turntable is listed")
 
 
 def strip(film: Path) -> None:
