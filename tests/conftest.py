@@ -8,9 +8,14 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 from tests import reliability_record
+
+# No test is judged by the clock: machines are shared.
+settings.register_profile("cloak", deadline=None)
+settings.load_profile("cloak")
 
 # What tests decode stays out of the user's cache.
 os.environ["CLOAK_CACHE"] = "off"
