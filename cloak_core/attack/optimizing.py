@@ -166,13 +166,3 @@ def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: flo
     state["exp_avg_sq"].mul_(ADAM_BETAS[1]).addcmul_(gradient, gradient, value=1 - ADAM_BETAS[1])
     root = state["exp_avg_sq"].sqrt().div_((1 - ADAM_BETAS[1] ** step) ** 0.5).add_(ADAM_EPSILON)
     parameter.addcdiv_(state["exp_avg"], root, value=-lr / (1 - ADAM_BETAS[0] ** step))
-
-
-def initial_colors(settings: OptimizerSettings, clothing: Float[Tensor, "L 3"], seed: int = 0) -> Float[Tensor, "L 3"]:
-    """First colours of the logo: grey, seeded random ones, or the faces' own `clothing`."""
-    if settings.initial == "clothing":
-        return clothing.clone()
-    if settings.initial == "random":
-        generator = torch.Generator().manual_seed(seed)
-        return torch.rand(clothing.shape, generator=generator).to(clothing)
-    return torch.full_like(clothing, 0.5)

@@ -16,10 +16,11 @@ from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.black_box import Search, search_settings
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
+from cloak_core.attack.first_colors import first_colors
 from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
 from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.objective import Objective
-from cloak_core.attack.optimizing import ColorOptimizer, initial_colors
+from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.pattern import Inks, Pattern
 from cloak_core.attack.query_prior import QueryPrior
 from cloak_core.attack.run_config import run_config
@@ -129,9 +130,10 @@ def _train(
     require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
     given = (world.size, palette, held, start, profile, surrogates)
     config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, *given)
-    clothing = torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
-    first = initial_colors(settings.optimization, clothing, settings.run.seed)
-    first = first if start is None else torch.from_numpy(start).to(device)
+    if start is None:
+        first = first_colors(settings.optimization, bodies, logo, settings.run.seed, device)
+    else:
+        first = torch.from_numpy(start).to(device)
     with contextlib.ExitStack() as stack:
         run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))

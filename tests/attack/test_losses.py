@@ -101,7 +101,7 @@ def test_total_variation_by_hand():
     assert total_variation(colors[:1], edges[:0], lengths[:0]).item() == 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(2, 12), st.integers(0, 2**31))
 def test_total_variation_gradient_is_right(count, seed):
     generator = torch.Generator().manual_seed(seed)

@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 
-from cloak_core.attack.optimizing import ColorOptimizer, initial_colors, learning_rate
+from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
 from cloak_core.attack.settings import make_settings
 
 
@@ -109,16 +109,6 @@ def test_foreign_state_is_refused():
         optimizer.load({"parameter": torch.zeros(3, 3)})
     with pytest.raises(KeyError):
         optimizer.load({})
-
-
-def test_initial_colours():
-    clothing = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    assert torch.equal(initial_colors(make_settings("best", initial="clothing").optimization, clothing), clothing)
-    assert (initial_colors(make_settings("best", initial="grey").optimization, clothing) == 0.5).all()
-    random = [
-        initial_colors(make_settings("best", initial="random").optimization, clothing, seed) for seed in (1, 1, 2)
-    ]
-    assert torch.equal(random[0], random[1]) and not torch.equal(random[0], random[2])
 
 
 def _pushed(optimizer: ColorOptimizer, gradient: torch.Tensor, lr: float = 0.1) -> torch.Tensor:

@@ -168,14 +168,14 @@ sweeps = ranges.filter(lambda r: 0 < r.width <= 360)
 weights = st.lists(st.floats(0, 1e6), min_size=1, max_size=5).filter(any).map(Weights)
 
 
-@runs(deadline=None, max_examples=50)
+@runs(max_examples=50)
 @given(st.one_of(ranges, angles, weights, st.one_of(angles, sweeps).map(Azimuths)))
 def test_values_are_read_as_they_are_spelled(value):
     assert type(value).parse(str(value)) == value
 
 
 @pytest.mark.slow
-@runs(deadline=None, max_examples=40)
+@runs(max_examples=40)
 @given(
     st.fixed_dictionaries(
         {"preset": st.sampled_from(list(PRESETS))},

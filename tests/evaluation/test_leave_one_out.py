@@ -55,7 +55,8 @@ def test_siblings_and_strangers_and_what_the_user_knows_better():
 def test_rungs_are_alone_or_in_order_and_their_settings_exist():
     assert rungs.changes("best") == {"preset": "best"}
     assert rungs.changes("shake") == {"preset": "best", "shake": 0.3}
-    assert rungs.changes("+window") == {"preset": "best", "smooth": 8, "crop": 0.15, "pad": 0.3}
+    window = {"smooth": 8, "initial": "animal", "crop": 0.15, "pad": 0.3}
+    assert rungs.changes("+window") == {"preset": "best", **window}
     recipe, upon = merge(rungs.changes("recipe")), merge(rungs.changes("+cutout"))
     assert {name for name in upon if recipe[name] != upon[name]} == {"preset", "steps"}
     assert rungs.changes("recipe") == {"preset": "transfer"}

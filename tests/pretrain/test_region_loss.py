@@ -27,7 +27,7 @@ def _raw_from(targets):
 box = st.tuples(st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(0.03, 0.9), st.floats(0.03, 0.9))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(box)
 def test_targets_round_trip_through_the_readers_decode(values):
     x, y, w, h = values

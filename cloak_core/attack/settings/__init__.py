@@ -128,6 +128,7 @@ PRESETS: dict[str, dict[str, object]] = {
         "ensemble": "adaptive",
         "detectors_per_step": 1,
         "smooth": 8,
+        "initial": "animal",
         "optimizer": "adam",
         "lr": 0.05,
         "schedule": "cosine",

@@ -35,8 +35,9 @@ class OptimizerSettings:
     """Epochs between the drops of schedule step."""
     gamut: Literal["projection", "sigmoid"] = "projection"
     """Colours stay in [0, 1] by a projection after every update, or as the sigmoid of free parameters."""
-    initial: Literal["grey", "random", "clothing"] = "grey"
-    """First colours: grey, random (uniform per face and channel), or those of the first outfit."""
+    initial: Literal["grey", "random", "clothing", "animal"] = "grey"
+    """First colours: grey, random (uniform per face and channel), those of the first outfit, or a dog's face drawn on
+    the front and on the back: what transfers to detectors of many classes tends to end as one."""
     init: str | None = None
     """Go on from these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
     transfer`)."""

@@ -8,6 +8,7 @@ from cloak_core.files.errors import InputError
 
 LADDER: dict[str, dict[str, object]] = {
     "smooth": {"smooth": 8},
+    "animal": {"initial": "animal"},
     "window": {"crop": 0.15, "pad": 0.3},
     "adaptive": {"ensemble": "adaptive"},
     "cutout": {"cutout": 0.3},
