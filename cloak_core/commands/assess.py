@@ -66,6 +66,7 @@ class Assess(Command):
         from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
         from cloak_core.evaluation.card.page import write_card, write_comparison
         from cloak_core.evaluation.experiments.lab import Interrupted
+        from cloak_core.evaluation.report.words import short_names
 
         self._budget()
         try:
@@ -73,7 +74,8 @@ class Assess(Command):
             cards = self.work() if self.specs else gather(self.out)
         except Interrupted as stop:
             raise Stopped(str(stop)) from None
-        folders = {name: self.out / name for name in cards}
+        called = short_names(card["spec"] for card in cards.values())
+        folders = {called[card["spec"]]: self.out / name for name, card in cards.items()}
         pages = [write_card(folder) for folder in folders.values()]
         pages += [write_comparison(folders, self.out / "card.html")] if len(cards) > 1 else []
         if self.leaderboard is not None:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from cloak_core.cli import main
 from cloak_core.commands import progress as progress_module
+from cloak_core.commands.assess import Assess
 from cloak_core.commands.progress import WorkProgress
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation.card import words
@@ -146,6 +147,8 @@ def test_several_are_compared_on_one_page_and_in_a_leaderboard(made: tuple[Path,
     out = tmp_path / "cards"
     page = write_comparison({"glow": out / "glow", "dark": out / "dark"}, out / "card.html").read_text("utf-8")
     assert 'href="glow/card.html"' in page and "<script" not in page and page.count('class="compared"') == 2
+    Assess(out=out).run()
+    assert "<h1>dark net · glow</h1>" in (out / "card.html").read_text("utf-8"), "detectors by name, not by folder"
     write_leaderboard(gather(out), tmp_path / "board.md")
     rows = [line for line in (tmp_path / "board.md").read_text().splitlines() if line.startswith("| ")]
     assert [row.split(" | ")[0] for row in rows[2:]] == ["| glow", "| dark net"]  # no white-box figures: last
