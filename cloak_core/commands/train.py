@@ -39,7 +39,7 @@ class Train(Command):
     scene: str
     """Bodies to train on: scene folder, .npz, or sample[:train]."""
     logo: Path
-    """Face list (.npy), from Blender or `cloak logo`."""
+    """Face list (.npy), from Blender or `cloak logo`; or regions of the scene by name: chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """What to hide from: builtin, darknet:CFG:WEIGHTS[@SIZE], python:FILE.py:FUNCTION ... (default: builtin)."""
     query_prior: UseAppendAction[tuple[str, ...]] = ()
@@ -112,7 +112,7 @@ class Train(Command):
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
         if self.preset == "transfer" and len(self.detector) < 2 and not RANK:
             warn(
-                "--preset transfer: reaches other detectors through several surrogates; name more than one --detector, "
+                "--preset transfer: reaches more detectors through several surrogates; name more than one --detector, "
                 "or take colours that were trained on several (cloak zoo list)"
             )
         detectors = self.options.load(self.detector or ("builtin",), settings.compute.device)

@@ -117,7 +117,7 @@ def test_missing_foreign_and_newer_scenes(tmp_path):
     refused("no array 'triangles'", read_scene, tmp_path / "a.npz")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.sets(st.integers(0, 5), min_size=1), st.sampled_from(["<i4", "<u4", "<i8", ">i8", "u1"]), st.randoms())
 def test_face_lists_of_every_integer_type_and_order(tmp_path_factory, ids, dtype, random):
     path = tmp_path_factory.mktemp("lists") / "faces.npy"
@@ -189,7 +189,7 @@ def test_huge_declared_sizes_take_no_memory(tmp_path):
     refused("more than the file holds", read_npz, tmp_path / "bomb.npz")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, 4000), st.binary(max_size=8))
 def test_damaged_archives_are_bad_input_not_defects(tmp_path_factory, at, patch):
     folder = tmp_path_factory.mktemp("damaged")

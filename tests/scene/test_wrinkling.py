@@ -16,7 +16,7 @@ def sphere(poses: int) -> Bodies:
     return replace(one, vertices=np.concatenate([one.vertices * (1 + 0.1 * p) for p in range(poses)]), names=())
 
 
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 @given(
     depth=st.floats(0.001, 0.05), draws=st.integers(1, 3), poses=st.integers(1, 2), seed=st.integers(0, 99),
     share=st.floats(0.3, 1.0),

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -66,12 +67,19 @@ def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
 def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: str | None = None) -> Logo:
     """The logo of a face list (.npy, from Blender or `cloak logo`), or of named regions: `region="chest+thighs"`.
 
+    A path that is no face list's (.npy or .idx) and at which nothing lies names regions, too, as `--logo` takes both.
     Raises `InputError`: the list belongs to another body or is damaged, the body has no such region.
     """
     if (path is None) == (region is None):
         raise TypeError("load_logo takes either the path of a face list, or region=")
-    ids = face_ids(read_face_list(path, bodies), bodies) if region is None else select_region(bodies, region)
-    return make_logo(bodies, ids)
+    if region is not None:
+        return make_logo(bodies, select_region(bodies, region))
+    if Path(path).suffix in (".npy", ".idx") or Path(path).exists():
+        return make_logo(bodies, face_ids(read_face_list(path, bodies), bodies))
+    try:
+        return make_logo(bodies, select_region(bodies, os.fspath(path)))
+    except InputError as error:
+        raise InputError(f"{path}: no such face list; {error}") from None
 
 
 def area_share(bodies: Bodies, ids: Integer[np.ndarray, " logo"]) -> float:

@@ -7,7 +7,7 @@ from PIL import Image
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_centres, face_normals
-from cloak_core.scene.logos.logo import area_share, make_logo, select_box, select_region
+from cloak_core.scene.logos.logo import area_share, load_logo, make_logo, select_box, select_region
 from cloak_core.scene.logos.stamping import project_mask, project_text
 from cloak_core.scene.people.samples import sample_bodies
 from tests.scene.solids import cube
@@ -33,6 +33,18 @@ def test_a_scene_without_a_front_region_takes_the_normals() -> None:
     body = cube(regions={"all": np.ones(6, bool)})
     assert select_region(body, "all-front").tolist() == [5]
     assert select_region(body, "all-back").tolist() == [0, 1, 2, 3, 4]
+
+
+def test_regions_stand_where_a_face_list_does(samples: Bodies, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert np.array_equal(load_logo(samples, "chest+thighs").face_ids, select_region(samples, "chest+thighs"))
+    with pytest.raises(InputError, match=r"hats: no such face list; region 'hats' is unknown.*chest"):
+        load_logo(samples, Path("hats"))
+    with pytest.raises(InputError, match=r"chest\.npy.*no such file"):
+        load_logo(samples, "chest.npy")
+    (tmp_path / "chest").touch()
+    with pytest.raises(InputError, match="chest: not a"):
+        load_logo(samples, "chest")
 
 
 def test_unknown_regions_name_the_known_ones(samples: Bodies) -> None:

@@ -40,7 +40,7 @@ def test_a_concave_quad_takes_the_diagonal_inside_it(turn: int) -> None:
     tilt=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.05, 1)),
     seed=st.integers(0, 1 << 16),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_concave_polygons_are_tiled_exactly(radii: list[float], tilt: tuple, seed: int) -> None:
     """Star-shaped polygons in any plane: triangles turn the polygon's way, and their areas add up to its area."""
     count = len(radii)

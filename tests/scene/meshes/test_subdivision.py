@@ -82,7 +82,7 @@ def test_all_poses_move_alike() -> None:
 
 
 @given(columns=st.integers(3, 7), rows=st.integers(1, 5), levels=st.integers(0, 3))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_closed_bodies_stay_closed_and_keep_their_corners(columns: int, rows: int, levels: int) -> None:
     body = sphere(columns, rows)
     divided, parent = subdivide(body, levels)
