@@ -99,9 +99,9 @@ def shows_heat(obj: bpy.types.Object) -> bool:
     return obj.data.color_attributes.active_color_name == HEATMAP
 
 
-def hide_heat(context: bpy.types.Context, obj: bpy.types.Object) -> None:
-    """Show the cloak again where it is worn, else the body's own colours."""
-    show_attribute(context, obj, CLOAK if is_dressed(obj) else None)
+def hide_heat(context: bpy.types.Context, obj: bpy.types.Object, cloaked: bool) -> None:
+    """Show the cloak again where the body or its clothing wears it, else the body's own colours."""
+    show_attribute(context, obj, CLOAK if cloaked and CLOAK in obj.data.color_attributes else None)
     if shows_heat(obj):  # a body without colours of its own has nothing else to show
         obj.data.color_attributes.remove(obj.data.color_attributes[HEATMAP])
 

@@ -18,6 +18,7 @@ from ..exchange.heat import hottest_faces
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy
+from ..garments import is_dressed
 from ..jobs import FollowedJob, Job, launch, require_idle
 from ..mesh_arrays import read, write_attribute
 from ..preferences import chosen_python, user_folder
@@ -79,7 +80,7 @@ class CLOAK_OT_heatmap_toggle(BodyOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if colors.shows_heat(obj):
-            colors.hide_heat(context, obj)
+            colors.hide_heat(context, obj, is_dressed(obj))
             return f"'{obj.name}' shows its heat map no more"
         show_heat(context, obj, read(obj.data.attributes[HEAT].data, "value"))
         return f"'{obj.name}' shows its heat map"

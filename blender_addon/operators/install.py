@@ -108,15 +108,7 @@ index. Asks first, and says how much it takes"""
         commands = trainer_install.install_commands(base, place, source, self.share_torch)
         job = InstallJob(trainer_install.LABEL, commands, folder, "install", lambda job: _ended(job, place))
         launch(job)
-        jobs.on_tick[:] = [_redraw]
         return f"Installing the trainer into {place}"
-
-
-def _redraw(job: jobs.Job) -> None:
-    """The preferences too: the log stands there."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            area.tag_redraw()
 
 
 def _ended(job: InstallJob, place: Path) -> str:

@@ -10,6 +10,7 @@ from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
+from cloak.operators import heat
 from cloak.poses import PoseChoice
 from cloak.samples import CLOTHES, add_people, part_of
 
@@ -113,6 +114,9 @@ def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
     assert garments.is_dressed(clothed) and not colors.is_dressed(clothed)
     assert np.allclose(colors.read_face_colors(shirt, "Cloak"), 0.75, atol=1e-5)
     assert not steps.check_reason(bpy.context)
+    heat.show_heat(bpy.context, clothed, np.linspace(0, 1, 6))
+    bpy.ops.cloak.heatmap_toggle()
+    assert clothed.data.color_attributes.active_color_name == "Cloak", "what its clothing wears is shown again"
     bpy.ops.cloak.result_toggle()
     assert not garments.is_dressed(clothed)
     assert shirt.data.color_attributes.active_color_name == "Outfit", "or Solid shading would still show the cloak"
