@@ -1,21 +1,16 @@
-"""That picking stays quick on large meshes, and that what makes it quick gives the same answers as the plain way.
-
-Times are what the process worked, so that a busy machine does not fail them; tests/blender/real/latencies.py measures.
-"""
-
-import time
+"""What makes picking quick on large meshes gives the same answers as the plain way; real/latencies.py measures."""
 
 import bpy
 import numpy as np
 import pytest
 from cloak import faces, mesh_arrays, occlusion, overlay, symmetry
+from cloak.exchange.face_lists import read_face_list
 from made import add_ngons, make_egg, make_fine_egg, select_only, set_mode
 
-FACES, SECONDS = 100_000, 0.7
-"""Half a second would be too much for a click; before, a stamp on so many faces took one, and a mirror minutes."""
+FACES = 100_000
 
 
-def test_no_click_in_edit_mode_freezes_blender(tmp_path):
+def test_every_action_on_a_large_mesh_in_edit_mode(tmp_path):
     obj = make_fine_egg(FACES)
     bpy.context.scene.cloak.stamp_size = 0.4
     count = len(obj.data.polygons)
@@ -31,12 +26,9 @@ def test_no_click_in_edit_mode_freezes_blender(tmp_path):
         "mirror": bpy.ops.cloak.logo_mirror,
         "export": lambda: bpy.ops.cloak.logo_export(filepath=str(tmp_path / "list.npy")),
     }
-    slow = {}
-    for name, action in actions.items():
-        start = time.process_time()
+    for action in actions.values():
         action()
-        slow[name] = time.process_time() - start
-    assert max(slow.values()) < SECONDS, slow
+    assert len(read_face_list(tmp_path / "list.npy").ids) == faces.read_faces(obj, "logo").sum() > count // 6
     assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
 
 
@@ -105,13 +97,11 @@ def test_the_nearest_point_within_reach():
     assert 50 < (expected >= 0).sum() < 290
 
 
-def test_a_mirror_on_a_regular_mesh_takes_no_time():
-    """Equal coordinates made a k-d tree quadratic."""
+def test_a_mirror_on_a_large_regular_mesh():
+    """Equal coordinates made a k-d tree quadratic: minutes."""
     obj = make_fine_egg(30_000)
     half = np.arange(len(obj.data.polygons)) % 2 == 0
-    start = time.process_time()
     assert faces.mirror(obj, half)[1] == 0
-    assert time.process_time() - start < SECONDS
 
 
 @pytest.mark.parametrize("spread", [0.0, 1.0])
