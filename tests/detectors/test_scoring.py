@@ -96,4 +96,4 @@ def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:
 @pytest.mark.slow
 def test_scoring_is_imported_without_torchvision() -> None:
     code = "import sys, cloak_core.detectors.scoring; sys.exit('torchvision' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], timeout=250).returncode == 0

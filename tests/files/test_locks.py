@@ -23,7 +23,7 @@ def test_a_lock_is_held_until_its_process_is_gone_however_that_ends(tmp_path: Pa
     with pytest.raises(BlockingIOError), lock(path):
         pass
     holder.kill()
-    holder.communicate(timeout=10)
+    holder.communicate(timeout=120)
     assert not is_held(path)
     with lock(path):  # asking took nothing
         pass

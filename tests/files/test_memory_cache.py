@@ -74,7 +74,7 @@ def test_backgrounds_drawn_by_several_threads() -> None:
     meeting = threading.Barrier(2)
 
     def draw(index: int, height: int, width: int) -> np.ndarray:
-        meeting.wait(5)
+        meeting.wait(120)
         return np.full((height, width, 3), index, np.uint8)
 
     backgrounds = Backgrounds(["a", "b"], draw)

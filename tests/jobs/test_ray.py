@@ -95,7 +95,7 @@ def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster)
     killer.start()
     said: list[str] = []
     assert there.run(said.append, prepare=prepare_process, executor=RayCluster(cluster.address)) == ""
-    killer.join(timeout=5)
+    killer.join(timeout=120)
     record = there.write_results()
     assert record["done"] == record["runs"] == len(said) == 4
     assert len(cluster.list_all_nodes()) == 2

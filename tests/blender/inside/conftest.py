@@ -148,7 +148,7 @@ def elsewhere(folder: Path, *lines: str) -> subprocess.CompletedProcess:
     python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.python = {preferences().python!r}"
     first = ("import bpy, os, time", f"bpy.ops.preferences.addon_enable(module={MODULE!r})", python)
     script.write_text("\n".join((*first, f"from {MODULE} import jobs", *lines)))
-    return subprocess.run(blender_command(script), capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(blender_command(script), capture_output=True, text=True, timeout=250, check=False)
 
 
 TRAIN_THERE = """

@@ -42,7 +42,7 @@ def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_
         Job("None", [["/nowhere/python"]], tmp_path, "none")
     job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long")
     job.cancel()
-    assert job.wait(10).state == "stopped"
+    assert job.wait(120).state == "stopped"
 
 
 def test_what_follows_a_job_may_fail_it_or_have_the_last_word(tmp_path, stub):
@@ -66,4 +66,4 @@ def test_run_folders_never_collide(tmp_path):
 def test_a_training_job_without_events_still_ends(tmp_path, stub):
     run = tmp_path / "never"
     job = TrainingJob([str(stub), "-c", "pass"], run, tmp_path)
-    assert job.wait(10).state == "done" and job.progress == Progress()
+    assert job.wait(120).state == "done" and job.progress == Progress()

@@ -109,7 +109,7 @@ def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path)
     (run / "evaluation").mkdir()
     told = {"logo": {"success": 0.1, "ci95": [0, 0.2]}, "clothing": {"success": 0.1, "ci95": [0, 0.2]}}
     (run / "evaluation/summary.json").write_text(json.dumps({"detectors": {"builtin": told}, "n": 8}))
-    job = jobs.Job("Evaluation", [["true"]], tmp_path, "x", lambda job: _evaluated(job, run)).wait(10)
+    job = jobs.Job("Evaluation", [["true"]], tmp_path, "x", lambda job: _evaluated(job, run)).wait(120)
     assert job.is_bad_news and job.message.startswith("The cloak hides no more than own clothing does")
 
 

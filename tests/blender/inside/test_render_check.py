@@ -103,7 +103,7 @@ def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
     job = Job("Render check", [["true"]], tmp_path, "check", lambda job: result._judge(job, plan, obj.session_uid))
     monkeypatch.setattr(Job, "_said", lambda self: json.dumps({"max_person": 0.9}))
     job.outputs = ["", json.dumps({"max_person": 0.8})]
-    job.wait(10)
+    job.wait(120)
     assert job.state == "done" and job.is_bad_news and "The cloak failed" in obj.cloak.verdict
 
 

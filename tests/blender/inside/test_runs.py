@@ -361,5 +361,5 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
     )
     assert holder.stdout.readline() == b"held\n"
     assert run_states.is_running(tmp_path)
-    holder.communicate(timeout=20)
+    holder.communicate(timeout=120)
     assert not run_states.is_running(tmp_path)

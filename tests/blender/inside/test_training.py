@@ -171,8 +171,8 @@ def test_disabling_the_add_on_ends_the_training_in_order(ready, monkeypatch):
     bpy.ops.preferences.addon_disable(module=MODULE)
     try:
         assert (run / "cancel").exists()
-        job._process.wait(timeout=10)
-        wait_until = time.monotonic() + 5
+        job._process.wait(timeout=120)
+        wait_until = time.monotonic() + 120
         while any(t.name == "cloak events" for t in threading.enumerate()) and time.monotonic() < wait_until:
             time.sleep(0.01)
         assert not any(t.name == "cloak events" for t in threading.enumerate())
@@ -195,7 +195,7 @@ def test_closing_blender_mid_run_and_resuming_from_the_saved_file(ready, monkeyp
     )
     said = re.search(r"trainer is process (\d+)", there.stdout)
     assert said, there.stdout + there.stderr
-    until = time.monotonic() + 10
+    until = time.monotonic() + 120
     while _alive(int(said[1])) and time.monotonic() < until:
         time.sleep(0.02)
     assert not _alive(int(said[1]))
