@@ -29,8 +29,9 @@ from cloak_core.scene.logos.logo import Logo, make_logo
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
 """Metres and degrees, for one cloak after the other."""
-FRONT, AROUND = 4, 6
-"""Azimuths of a cloak: so many within 15 degrees of the front, so many all around."""
+AZIMUTHS, AROUND, SECTOR = 10, 6, 15
+"""Azimuths of a cloak; how many of them go all around for every other cloak, and how far the rest stray, degrees: a cloak
+that works from one side alone is the stronger attack there, and to withstand one from all around does not answer it."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
 GIVEN, GOES_ON = 0.5, 0.75
@@ -182,9 +183,11 @@ class Pool:
 
     def _train_settings(self, slot: int) -> TrainSettings:
         rng = np.random.default_rng([self.settings.seed, _VIEWS, slot])
-        front = rng.integers(-15, 16, FRONT)
-        around = (rng.integers(360) + np.arange(AROUND) * 360 // AROUND) % 360
-        angles = sorted({float(angle) for angle in (*front, *around)})
+        whole, turn = AROUND if slot % 2 else 0, rng.integers(360)
+        middle = turn if slot % 4 == 2 else 0  # every second of the one-sided ones is seen from the front
+        near = middle + rng.integers(-SECTOR, SECTOR + 1, AZIMUTHS - whole)
+        around = turn + np.arange(whole) * 360 // AROUND
+        angles = sorted({float(angle) for angle in (*near % 360, *around % 360)})
         return make_settings(
             "best",
             steps=10_000_000,

@@ -182,6 +182,14 @@ def test_cloaks_die_one_after_the_other_and_given_ones_are_among_them(student: S
     assert 0 < sum(shares) < len(shares)
 
 
+def test_every_other_cloak_is_seen_from_one_side(student: Student) -> None:
+    pool = Pool(HardenSettings(**FEW), box_bodies(), noise_backgrounds(), student.detector)
+    seen = [np.exp(1j * np.radians(pool._train_settings(slot).views.angles.of)) for slot in range(4)]
+    spread = [np.abs(np.angle(towards / towards[0])).max() for towards in seen]
+    assert max(spread[0::2]) <= np.radians(30.001) and min(spread[1::2]) > np.radians(120)
+    assert abs(np.angle(seen[0].mean())) < np.radians(15)
+
+
 @pytest.mark.slow
 def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
     bodies, rng = sample_bodies("train"), np.random.default_rng(0)
