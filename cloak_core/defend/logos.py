@@ -20,8 +20,8 @@ TOO_ALIKE = 0.7
 LEAST, MOST = 0.05, 0.7
 """Shares of the body's area."""
 CANDIDATES = 6
-"""Logos of which the one nearest a share drawn evenly is taken; the shapes alone are small three times out of four, and a
-detector that saw few large cloaks falls to them."""
+"""Logos of which the one nearest a share drawn evenly is taken; the shapes alone are small three times out of four,
+and a detector that saw few large cloaks falls to them."""
 
 
 def draw_logo(bodies: Bodies, rng: np.random.Generator) -> Int64[np.ndarray, " L"]:

@@ -30,8 +30,8 @@ from cloak_core.scene.logos.logo import Logo, make_logo
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
 """Metres and degrees, for one cloak after the other."""
 AZIMUTHS, AROUND, SECTOR = 10, 6, 15
-"""Azimuths of a cloak; how many of them go all around for every other cloak, and how far the rest stray, degrees: a cloak
-that works from one side alone is the stronger attack there, and to withstand one from all around does not answer it."""
+"""Azimuths of a cloak; how many of them go all around for every other cloak, and how far the rest stray, degrees: a
+cloak that works from one side alone is the stronger attack there, and to withstand others does not answer it."""
 SAMPLES = 4
 """Per pixel: what sampling misses in one view it finds in the next."""
 GIVEN, GOES_ON = 0.5, 0.75
