@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -42,6 +43,8 @@ CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7
 MARKERS = "osD^vPX"
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 INK, FAINT = "#1f2328", "#d5d9de"
+TITLES = 80
+"""Letters of the titles of panels beside each other, in one line over all of them."""
 WIDTH = 6.4
 """Of a full-width figure, inches."""
 LEGEND = 8
@@ -102,14 +105,17 @@ def percent_axis(axis: object, label: str = "attack success") -> None:
 def percent_along_x(axis: object) -> None:
     """Rates along x, their marks short enough for panels beside each other."""
     axis.set_xlim(-0.02, 1.02)
-    axis.set_xticks([0, 0.25, 0.5, 0.75, 1], ["0", "25", "50", "75", "100 %"])
+    axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
+    axis.set_xticks([0.25, 0.75], minor=True)
+    axis.grid(axis="x", which="minor")
     axis.set_xlabel("attack success")
 
 
 def panel_title(axis: object, name: str, panels: int = 1) -> None:
     """The name of one of several panels beside each other: the more of them, the less room it takes."""
     if panels > 1:
-        axis.set_title(name.replace(" ", "\n", 1), fontsize=8 if panels == 2 else 7)
+        lines = textwrap.wrap(name, TITLES // panels, break_long_words=False, break_on_hyphens=False)
+        axis.set_title("\n".join(lines), fontsize=8 if panels == 2 else 7)
     else:
         axis.set_title(name)
 

@@ -29,6 +29,15 @@ def test_words_say_where_the_gradient_is_masked() -> None:
     assert "too kind" not in tell(numbers(0.74))[2]  # within the interval
 
 
+def test_words_blame_no_defence_for_an_attack_that_is_too_short() -> None:
+    weak = numbers(0.9)
+    for one in weak.rows:
+        one |= {} if one["attack"] == SEARCH else {"success": 0.02, "low": 0.0, "high": 0.05}
+    words = tell(weak)
+    assert "random search does better even where there is none" in words[1]
+    assert "too kind" not in words[2]
+
+
 def test_a_panel_has_a_line_for_every_defence() -> None:
     (figure,) = draw(numbers(0.1)).values()
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [NONE, "jpeg=75"]

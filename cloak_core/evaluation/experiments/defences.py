@@ -97,23 +97,32 @@ def tell(numbers: Numbers) -> list[str]:
     ]
     for spec, rows in group(numbers.rows, "detector").items():
         bare = select(rows, defence=NONE, attack=ADAPTIVE)[0]
+        better = _better(select(rows, defence=NONE))
+        weak = (
+            better and f" The attack is too short to judge a defence by: {better} does better even where there is none."
+        )
         words.append(
-            f"{short_name(spec)} without a defence: {said(bare)}, clean recall {percent(bare['clean_recall'])}."
+            f"{short_name(spec)} without a defence: {said(bare)}, clean recall {percent(bare['clean_recall'])}.{weak}"
         )
         for head, mine in group(rows, "defence").items():
             if head != NONE:
-                words.append(f"{head}: {_in_words(mine, bare)}")
+                words.append(f"{head}: {_in_words(mine, bare, '' if better else _better(mine))}")
     return words
 
 
-def _in_words(rows: Rows, bare: dict) -> str:
+def _better(rows: Rows) -> str:
+    """The strongest attack where it is clearly above the adaptive one, or ""."""
+    adaptive, strongest = select(rows, attack=ADAPTIVE)[0], max(rows, key=lambda row: row["success"])
+    return strongest["attack"] if strongest["success"] > adaptive["high"] else ""
+
+
+def _in_words(rows: Rows, bare: dict, better: str) -> str:
     naive, adaptive = (select(rows, attack=attack)[0] for attack in (NAIVE, ADAPTIVE))
     rest = [f"{row['attack']} {percent(row['success'])}" for row in rows if row["attack"] not in (NAIVE, ADAPTIVE)]
-    strongest = max(rows, key=lambda row: row["success"])
-    masked = "" if strongest is adaptive or strongest["success"] <= adaptive["high"] else (
-        f" The strongest is {strongest['attack']}, clearly above the adaptive one: its gradient is not a good guide "
+    masked = better and (
+        f" The strongest is {better}, clearly above the adaptive one: its gradient is not a good guide "
         "through this defence, and the adaptive figure is too kind."
-    )  # fmt: skip
+    )
     others = f" ({', '.join(rest)})" if rest else ""
     cost = f"clean AP50 {adaptive['clean_ap50']:.3f} instead of {bare['clean_ap50']:.3f}"
     return (

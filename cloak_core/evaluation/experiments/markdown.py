@@ -16,8 +16,9 @@ from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import write_text
 from cloak_core.scene.pictures import read_picture, save_picture
 
-SHOWN = 30
-"""Rows of a table; the others stay in numbers.csv."""
+ROWS, SHOWN = 120, 30
+"""Rows of the table of results, a defence's for every detector among them, and of other tables; the rest stay in
+numbers.csv and thresholds.csv."""
 LEFT_OUT = ("clean_detection", "false_alarms", "seeds", "worst_seed", "best_seed", "success_iou", "seconds")
 """Columns that a narrow table can spare where they say nothing new: all are in numbers.csv."""
 COLORS = 128
@@ -58,10 +59,10 @@ def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> s
     for paragraph in record["words"]:
         lines += [paragraph, ""]
     lines += [f"![{record['title']}]({file})\n" for file in figures]
-    rows = record["rows"][:SHOWN]
+    rows = record["rows"][:ROWS]
     lines += grid([{k: v for k, v in row.items() if k not in LEFT_OUT} for row in rows])
-    if len(record["rows"]) > SHOWN:
-        lines.append(f"And {len(record['rows']) - SHOWN} more rows in numbers.csv.\n")
+    if len(record["rows"]) > ROWS:
+        lines.append(f"And {len(record['rows']) - ROWS} more rows in numbers.csv.\n")
     spread = [row for row in rows if row.get("seeds", 1) > 1]
     if spread:
         lines += ["Spread over seeds:", "", *grid([_only(row, "seeds", "worst_seed", "best_seed") for row in spread])]
