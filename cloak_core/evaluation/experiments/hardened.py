@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator
 
 from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
@@ -162,8 +163,10 @@ def _trade(by_detector: dict[str, Rows], names: Mapping[str, str]) -> Figure:
                 for row in _attacks(rows, logo)[-1:]:
                     shape = {"fmt": marker, "color": color, "mfc": filling, "label": label, "lw": 1.2}
                     axis.errorbar([row[key]], [row["success"]], yerr=errors([row]), clip_on=False, **shape)
-        axis.xaxis.set_major_formatter(PercentFormatter(1))
-        axis.xaxis.set_major_locator(MaxNLocator(5))
+        values = [row[key] for row in chain.from_iterable(by_detector.values())]
+        axis.set_xlim(max(0, min(values) - 0.01), min(1, max(values) + 0.01))  # so that a hair's breadth looks like one
+        axis.xaxis.set_major_formatter(lambda share, _: f"{100 * share:g} %")
+        axis.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         axis.set_xlabel(f"{words} at {THRESHOLD:g}")
     axes[0].plot([], [], ls="", marker="o", mfc="none", color=INK, label=f"on {SHIRT}")
     percent_axis(axes[0])
