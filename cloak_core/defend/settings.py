@@ -13,7 +13,7 @@ from cloak_core.attack.settings.values import Within
 class HardenSettings:
     """How a detector is hardened. The defaults are those that the figures in docs/defence.md were measured with."""
 
-    steps: Annotated[int, Within(1, 10_000_000)] = 450
+    steps: Annotated[int, Within(1, 10_000_000)] = 700
     """Updates of the detector."""
     max_seconds: Annotated[float | None, Within(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
@@ -28,7 +28,7 @@ class HardenSettings:
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     cloaks: Annotated[int, Within(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
-    life: Annotated[int, Within(1, 100_000)] = 16
+    life: Annotated[int, Within(1, 100_000)] = 32
     """Turns after which a cloak makes room for a new one, on another logo and from other colours."""
     attack_steps: Annotated[int, Within(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
