@@ -27,7 +27,8 @@ and a detector that saw few large cloaks falls to them."""
 def draw_logo(bodies: Bodies, rng: np.random.Generator) -> Int64[np.ndarray, " L"]:
     """Faces of a random logo: a few balls about points of the body, a slab of it, or named regions; whole, or one side
     of it. Large ones are as likely as small ones."""
-    areas = face_areas(bodies) / face_areas(bodies).sum()
+    areas = face_areas(bodies)
+    areas = areas / areas.sum()
     wanted = rng.uniform(LEAST, MOST)
     drawn = [_fitting(bodies, areas, rng) for _ in range(CANDIDATES)]
     return np.flatnonzero(min(drawn, key=lambda chosen: abs(areas[chosen].sum() - wanted)))

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak import faces, placing, stamp
+from cloak.occlusion import seen
 from cloak.surface import read_surface
 from made import centers, make_egg, make_fine_egg, make_grid, set_mode
 from mathutils import Matrix
@@ -87,12 +88,24 @@ def test_moving_over_a_body_hides_what_lies_behind_as_a_fresh_look_does():
     assert (surface.centers[fresh][:, 1] < -0.4).any()
 
 
-def test_the_preview_follows_on_300_000_faces():
+def test_the_preview_looks_at_little_of_300_000_faces(monkeypatch):
+    """What makes it quick: what may hide is looked for near by, and from one side no face is asked about twice."""
     obj = make_fine_egg(300_000)
     set_mode("EDIT")
     placed = placing.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
+    asked, hiding = [], []
+
+    def look(centers, own, points, triangles, face):
+        asked.extend(own.tolist())
+        hiding.append(len(triangles))
+        return seen(centers, own, points, triangles, face)
+
+    monkeypatch.setattr(placing, "seen", look)
     for step in range(5):  # a perspective view: the direction changes with every move
         place, direction = np.array([0.02 * step, -0.25, 1]), np.array([0.02 * step, 1, 0])
         assert len(placed.faces(placing.Placement(place, direction, 0.5))) > 3000
+    assert len(hiding) == 5 and max(hiding) < 300_000 < len(placed.surface.centers) * 2
+    asked.clear()
     for step in range(5):  # the mouse wheel and R: it does not
         assert len(placed.faces(placing.Placement(place, direction, 0.5 - 0.01 * step, 0.1 * step))) > 3000
+    assert asked and len(set(asked)) == len(asked) < 30_000
