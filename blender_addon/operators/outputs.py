@@ -104,7 +104,8 @@ def middle_of_motion(bodies: Bodies) -> np.ndarray:
 
 
 def _told(job: Job, place: Path) -> str | None:
-    return f"Wrote {place}" if job.state == "done" else None
+    # Its name alone: in the panel the way there takes three lines, and the list below opens it.
+    return f"Wrote {place.name}" if job.state == "done" else None
 
 
 class CLOAK_OT_show_made(CloakOperator):

@@ -5,8 +5,8 @@
 The extension is installed and PYTHON has cloak_core; all else is as Blender and the panel begin with (of STEPS other
 than the panel's own the words tell). A click goes where the words stand on the screen, so what is clipped, covered or
 missing ends Blender with exit code 3; so do more than CLICKS clicks and keys. OUT gets NN-NAME.jpg for each click, just
-before it and with a ring around it, turntable.gif and a strip of its frames, demo.blend, and newcomer.json: clicks,
-seconds by the clock, seconds of processor that the trainer took.
+before it and with a ring around it, turntable.gif, its figures and a strip of its frames, demo.blend, and
+newcomer.json: clicks, seconds by the clock, seconds of processor that the trainer took.
 """
 
 import json
@@ -35,6 +35,7 @@ WIDTH = 1200
 """Of the pictures."""
 
 begun, clicks, seconds = time.monotonic(), [], {}
+last_sidebar = np.zeros(0)
 
 
 def xdo(*words: object) -> None:
@@ -84,34 +85,40 @@ def photograph(name: str, ring: tuple[int, int] | None = None) -> None:
     subprocess.run(command, check=True)
 
 
+def scroll_to(text: str, turned: bool = False) -> list[tuple[int, int]]:
+    """Where a text stands in the sidebar, once that stands still, as Blender scrolls smoothly; where there is none the
+    sidebar is scrolled down a little."""
+    global last_sidebar
+    moving, last_sidebar = last_sidebar, sidebar()[0]
+    if not np.array_equal(moving, last_sidebar):
+        return []
+    found = in_sidebar(text, turned)
+    if not found:
+        xdo("mousemove", *middle_of("UI"), *["click", 5] * 6)
+    return found
+
+
 def count(what: str) -> None:
     clicks.append(what)
     print(f"click {len(clicks)}: {what}", flush=True)
     assert len(clicks) <= CLICKS, f"more than {CLICKS} clicks"
 
 
-def click(text: str, name: str, effect: Callable[[], object], nth: int = 0, turned: bool = False) -> Iterator[float]:
+def click(text: str, name: str, effect: Callable[[], object], turned: bool = False) -> Iterator[float]:
     """Find a text in the sidebar, scrolling down to it if need be; click on it and see that it had its effect."""
     found: list[tuple[int, int]] = []
-    last = np.zeros(0)
 
     def is_found() -> bool:
-        """Once the sidebar stands still: Blender scrolls smoothly."""
-        nonlocal last
-        moving, last = last, sidebar()[0]
-        if not np.array_equal(moving, last):
-            return False
-        found[:] = in_sidebar(text, turned)
-        if len(found) <= nth:
-            xdo("mousemove", *middle_of("UI"), *["click", 5] * 6)
-        return len(found) > nth
+        found[:] = scroll_to(text, turned)
+        return bool(found)
 
     yield from until(is_found, f"'{text}' is not to be read in the sidebar")
-    photograph(name, found[nth])
+    photograph(name, found[0])
     count(text)
-    xdo("mousemove", *found[nth])
+    xdo("mousemove", *found[0])
     yield 0.5
     xdo("click", 1)
+    yield 0.5  # Blender drags a panel whose header the mouse leaves at once
     yield from until(effect, f"'{text}' had no effect")
 
 
@@ -160,7 +167,7 @@ def take_along() -> Iterator[float]:
     yield from click("Take Along", "take_along", lambda: True)
     yield from click("Turntable", "turntable", busy_with("Turntable"))
     yield from finished("turntable")
-    yield from until(lambda: in_sidebar("turntable.gif"), "the turntable is listed")
+    yield from until(lambda: scroll_to("turntable.gif"), "the turntable is listed")
 
 
 def strip(film: Path) -> None:
@@ -178,7 +185,9 @@ def keep() -> None:
     from cloak import jobs, run_states
 
     run = Path(bpy.path.abspath(bpy.context.object.cloak.run))
-    shutil.copy(next(run.parent.glob(f"{run.name}*/turntable.gif")), OUT)
+    film = next(run.parent.glob(f"{run.name}*/turntable.gif"))
+    for file in (film, film.with_suffix(".json")):
+        shutil.copy(file, OUT)
     strip(OUT / "turntable.gif")
     state = run_states.read_state(run)
     told = {
