@@ -15,7 +15,9 @@ nothing is seen in that pixel. given_up: pixels that show too many pieces to be 
 from __future__ import annotations
 
 import inspect
+import logging
 import os
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,10 +33,13 @@ from cloak_core.bench.views import cached_render, clock, machine, timed, torch_t
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
+from cloak_core.jobs.handing_out import Tell
 from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.render.visibility.areas import CrowdedPixels
 from cloak_core.render.weights.shading import Light
 from cloak_core.scene.cameras import Camera
+
+_log = logging.getLogger(__name__)
 
 VISIBLE = 0.02
 """Pixels of visible area from which a face counts as starved without a gradient."""
@@ -73,10 +78,12 @@ def run_bench_accuracy(
     repeats: int = 10,
     out: str | os.PathLike | None = None,
     only: tuple[str, ...] = (),
+    tell: Tell = _log.info,
 ) -> dict:
-    """All points of all scenes (or of `only` some of them).
+    """All points of all scenes (or of `only` some of them); `tell` hears of each that is done.
 
-    With `out`, also a table, a plot and the JSON in that folder; scenes measured there earlier stay beside these.
+    With `out`, also a table, a plot and the JSON in that folder, after each scene; scenes measured there earlier stay
+    beside these.
     """
     if unknown := [name for name in only if name not in SCENES]:
         raise InputError(f"scene '{unknown[0]}': there are {', '.join(SCENES)}")
@@ -88,11 +95,13 @@ def run_bench_accuracy(
         measured |= {"machine": machine()}
         result = {"scenes": {}, "default": default_name(), **measured}
         for name in only or SCENES:
+            begun = time.monotonic()
             result["scenes"][name] = measure(make_scene(name, bodies), repeats, threads, measured["peers"]) | measured
-    if out is not None:
-        from cloak_core.bench.accuracy_report import write_report
+            if out is not None:
+                from cloak_core.bench.accuracy_report import write_report
 
-        result = write_report(result, Path(out))
+                result = write_report(result, Path(out))
+            tell(f"{name}: {time.monotonic() - begun:.0f} s")
     return result
 
 

@@ -10,6 +10,7 @@ each point held at most, and how much of that came with building (Linux only).
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import subprocess
@@ -26,10 +27,13 @@ from cloak_core.bench.views import machine
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
+from cloak_core.jobs.handing_out import Tell
 from cloak_core.scene.cameras import Camera
 
 if TYPE_CHECKING:
     from cloak_core.render.views import ViewBank
+
+_log = logging.getLogger(__name__)
 
 _SIZES = {
     "triangles": (10_000, 40_000, 160_000, 640_000, 2_560_000, 5_000_000),
@@ -59,11 +63,12 @@ def run_bench_growth(
     quick: bool = False,
     only: tuple[str, ...] = (),
     out: str | os.PathLike | None = None,
+    tell: Tell = _log.info,
 ) -> dict:
-    """Times, peaks and exponents of every series, or of `only` some.
+    """Times, peaks and exponents of every series, or of `only` some; `tell` hears of each that is done.
 
     memory: bytes for kept views; quick: leave out the largest sizes. With `out`, also a table and the JSON in that
-    folder; series measured there earlier stay beside these.
+    folder, after each series; series measured there earlier stay beside these.
     """
     if unknown := [name for name in only if name not in _SIZES]:
         raise InputError(f"growth: no series '{unknown[0]}'; there are {', '.join(_SIZES)}")
@@ -76,9 +81,9 @@ def run_bench_growth(
         points = [_measured(replace(Work(), **{field: size}), size, threads, memory) for size in sizes]
         fitted = exponents(points, 2 if quantity == "pixels" else 1)
         series[quantity] = {**fitted, "points": points, "threads": threads, "memory": memory, "machine": machine()}
-    if out is not None:
-        return write_report(series, Path(out))
-    return _result(series)
+        result = _result(series) if out is None else write_report(series, Path(out))
+        tell(f"{quantity}: time grows with exponent {fitted['exponent']:.2f}")
+    return result
 
 
 def _result(series: dict) -> dict:

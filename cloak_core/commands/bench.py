@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.attack.settings.values import Range
-from cloak_core.commands.base import Command, load_scene, out, require_new
+from cloak_core.commands.base import Command, err, load_scene, out, require_new
 from cloak_core.commands.compute import keep_freed_memory
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.writing import write_text
@@ -228,7 +228,7 @@ class Accuracy(Command):
     def run(self) -> dict:
         from cloak_core.bench.accuracy import run_bench_accuracy
 
-        return run_bench_accuracy(load_scene(self.scene), **self.given("scene"))
+        return run_bench_accuracy(load_scene(self.scene), tell=err.print, **self.given("scene"))
 
     def show(self, result: dict) -> None:
         for name, version in result["peers"].items():
@@ -258,7 +258,8 @@ class Growth(Command):
     def run(self) -> dict:
         from cloak_core.bench.growth import run_bench_growth
 
-        return run_bench_growth(self.threads, int(self.memory * 2**30), self.quick, only=self.only, out=self.out)
+        memory = int(self.memory * 2**30)
+        return run_bench_growth(self.threads, memory, self.quick, only=self.only, out=self.out, tell=err.print)
 
     def show(self, result: dict) -> None:
         for name, series in result["series"].items():
