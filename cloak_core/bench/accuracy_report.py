@@ -13,6 +13,7 @@ _COLORS = {
 }  # fmt: skip
 _PANELS = {"gradient_smooth": ("gradient error, relative", 0.05), "image_rms": ("image error, RMS", 1 / 255)}
 """Rows of the plot, each with the error that the default setting has to stay below."""
+_ACROSS = 4
 
 
 def write_report(result: dict, folder: Path) -> dict:
@@ -56,29 +57,43 @@ def pareto(points: list[dict], error: str = "gradient_smooth") -> list[dict]:
 
 
 def plot(result: dict, path: Path) -> None:
-    """Errors against the time of a new view: a column for each scene, a row for the gradient and for the image."""
+    """Errors against the time of a new view: for each scene the gradient's above the image's, four scenes side by
+    side."""
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
 
     names = list(result["scenes"])
-    figure = Figure(figsize=(3.3 * len(names) + 1, 6), layout="constrained")
-    panels = figure.subplots(len(_PANELS), len(names), squeeze=False, sharex="col")
-    for column, name in enumerate(names):
-        for row, (error, (label, limit)) in enumerate(_PANELS.items()):
-            panel = panels[row, column]
+    across, down = min(len(names), _ACROSS), -(-len(names) // _ACROSS)
+    figure = Figure(figsize=(3.3 * across + 1, 6 * down), layout="constrained")
+    panels = figure.subplots(len(_PANELS) * down, across, squeeze=False)
+    for panel in panels.flat:
+        panel.set_visible(False)
+    for number, name in enumerate(names):
+        begin, column = number // across * len(_PANELS), number % across
+        pair = panels[begin : begin + len(_PANELS), column]
+        for panel, (error, (label, limit)) in zip(pair, _PANELS.items(), strict=True):
             _draw(panel, result["scenes"][name]["points"], error, result["default"])
             panel.axhline(limit, color="0.6", linestyle=":", linewidth=1, zorder=0, label="limit set for the default")
-            panel.margins(0.12)
-            panel.set(xscale="log", yscale="log", title=name if row == 0 else "")
-            panel.set(xlabel="new view, ms" if row else "", ylabel=label if column == 0 else "")
-            for axis, steps in ((panel.xaxis, (1, 2, 5)), (panel.yaxis, (1, 3))):
-                axis.set_major_locator(LogLocator(subs=steps))
-                axis.set_major_formatter(lambda value, position: f"{value:g}")
-                axis.set_minor_formatter(NullFormatter())
-            panel.grid(True, which="major", color="0.92")
+            panel.set(ylabel=label if column == 0 else "")
+            _measure_by_tens(panel)
+        pair[0].set(title=name)
+        pair[-1].set(xlabel="new view, ms")
+        pair[0].sharex(pair[-1])
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=110)
+
+
+def _measure_by_tens(panel: object) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    panel.set_visible(True)
+    panel.margins(0.12)
+    panel.set(xscale="log", yscale="log")
+    for axis, steps in ((panel.xaxis, (1, 2, 5)), (panel.yaxis, (1, 3))):
+        axis.set_major_locator(LogLocator(subs=steps, numticks=8))
+        axis.set_major_formatter(lambda value, position: f"{value:g}")
+        axis.set_minor_formatter(NullFormatter())
+    panel.grid(True, which="major", color="0.92")
 
 
 def _draw(panel: object, points: list[dict], error: str, default: str) -> None:
