@@ -158,8 +158,11 @@ def lying_warning(obj: bpy.types.Object) -> str:
 
 
 @contextmanager
-def visit(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[object]:
-    """Yields `go(pose)`, which puts the body into a pose; frame, actions and unkeyed poses return at the end."""
+def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | None = None) -> Iterator[object]:
+    """Yields `go(pose)`, which puts the body into a pose; frame, actions and unkeyed poses return at the end.
+
+    play_from: go through every frame from this one on, as simulations need it, in rising order.
+    """
     scene = context.scene
     frame, subframe = scene.frame_current, scene.frame_subframe
     armature = armature_of(obj)
@@ -167,14 +170,18 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[object]
     keys = obj.data.shape_keys
     values = {key.name: key.value for key in keys.key_blocks} if keys else {}
     saved = [(owner, *_animation_state(owner)) for owner in _owners(obj)]
-    moved = False
+    moved, ahead = False, play_from
 
     def go(pose: Pose) -> None:
-        nonlocal moved
+        nonlocal moved, ahead
         if pose.action is not None:
             _animate(pose.owner, pose.action)
         if pose.frame is not None:
             moved = True
+            if ahead is not None:
+                for between in range(ahead, pose.frame):
+                    scene.frame_set(between)
+                ahead = max(ahead, pose.frame + 1)
             scene.frame_set(pose.frame)
         else:
             context.view_layer.update()

@@ -16,6 +16,7 @@ import numpy as np
 
 from . import colors
 from .body import require_body, require_upright, scene_axes, topology
+from .cursor import progress_cursor
 from .exchange.bodies import Bodies
 from .exchange.face_lists import write_face_list
 from .exchange.scenes import write_scene
@@ -28,6 +29,7 @@ from .garments import Garment, clothing_of, logo_mask
 from .mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
 from .modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
 from .poses import PoseChoice, list_poses, require_size, visit
+from .simulations import first_frame, require_own_animation
 
 RECORD = "export.json"
 
@@ -68,13 +70,16 @@ def _bodies_and_garments(
     for worn in clothing:
         require_upright(worn)
     wearing = [obj, *(o for o in clothing if logo and logo_mask(o, logo).any())]
+    require_own_animation(objects, choice)
     poses = list_poses(obj, choice)
     frames: list[list[Part]] = []
-    with visit(context, obj) as go:
+    play_from = first_frame(context.scene, objects)
+    with visit(context, obj, play_from) as go, progress_cursor(context) as show:
         go(poses[0])
         graph = context.evaluated_depsgraph_get()
         with numbered_faces([o for o in wearing if changes_faces(o, graph)]):
-            for pose in poses:
+            for done, pose in enumerate(poses):
+                show(done / len(poses))
                 go(pose)
                 graph = context.evaluated_depsgraph_get()
                 frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])

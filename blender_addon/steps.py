@@ -22,6 +22,7 @@ from .outputs import made
 from .poses import PoseChoice, list_poses, require_size
 from .properties import pose_choice, settings_of, train_request
 from .run_states import DONE, RUNNING, RunState, read_state
+from .simulations import require_own_animation
 from .viewpoints import middle_of, of_camera
 
 NO_BODY = "Choose a body first"
@@ -81,8 +82,9 @@ def poses_reason(context: bpy.types.Context, choice: PoseChoice | None = None) -
     if reason:
         return reason
     obj, choice = active_body(context), choice or pose_choice(settings_of(context))
+    worn = clothing_of(obj) if settings_of(context).clothing else []
     reason = refusal(require_upright, obj) or refusal(require_size, obj) or refusal(list_poses, obj, choice)
-    return reason or modifiers_reason(obj)
+    return reason or refusal(require_own_animation, [obj, *worn], choice) or modifiers_reason(obj)
 
 
 def train_reason(context: bpy.types.Context) -> str:

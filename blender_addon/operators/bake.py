@@ -7,8 +7,8 @@ import bpy
 from bpy.props import IntProperty
 
 from .. import bake, colors
+from ..cursor import progress_cursor
 from .base import BodyOperator
-from .cursor import progress_cursor
 
 
 class CLOAK_OT_bake(BodyOperator):

@@ -11,6 +11,7 @@ import bpy
 from .. import steps
 from ..body import subdivide
 from ..command_lines import SAMPLES, sample_command
+from ..cursor import progress_cursor
 from ..exchange.scenes import read_scene
 from ..faces import logo_names
 from ..files.errors import InputError
@@ -20,7 +21,6 @@ from ..preferences import chosen_python, user_folder
 from ..properties import settings_of
 from ..samples import CLOTHES, add_people
 from .base import BodyOperator, CloakOperator, push_undo
-from .cursor import progress_cursor
 
 
 class CLOAK_OT_subdivide(BodyOperator):

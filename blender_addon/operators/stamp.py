@@ -11,10 +11,10 @@ from bpy.props import EnumProperty
 
 from .. import faces, stamp
 from ..body import require_upright
+from ..cursor import progress_cursor
 from ..files.errors import InputError
 from ..properties import settings_of
 from .base import BodyOperator
-from .cursor import progress_cursor
 from .logo import active_logo
 
 

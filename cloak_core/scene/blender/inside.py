@@ -57,8 +57,11 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
     scene = bpy.context.scene
     objects = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get()]
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
-    poses, first = [], None
+    poses, first, played = [], None, first_simulated(objects)
     for moment in moments.tolist():
+        for frame in range(moment if played is None else played, moment):
+            scene.frame_set(frame)
+            played = frame + 1
         scene.frame_set(moment)
         graph = bpy.context.evaluated_depsgraph_get()
         parts = [mesh_arrays(obj, graph) for obj in objects]
@@ -76,6 +79,15 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
             raise Refused(f"frame {moment} has another topology than frame {moments[0]}")
     pictures = {f"picture_{n}": pixels for n, pixels in enumerate(PICTURES.values())}
     return {"poses": np.stack(poses) * scene.unit_settings.scale_length, **first, **pictures}
+
+
+def first_simulated(objects: list[bpy.types.Object]) -> int | None:
+    """The frame from which on every frame must be played, as how something lies may follow from the frames before; None
+    where nothing is simulated."""
+    modifiers = [modifier for obj in objects for modifier in obj.modifiers]
+    starts = [m.point_cache.frame_start for m in modifiers if m.type in ("CLOTH", "SOFT_BODY")]
+    starts += [bpy.context.scene.frame_start for m in modifiers if m.type == "NODES"]
+    return min(starts, default=None)
 
 
 def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, np.ndarray]:
