@@ -94,9 +94,15 @@ def activate(obj: bpy.types.Object, name: str) -> None:
     attributes.render_color_index = attributes.active_color_index
 
 
+def shown_attribute(obj: bpy.types.Object) -> str:
+    """The colour attribute that viewports show; "" for none."""
+    name = obj.data.color_attributes.active_color_name
+    return name if name in obj.data.color_attributes else ""  # Blender 5.2 goes on naming one that was removed
+
+
 def shows_heat(obj: bpy.types.Object) -> bool:
-    """Whether the heat map is the colour attribute that viewports show."""
-    return obj.data.color_attributes.active_color_name == HEATMAP
+    """Whether the heat map is what viewports show."""
+    return shown_attribute(obj) == HEATMAP
 
 
 def hide_heat(context: bpy.types.Context, obj: bpy.types.Object, cloaked: bool) -> None:

@@ -89,6 +89,7 @@ def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
     """Object Mode during the block; selection and hiding come along."""
     editing = obj.mode == "EDIT"
     if editing:
+        edited(obj)
         bpy.ops.object.mode_set(mode="OBJECT")
     try:
         yield

@@ -248,9 +248,8 @@ def _sees_heat(obj: bpy.types.Object) -> bool:
 def _wears_cloak(obj: bpy.types.Object) -> bool:
     """While trained colours or a heat map are shown, a tint over them would falsify them."""
     shading = bpy.context.space_data.shading
-    shown = obj.data.color_attributes.active_color_name
     if shading.type == "SOLID":
-        return shading.color_type == "VERTEX" and shown in (colors.CLOAK, colors.HEATMAP)
+        return shading.color_type == "VERTEX" and colors.shown_attribute(obj) in (colors.CLOAK, colors.HEATMAP)
     return colors.is_dressed(obj)
 
 

@@ -8,6 +8,7 @@ object other faces, its triangles are exported as evaluated and its faces as its
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -74,7 +75,9 @@ def _bodies_and_garments(
     poses = list_poses(obj, choice)
     frames: list[list[Part]] = []
     play_from = first_frame(context.scene, objects)
-    with visit(context, obj, play_from) as go, progress_cursor(context) as show:
+    # Detector's Eye exports one pose again and again, which the pointer need not tell.
+    pointer = progress_cursor(context) if len(poses) > 1 else nullcontext(lambda fraction: None)
+    with visit(context, obj, play_from) as go, pointer as show:
         go(poses[0])
         graph = context.evaluated_depsgraph_get()
         with numbered_faces([o for o in wearing if changes_faces(o, graph)]):

@@ -15,6 +15,8 @@ FRONT = (0.1, -0.24, 0.95)
 
 def stroke(*dabs: tuple[tuple[float, float, float], float]) -> list[dict]:
     keys = {"name": "", "mouse": (0, 0), "mouse_event": (0, 0), "pressure": 1, "x_tilt": 0, "y_tilt": 0, "time": 0}
+    if "pen_flip" in bpy.types.OperatorStrokeElement.bl_rna.properties:  # Blender 4.3 asks for it
+        keys["pen_flip"] = False
     return [keys | {"location": place, "size": radius, "is_start": not i} for i, (place, radius) in enumerate(dabs)]
 
 
