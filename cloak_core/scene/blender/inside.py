@@ -57,11 +57,12 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
     scene = bpy.context.scene
     objects = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get()]
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
-    poses, first, played = [], None, first_simulated(objects)
+    poses, first, ahead = [], None, first_simulated(objects)
     for moment in moments.tolist():
-        for frame in range(moment if played is None else played, moment):
-            scene.frame_set(frame)
-            played = frame + 1
+        if ahead is not None:
+            for frame in range(ahead, moment):
+                scene.frame_set(frame)
+            ahead = moment + 1
         scene.frame_set(moment)
         graph = bpy.context.evaluated_depsgraph_get()
         parts = [mesh_arrays(obj, graph) for obj in objects]
