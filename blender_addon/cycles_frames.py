@@ -21,9 +21,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from .body import blender_axes
-from .colors import nodes_of, srgb_to_linear
-from .render_check import set_up
+from .blender.colors import nodes_of, srgb_to_linear
+from .body.objects import blender_axes
+from .result.render_check import set_up
 
 COLORS = "colors"
 

@@ -7,16 +7,27 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 
-from . import blend_paths
-from .blend_paths import RELATIVE, absolute, blend_folder
-from .command_lines import TrainRequest
-from .faces import is_logo, logo_names
+from .blender import blend_paths
+from .blender.blend_paths import RELATIVE, absolute, blend_folder
+from .blender.colors import set_look
+from .blender.faces import is_logo, logo_names
 from .files.errors import InputError
-from .judging import CloakJudging
-from .poses import PoseChoice
-from .preferences import user_folder
+from .poses.poses import PoseChoice
+from .result.judging import CloakJudging
+from .session import session
+from .trainer.command_lines import TrainRequest
+from .trainer.preferences import user_folder
+from .training.detectors import CloakDetector, existing, take_over, trained_against
 
 
 def _share(name: str, description: str, default: float, least: float = 0.0, most: float = 1.0) -> object:
@@ -29,6 +40,10 @@ def _path(name: str, description: str, subtype: str = "FILE_PATH") -> object:
 
 def _text(name: str, description: str, default: str = "") -> object:
     return StringProperty(name=name, description=description, default=default)
+
+
+def _earlier(default: str = "") -> object:
+    return StringProperty(default=default, options={"HIDDEN"})
 
 
 def _switch(name: str, description: str, default: bool = False) -> object:
@@ -57,19 +72,26 @@ def _set_logo_index(self: CloakObject, index: int) -> None:
         self.logo = attributes[index].name
 
 
-_runs: dict[int, str] = {}
-"""The run folder that an object was last given in this session, by the object's session_uid."""
-
-
 def _remember_run(self: CloakObject, context: bpy.types.Context) -> None:
-    _runs[self.id_data.session_uid] = self.run
+    session.given_runs[self.id_data.session_uid] = self.run
+    self.run_place = absolute(self.run)
+
+
+def _scene_changed(self: CloakObject, context: bpy.types.Context) -> None:
+    session.mesh_changes += 1
+
+
+def _look_chosen(self: CloakSettings, context: bpy.types.Context) -> None:
+    for obj in bpy.data.objects:
+        if obj.type == "MESH" and obj.data.library is None:
+            set_look(obj, self.look)
 
 
 @persistent
 def give_runs_back(*_: object) -> None:
     """After undo and redo: a training goes on whatever is undone, so objects keep theirs."""
     for obj in bpy.data.objects:
-        run = _runs.get(obj.session_uid)
+        run = session.given_runs.get(obj.session_uid)
         if run is not None and obj.library is None and obj.cloak.run != run:
             obj.cloak.run = run
 
@@ -90,6 +112,14 @@ class CloakObject(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options={"ANIMATABLE"} | RELATIVE,
         update=_remember_run,
+    )
+    run_place: _text("Run's Place", "The run folder as it lies on the disk, should the file be appended to another")
+    worn: _text("Worn Run", "Folder of the run whose colours are on the model")
+    left_out: BoolProperty(
+        name="Leave Out",
+        description="The camera does not see this piece, in training, judging and films",
+        default=False,
+        update=_scene_changed,
     )
     verdict: _text("Render Check", "What the detector said about the Cycles renders")
     made_from: _text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
@@ -153,24 +183,19 @@ class CloakSettings(bpy.types.PropertyGroup):
     frame_start: _whole("Start", "First frame to export", 1)
     frame_end: _whole("End", "Last frame to export", 12)
     frame_step: _whole("Step", "Frames from one exported pose to the next", 1, min=1)
-    clothing: _switch(
-        "Include Clothing", "Export visible meshes parented to the body, or moved by its armature, as clothing"
-    )
 
-    detector: _choice(
-        "Detector",
-        "The person detector to hide from",
-        ("BUILTIN", "Built-in", "The small YOLOv2-family detector that comes with Cloak"),
-        ("DARKNET", "Darknet Files", "A YOLO network from its .cfg and .weights files"),
-        ("TORCHVISION", "Torchvision", "A torchvision detector by name, with its checkpoint"),
-        ("PYTHON", "Python Module", "A function in a Python file that makes a detector"),
+    detectors: CollectionProperty(name="Detectors", description="The person detectors to hide from", type=CloakDetector)
+    detector_index: IntProperty(name="Detector", description="The detector that is chosen in the list")
+    # How files of version 0.1 say it; `take_over` puts it into the list.
+    detector: EnumProperty(
+        items=[(name, name, "") for name in ("BUILTIN", "DARKNET", "TORCHVISION", "PYTHON")], options={"HIDDEN"}
     )
-    darknet_cfg: _path("Config", "Darknet .cfg file")
-    darknet_weights: _path("Weights", "Darknet .weights file")
-    torchvision_name: _text("Model", "Name of a torchvision detector", "fasterrcnn_mobilenet_v3_large_fpn")
-    torchvision_checkpoint: _path("Checkpoint", "File with the model's weights")
-    python_file: _path("File", "Python file that makes the detector (it will be run)")
-    python_function: _text("Function", "Function in that file that returns the detector", "load")
+    darknet_cfg: _earlier()
+    darknet_weights: _earlier()
+    torchvision_name: _earlier("fasterrcnn_mobilenet_v3_large_fpn")
+    torchvision_checkpoint: _earlier()
+    python_file: _earlier()
+    python_function: _earlier("load")
     backgrounds: _path("Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH")
     preset: _choice(
         "Preset",
@@ -197,6 +222,19 @@ class CloakSettings(bpy.types.PropertyGroup):
         "folder while the file was never saved",
         "DIR_PATH",
     )
+    look: EnumProperty(
+        name="Material",
+        description="What the cloak is shown with",
+        items=[
+            ("SEEN", "As Detectors Saw", "Unlit: every colour is the trained one, whatever the light"),
+            (
+                "LOOKDEV",
+                "Lookdev",
+                "A matte cloth that light falls on: for pictures, not for judging",
+            ),
+        ],
+        update=_look_chosen,
+    )
     live: _switch("Live Colours", "Show the colours on the model while they are being trained", default=True)
     live_seconds: FloatProperty(
         name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
@@ -222,42 +260,14 @@ def train_request(settings: CloakSettings) -> TrainRequest:
     if backgrounds and not Path(backgrounds).is_dir():
         raise InputError(f"Backgrounds folder {backgrounds} does not exist")
     return TrainRequest(
-        detector=detector_spec(settings),
+        detectors=trained_against(settings),
         backgrounds=backgrounds,
         angles=f"{settings.angle_first}:{settings.angle_last}:{settings.angle_step}",
         preset=settings.preset,
         steps=settings.steps,
         device=settings.device,
-        config=_file(settings.config, "Settings File") if settings.config else "",
+        config=existing(settings.config, "Settings File") if settings.config else "",
     )
-
-
-def detector_spec(settings: CloakSettings) -> str:
-    """The detector as the trainer's command line names it."""
-    if settings.detector == "DARKNET":
-        cfg = _file(settings.darknet_cfg, "Detector > Config")
-        return f"darknet:{cfg}:{_file(settings.darknet_weights, 'Detector > Weights')}"
-    if settings.detector == "TORCHVISION":
-        name = settings.torchvision_name.strip()
-        if not name:
-            raise InputError("Detector > Model is empty: name a torchvision detector")
-        checkpoint = settings.torchvision_checkpoint and _file(settings.torchvision_checkpoint, "Detector > Checkpoint")
-        return f"torchvision:{name}" + (f":{checkpoint}" if checkpoint else "")
-    if settings.detector == "PYTHON":
-        function = settings.python_function.strip()
-        if not function:
-            raise InputError("Detector > Function is empty: name the function that makes the detector")
-        return f"python:{_file(settings.python_file, 'Detector > File')}:{function}"
-    return "builtin"
-
-
-def _file(path: str, label: str) -> str:
-    if not path:
-        raise InputError(f"{label} is empty: choose a file")
-    found = absolute(path)
-    if not Path(found).is_file():
-        raise InputError(f"{label}: {found} does not exist")
-    return found
 
 
 def output_folder(settings: CloakSettings) -> Path:
@@ -269,8 +279,8 @@ def output_folder(settings: CloakSettings) -> Path:
     return Path(absolute(settings.output))
 
 
-HANDLERS = (("undo_post", give_runs_back), ("redo_post", give_runs_back))
-CLASSES = (CloakObject, CloakJudging, CloakSettings)
+HANDLERS = (("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over))
+CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 
 
 def register() -> None:

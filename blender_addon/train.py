@@ -32,16 +32,18 @@ if not __package__:
     _spec.loader.exec_module(sys.modules[_spec.name])
     __package__ = _spec.name
 
-from . import cycles_frames, properties, render_check, runs
-from .body import add_from_scene, require_body, subdivide
-from .command_lines import TrainRequest, absolute_detector, differing_options, sample_command, train_command
+from . import cycles_frames, properties
+from .blender.faces import import_face_list, logo_names
+from .body.objects import add_from_scene, require_body, subdivide
 from .exchange.scenes import read_scene
-from .faces import import_face_list, logo_names
 from .files.errors import InputError
-from .jobs import Job, TrainingJob
-from .poses import PoseChoice
-from .scene_export import export, read_export
-from .trainer_python import find_python
+from .poses.export import export, read_export
+from .poses.poses import PoseChoice
+from .result import render_check
+from .trainer.command_lines import TrainRequest, absolute_detector, differing_options, sample_command, train_command
+from .trainer.jobs import Job, TrainingJob
+from .trainer.python import find_python
+from .training import runs
 
 PRINT_SECONDS = 2.0
 PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
@@ -72,7 +74,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     add("--keep-quads", action="store_true", help="with --subdivide: do not triangulate")
     add("--frames", default="", metavar="A:B:STEP", help="frames to train on (default: the current pose)")
     add("--actions", type=int, default=0, metavar="STEP", help="train on every STEP-th frame of all actions")
-    add("--clothing", action="store_true", help="include visible meshes parented to the body")
+    add("--clothing", action="store_true", help="has no effect: what is visible on the body is seen")
+    add("--leave-out", default="", metavar="NAMES", help="visible meshes on the body not to show the camera, A,B")
     add("--detector", default="builtin", help="as in cloak train")
     add("--backgrounds", default="", help="folder of images, or procedural")
     add("--angles", default="-10:10:5", help="azimuths in degrees, A:B:STEP")
@@ -114,7 +117,7 @@ def request_of(options: argparse.Namespace) -> TrainRequest:
     if backgrounds and Path(backgrounds).is_dir():
         backgrounds = str(Path(backgrounds).absolute())
     detector = absolute_detector(options.detector)
-    return TrainRequest(detector, backgrounds, options.angles, options.preset, options.steps, options.device, config)
+    return TrainRequest((detector,), backgrounds, options.angles, options.preset, options.steps, options.device, config)
 
 
 def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
@@ -183,13 +186,15 @@ def main(arguments: list[str]) -> None:
         if not options.blend.is_file():
             raise InputError(f"--blend {options.blend}: no such file")
         bpy.ops.wm.open_mainfile(filepath=str(options.blend.absolute()))
-    if not hasattr(bpy.types.Object, "cloak"):
-        properties.register()
     python = find_python(options.python)
     obj = find_body(options, python, Path(bpy.app.tempdir))
     logo = options.logo
     if logo.endswith(".npy"):
         logo = import_face_list(obj, Path(logo))
+    for name in filter(None, options.leave_out.split(",")):
+        if name not in bpy.data.objects:
+            raise InputError(f"--leave-out {name}: no such object in the file")
+        bpy.data.objects[name].cloak.left_out = True
     request = request_of(options)
     train(options, obj, logo, python, request, run)
     obj.cloak.run = str(run)
@@ -213,11 +218,11 @@ def train(
     else:
         if folder.exists() and not run.exists():
             runs.remove(run)  # what a start left that failed before the training began
-        done = export(bpy.context, obj, logo, choice_of(options), folder, options.clothing)
+        done = export(bpy.context, obj, logo, choice_of(options), folder)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
     command = train_command(python, words, done.scene, done.face_list, run)
-    job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder)
+    job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder).start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: job.cancel())
     said, last = "", 0.0
@@ -254,6 +259,8 @@ def say(text: str) -> None:
 def run_as_script(arguments: list[str]) -> int:
     """`main` with its outcome as an exit code."""
     try:
+        if not hasattr(bpy.types.Object, "cloak"):  # what a .blend file keeps of ours is read only then
+            properties.register()
         if arguments[:1] == ["render-check"]:
             render_check.run_plan(Path(arguments[1]))
         elif arguments[:1] == ["cycles-frames"]:

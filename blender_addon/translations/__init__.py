@@ -1,28 +1,71 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on in other languages, through Blender's own mechanism: labels, tooltips, menus.
+"""The add-on in German and French: labels and tooltips through Blender's own mechanism, sentences by their pattern.
 
-What the add-on says in sentences with names and numbers in them (messages, reasons) stays English.
+Everything is said in English where it happens, so logs, tests and programs without a window read one language. What is
+shown passes `said`, which knows a sentence again by the pattern in `words.toml` that it was made from.
 """
 
 from __future__ import annotations
 
+import functools
+import re
+import tomllib
+from pathlib import Path
+
 import bpy
 
-from .french import WORDS as FRENCH
-from .german import WORDS as GERMAN
-
-LANGUAGES = {"de_DE": GERMAN, "fr_FR": FRENCH}
+LANGUAGES = {"de_DE": "de", "fr_FR": "fr"}
 CONTEXTS = ("*", "Operator")
 """Blender looks up what stands on an operator's button apart from everything else."""
+
+
+@functools.cache
+def words() -> dict[str, dict[str, str]]:
+    """Every text, and how it is said in "de" and "fr"."""
+    return tomllib.loads(Path(__file__).with_name("words.toml").read_text("utf-8"))
 
 
 def dictionaries() -> dict[str, dict[tuple[str, str], str]]:
     """What Blender is told: for each language's name, (context, text) and what is shown; Blender 5 has short names."""
     return {
-        name: {(context, text): said for text, said in words.items() for context in CONTEXTS}
-        for language, words in LANGUAGES.items()
-        for name in (language, language[:2])
+        name: {(context, text): told[short] for text, told in words().items() for context in CONTEXTS}
+        for language, short in LANGUAGES.items()
+        for name in (language, short)
     }
+
+
+# --- sentences with names and numbers in them -------------------------------------------------------------------------
+
+
+def said(sentence: str) -> str:
+    """A sentence in the language of Blender's interface; as it is where nobody translated it."""
+    language = bpy.app.translations.locale[:2]
+    view = bpy.context.preferences.view
+    if language not in LANGUAGES.values() or not view.use_translate_interface:
+        return sentence
+    return translate(sentence, language)
+
+
+@functools.lru_cache(2048)
+def translate(sentence: str, language: str) -> str:
+    """A sentence in "de" or "fr", with whatever it is told about put where that language wants it."""
+    if sentence in words():
+        return words()[sentence][language]
+    for pattern, text in _patterns():
+        found = pattern.fullmatch(sentence)
+        if found:
+            quoted = [before.endswith("'") for before in text.split("{}")]  # names of the user's stay as they are
+            parts = [p if q else translate(p, language) for p, q in zip(found.groups(), quoted, strict=False)]
+            return words()[text][language].format(*parts)
+    return sentence
+
+
+@functools.cache
+def _patterns() -> list[tuple[re.Pattern, str]]:
+    """Texts with gaps as patterns, those that begin with words, and with the most, first."""
+    gaps = [text for text in words() if "{}" in text]
+    gaps.sort(key=lambda text: (text != "{}, after {}", text.startswith("{}"), -len(text.replace("{}", ""))))
+    return [(re.compile("(.+?)".join(map(re.escape, text.split("{}"))), re.DOTALL), text) for text in gaps]
 
 
 def register() -> None:

@@ -59,7 +59,7 @@ def pytest_configure() -> None:
 @pytest.fixture(autouse=True)
 def fresh_file():
     """An empty scene before each test, no torch and no running job after it."""
-    from cloak import jobs
+    from cloak.trainer import jobs
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     yield
@@ -81,7 +81,7 @@ def make_launcher(folder: Path, path: list[Path], python: str = sys.executable) 
 @pytest.fixture
 def stub(tmp_path: Path) -> Path:
     """The stub trainer's Python, under a path with spaces and letters beyond ASCII; chosen in the preferences."""
-    from cloak.preferences import preferences
+    from cloak.trainer.preferences import preferences
 
     launcher = make_launcher(tmp_path / "Bücher & Straße 素材", [STUB])
     preferences().python = str(launcher)
@@ -99,20 +99,21 @@ def run_job(seconds: float = 60):
     """Let the current job end, as Blender's timer would."""
     import time
 
-    from cloak import jobs
+    from cloak.session import session
+    from cloak.trainer import jobs
 
     until = time.monotonic() + seconds
     while jobs.tick() is not None:
-        assert time.monotonic() < until, jobs.current.describe()
+        assert time.monotonic() < until, session.job.describe()
         time.sleep(0.02)
-    return jobs.current
+    return session.job
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 20) -> None:
+def wait_for(condition: Callable[[], object], seconds: float = 60) -> None:
     """Let time pass, as Blender's timer would, until the condition holds."""
     import time
 
-    from cloak import jobs
+    from cloak.trainer import jobs
 
     until = time.monotonic() + seconds
     while not condition():
@@ -124,7 +125,7 @@ def wait_for(condition: Callable[[], object], seconds: float = 20) -> None:
 @pytest.fixture
 def ready(stub: Path, tmp_path: Path) -> bpy.types.Object:
     """A body with a logo, and settings for a short run into a folder with a difficult name."""
-    from cloak import faces
+    from cloak.blender import faces
     from made import make_egg
 
     obj = make_egg()
@@ -142,26 +143,27 @@ def folder_of(obj: bpy.types.Object) -> Path:
 
 def elsewhere(folder: Path, *lines: str) -> subprocess.CompletedProcess:
     """Let another Blender, which has the add-on and the same trainer, run a script."""
-    from cloak.preferences import preferences
+    from cloak.trainer.preferences import preferences
 
     script = folder / "elsewhere.py"
     python = f"bpy.context.preferences.addons[{MODULE!r}].preferences.python = {preferences().python!r}"
     first = ("import bpy, os, time", f"bpy.ops.preferences.addon_enable(module={MODULE!r})", python)
-    script.write_text("\n".join((*first, f"from {MODULE} import jobs", *lines)))
+    imports = (f"from {MODULE}.trainer import jobs", f"from {MODULE}.session import session")
+    script.write_text("\n".join((*first, *imports, *lines)))
     return subprocess.run(blender_command(script), capture_output=True, text=True, timeout=250, check=False)
 
 
 TRAIN_THERE = """
 bpy.ops.cloak.train_start()
-while jobs.current.progress.step < 2:
+while session.job.progress.step < 2:
     jobs.tick(); time.sleep(0.01)
-print("trainer is process", jobs.current._process.pid, flush=True)
+print("trainer is process", session.job._process.pid, flush=True)
 """
 
 
 def red_faces(obj: bpy.types.Object) -> list[int]:
     """The faces in the stub's trained colour."""
-    from cloak import colors
+    from cloak.blender import colors
 
     return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()
 

@@ -84,7 +84,7 @@ def set_mode(mode: str) -> None:
 
 def select_only(obj: bpy.types.Object, ids) -> None:
     """Select faces in Edit Mode and stay there."""
-    from cloak import faces
+    from cloak.blender import faces
 
     mask = np.zeros(len(obj.data.polygons), bool)
     mask[list(ids)] = True

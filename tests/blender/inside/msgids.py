@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 import cloak
-from cloak import tools
+from cloak.logo import tools
 
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
@@ -22,7 +22,7 @@ def msgids() -> list[str]:
 
 
 def of_classes() -> Iterator[str]:
-    for cls in (*cloak.CLASSES, *cloak.properties.CLASSES, *cloak.run_list.CLASSES):
+    for cls in (*cloak.CLASSES, *cloak.properties.CLASSES, *cloak.training.run_list.CLASSES):
         rna = cls.bl_rna
         if issubclass(cls, bpy.types.Operator):
             rna = getattr(bpy.ops.cloak, cls.bl_idname.removeprefix("cloak.")).get_rna_type()
@@ -56,3 +56,26 @@ def _texts(node: ast.AST) -> Iterator[str]:
     elif isinstance(node, ast.BoolOp):
         for value in node.values:
             yield from _texts(value)
+
+
+def sentences() -> list[str]:
+    """What `InputError` is told and what the reasons of the panel return, with {} for whatever they are about."""
+    found = {}
+    for path in sorted(ROOM.rglob("*.py")):
+        rooms = path.relative_to(ROOM).parts
+        if rooms[0] in ("files", "exchange") or path.name in ("train.py", "cycles_frames.py", "remote.py"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError":
+                found |= {_pattern(node.args[0]): None}
+            elif isinstance(node, ast.Return) and path.name == "reasons.py" and isinstance(node.value, ast.Constant):
+                found |= {_pattern(node.value): None}
+    return [text for text in found if text and sum(map(str.isalpha, text)) > 5]
+
+
+def _pattern(node: ast.AST) -> str:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(v.value if isinstance(v, ast.Constant) else "{}" for v in node.values)
+    return ""

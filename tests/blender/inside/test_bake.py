@@ -3,7 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import bake, colors
+from cloak.blender import colors
+from cloak.result import bake
 from made import make_egg
 
 
@@ -54,10 +55,32 @@ def test_texels_are_shared_out_exactly():
     assert not bake.rasterize(places + 5, np.array([0, 1, 2]), 8)[1].any()
 
 
+def test_a_map_of_its_own_where_there_is_none_or_too_little_room():
+    obj, trained = dressed_egg()
+    bpy.ops.cloak.bake(size=256)
+    pixels = np.array(bpy.data.images["Body cloak"].pixels[:], np.float32).reshape(256, 256, 4)
+    assert [layer.name for layer in obj.data.uv_layers] == [bake.OWN_MAP]
+    assert bake.faces_off(obj.data, bake.OWN_MAP, pixels, trained) == 0
+    corners = np.array([uv.vector for uv in obj.data.uv_layers[bake.OWN_MAP].uv])
+    x, y = (corners * 256).astype(int).T
+    own = np.repeat(trained, [len(p.vertices) for p in obj.data.polygons], axis=0)
+    assert np.abs(pixels[y, x, :3] - own).max() < 1.01 / 255, "up to its corners"
+    other, trained = dressed_egg()
+    unwrap(other)
+    layer = other.data.uv_layers.active
+    for uv in layer.uv:
+        uv.vector = uv.vector * 0.01
+    done = bake.bake(other, 256)
+    assert (done.uv_map, done.off) == (bake.OWN_MAP, 0) and done.off_before > 200
+    assert other.data.uv_layers.active.name == "UV", "the user's map stays the active one"
+    nodes = bake.baked_material(done.image, done.uv_map).node_tree.nodes
+    assert [node.uv_map for node in nodes if node.bl_idname == "ShaderNodeUVMap"] == [bake.OWN_MAP]
+
+
 def test_what_is_missing_is_said():
     make_egg(8)
     with pytest.raises(RuntimeError, match="Train, or load colours, first"):
         bpy.ops.cloak.bake()
     dressed_egg()
-    with pytest.raises(RuntimeError, match="no UV map: unwrap it first"):
-        bpy.ops.cloak.bake()
+    with pytest.raises(RuntimeError, match="faces need at least 51 texels along each side: raise Size"):
+        bpy.ops.cloak.bake(size=48)

@@ -3,10 +3,12 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, faces, steps
+from cloak.blender import faces
+from cloak.blender.mesh_arrays import read
+from cloak.body import objects as body
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
-from cloak.mesh_arrays import read
+from cloak.poses.reasons import poses_reason
 from conftest import run_job
 from made import add_ngons, link, make_egg, set_mode
 
@@ -55,7 +57,7 @@ def test_mirrored_and_flattened_bodies_are_refused():
     bpy.context.view_layer.update()
     with pytest.raises(InputError, match=r"negative scale.*apply it"):
         body.require_upright(obj)
-    assert "negative scale" in steps.poses_reason(bpy.context)
+    assert "negative scale" in poses_reason(bpy.context)
     obj.scale.x = 0
     bpy.context.view_layer.update()
     with pytest.raises(InputError, match="scaled to nothing"):
@@ -183,8 +185,8 @@ def made_bodies() -> Bodies:
 
 
 def test_a_scene_becomes_a_body_and_back():
-    from cloak.poses import PoseChoice
-    from cloak.scene_export import export_bodies
+    from cloak.poses.export import export_bodies
+    from cloak.poses.poses import PoseChoice
 
     bodies = made_bodies()
     obj = body.add_from_scene(bpy.context, bodies)

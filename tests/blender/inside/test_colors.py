@@ -3,10 +3,13 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, colors, faces, runs, steps
+from cloak.blender import colors, faces
+from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
+from cloak.result.reasons import result_reason
+from cloak.training import runs
 from made import add_ngons, make_egg, set_mode
 
 
@@ -29,7 +32,7 @@ def test_conversion_is_the_standard_and_its_own_inverse():
 
 @pytest.mark.parametrize("engine", ["BLENDER_WORKBENCH", "CYCLES"])
 def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
-    """A flat patch of random colours, seen squarely: Workbench as in Solid view; Cycles as emission."""
+    """A flat patch of random colours, seen squarely under a bright world: in Solid view, and in Cycles."""
     rng = np.random.default_rng(1)
     side = 16
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=side, y_subdivisions=side, size=2)
@@ -47,12 +50,10 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
     scene.render.filepath = str(tmp_path / "patch.png")
     scene.render.dither_intensity = 0  # it adds noise of half a level
     colors.use_standard_view(scene)
+    scene.world = bpy.data.worlds.new("white")
+    scene.world.color = (1, 1, 1)
     if engine == "CYCLES":
         scene.cycles.samples, scene.cycles.device, scene.cycles.use_denoising = 4, "CPU", False
-        nodes, links = obj.data.materials["Cloak"].node_tree.nodes, obj.data.materials["Cloak"].node_tree.links
-        glow = nodes.new("ShaderNodeEmission")
-        links.new(next(n for n in nodes if n.type == "VERTEX_COLOR").outputs["Color"], glow.inputs["Color"])
-        links.new(glow.outputs[0], next(n for n in nodes if n.type == "OUTPUT_MATERIAL").inputs["Surface"])
     else:
         scene.display.shading.light, scene.display.shading.color_type = "FLAT", "VERTEX"
         scene.display.render_aa = "OFF"
@@ -64,6 +65,19 @@ def test_a_render_shows_the_trained_colours_within_one_level(tmp_path, engine):
     centers = np.array([p.center[:2] for p in obj.data.polygons])
     order = np.lexsort((centers[:, 0], np.round(centers[:, 1], 3)))
     assert np.abs(seen - wanted[order]).max() <= 1.001 / 255
+
+
+def test_two_materials_named_for_what_they_show(tmp_path):
+    obj = make_egg(8)
+    runs.import_colors(bpy.context, obj, made_run(tmp_path, obj, np.array([3]), np.float32([[1, 0, 0]])))
+    kinds = lambda: {node.type for node in obj.material_slots[-1].material.node_tree.nodes}
+    assert obj.material_slots[-1].material.name == "Cloak as Detectors Saw"
+    assert "EMISSION" in kinds() and "BSDF_PRINCIPLED" not in kinds()
+    bpy.context.scene.cloak.look = "LOOKDEV"
+    assert obj.material_slots[-1].material.name == "Cloak Lookdev" and "BSDF_PRINCIPLED" in kinds()
+    assert colors.is_dressed(obj) and len(obj.material_slots) == 2
+    colors.undress(obj)
+    assert not colors.is_dressed(obj)
 
 
 def test_agx_is_told_and_standard_offered():
@@ -98,7 +112,7 @@ def test_colours_reach_exactly_the_logos_faces(tmp_path):
     rest = np.setdiff1d(np.arange(len(shown)), [3, 4, 50])
     assert np.allclose(shown[rest], own[rest], atol=1e-5)
     slots = [obj.material_slots[p.material_index].material.name for p in obj.data.polygons]
-    assert [i for i, name in enumerate(slots) if name == "Cloak"] == [3, 4, 50]
+    assert [i for i, name in enumerate(slots) if name == "Cloak as Detectors Saw"] == [3, 4, 50]
 
 
 def test_toggle_returns_the_original_materials(tmp_path):
@@ -140,7 +154,7 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     (run / "colors.npy").unlink()
     with pytest.raises(InputError, match="no colours yet"):
         runs.read_run(run)
-    assert "no colours yet" in steps.result_reason(bpy.context)
+    assert "no colours yet" in result_reason(bpy.context)
 
 
 def test_edit_mode_is_said(tmp_path):

@@ -5,9 +5,10 @@ import math
 import bpy
 import numpy as np
 import pytest
-from cloak import faces, placing, stamp
-from cloak.occlusion import seen
-from cloak.surface import read_surface
+from cloak.blender import faces
+from cloak.blender.occlusion import seen
+from cloak.blender.surface import read_surface
+from cloak.logo import placing, stamp
 from made import centers, make_egg, make_fine_egg, make_grid, set_mode
 from mathutils import Matrix
 

@@ -3,12 +3,17 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, colors, faces, garments, runs, scene_export, steps
+from cloak.blender import colors, faces
+from cloak.body import garments
+from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
-from cloak.poses import PoseChoice, list_poses, lying_warning
+from cloak.poses import export as scene_export
+from cloak.poses.poses import PoseChoice, list_poses, lying_warning
+from cloak.poses.reasons import export_summary, poses_reason
+from cloak.training import runs
 from made import add_ngons, make_egg, make_grid, set_mode
 
 NOW = PoseChoice()
@@ -139,24 +144,24 @@ def test_clothing_follows_the_body_and_keeps_its_faces_ids(tmp_path):
     shirt = make_egg(10, 1.0, "Shirt")
     shirt.modifiers.new("Subdivision", "SUBSURF").levels = 1  # clothing may
     stranger = make_egg(6, name="Stranger")
+    stranger.location.x = 3
     hidden = make_egg(6, name="Hidden")
     for worn in (shirt, hidden):
         worn.parent = obj
     hidden.hide_set(True)
     bpy.context.view_layer.objects.active = obj
     bpy.context.view_layer.update()
-    assert garments.clothing_of(obj) == [shirt] and stranger not in garments.clothing_of(obj)
+    assert garments.worn_by(obj) == [shirt] and stranger not in garments.worn_by(obj)
     count = len(obj.data.polygons)
     faces.new_logo(obj, "chest", np.arange(count) >= count - 5)
-    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input", with_clothing=True)
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
     bodies = read_scene(done.scene)
     shirt_faces = len(shirt.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons)
     assert bodies.face_count == count + shirt_faces == done.faces
     face_list = read_face_list(done.face_list, bodies)
     assert face_list.ids.tolist() == list(range(count - 5, count))
     assert done.topology == body.topology(obj) != bodies.topology
-    bpy.context.scene.cloak.clothing = True
-    assert "clothing: Shirt" in steps.export_summary(bpy.context)
+    assert "with Shirt" in export_summary(bpy.context)
 
 
 @pytest.mark.parametrize("levels", [0, 1])
@@ -173,11 +178,9 @@ def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
     faces.new_logo(shirt, "chest", np.isin(np.arange(len(shirt.data.polygons)), [7, 9, 80]))
     obj.cloak.logo = "chest"
     bpy.context.view_layer.update()
-    assert "Shirt has logo 'chest' too: Include Clothing" in steps.export_summary(bpy.context)
-    bpy.context.scene.cloak.clothing = True
-    assert "the logo goes on over Shirt" in steps.export_summary(bpy.context)
+    assert "the logo goes on over Shirt" in export_summary(bpy.context)
     run = tmp_path / "run"
-    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input", with_clothing=True)
+    done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "run.input")
     bodies, before = read_scene(done.scene), len(obj.data.polygons) + len(trousers.data.polygons)
     face_list = read_face_list(done.face_list, bodies)
     assert face_list.ids.tolist() == [3, 50, before + 7, before + 9, before + 80]
@@ -211,7 +214,7 @@ def test_clothing_on_the_same_armature_is_found():
     shirt.modifiers.new("Armature", "ARMATURE").object = armature
     bpy.context.view_layer.objects.active = obj
     bpy.context.view_layer.update()
-    assert garments.clothing_of(obj) == [shirt]
+    assert garments.worn_by(obj) == [shirt]
 
 
 # --- colours of the body ---------------------------------------------------------------------------------------------
@@ -253,11 +256,11 @@ def test_sizes_that_no_camera_sees_are_said_in_step_3(scale, words):
     obj = make_egg()
     obj.scale = (scale,) * 3
     bpy.context.view_layer.update()
-    assert words in steps.poses_reason(bpy.context) and "Unit Scale" in steps.poses_reason(bpy.context)
+    assert words in poses_reason(bpy.context) and "Unit Scale" in poses_reason(bpy.context)
     with pytest.raises(InputError, match=words):
         export(obj)
     bpy.context.scene.unit_settings.scale_length = 1 / scale  # modelled in other units
-    assert steps.poses_reason(bpy.context) == "" and export(obj).pose_count == 1
+    assert poses_reason(bpy.context) == "" and export(obj).pose_count == 1
 
 
 def test_a_body_that_lies_is_said():
@@ -266,7 +269,7 @@ def test_a_body_that_lies_is_said():
     obj.rotation_euler.x = np.pi / 2
     bpy.context.view_layer.update()
     assert "lies: it is 1.8 m long and 500 mm high" in lying_warning(obj)
-    assert steps.poses_reason(bpy.context) == ""  # said, not refused
+    assert poses_reason(bpy.context) == ""  # said, not refused
 
 
 def test_a_pose_that_is_not_finite_is_named():

@@ -9,8 +9,10 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
-from cloak import eye, eye_drawing, jobs, onlooker, viewpoints
 from cloak.files.errors import InputError
+from cloak.result import eye, eye_drawing, viewpoints
+from cloak.session import session
+from cloak.trainer import jobs, onlooker
 from conftest import folder_of, run_job
 from made import add_camera, set_mode
 from mathutils import Matrix, Vector
@@ -79,7 +81,7 @@ def watch(until, seconds: float = 20) -> None:
     """Let the eye look, as Blender's timer would."""
     end = time.monotonic() + seconds
     while not until():
-        assert time.monotonic() < end and eye.current is not None, eye.closed_because or eye.current.message
+        assert time.monotonic() < end and session.eye is not None, session.eye_closed_because or session.eye.message
         eye.tick()
         time.sleep(0.02)
 
@@ -93,8 +95,8 @@ def open_eye(dressed):
     bpy.context.scene.cloak.judging.eye_from = "CAMERA"
     add_camera((0, -3, 0.9))
     bpy.ops.cloak.eye()
-    watch(lambda: eye.current.seen is not None)
-    yield eye.current
+    watch(lambda: session.eye.seen is not None)
+    yield session.eye
     eye.close_eye()
 
 
@@ -117,19 +119,19 @@ def test_the_eye_looks_before_while_and_after_a_training_runs(ready, monkeypatch
     add_camera((0, -3, 0.9))
     bpy.ops.cloak.eye()
     try:
-        watch(lambda: eye.current.seen is not None)
-        assert list(eye.current.seen.glances["builtin"]) == ["clothing"]
+        watch(lambda: session.eye.seen is not None)
+        assert list(session.eye.seen.glances["builtin"]) == ["clothing"]
         bpy.ops.cloak.train_start()
 
         def sees_the_cloak() -> bool:
             jobs.tick()
-            return "cloak" in eye.current.seen.glances["builtin"]
+            return "cloak" in session.eye.seen.glances["builtin"]
 
         watch(sees_the_cloak)
         assert jobs.busy()  # while it is being trained
         assert run_job().state == "done"
         told = asked()
-        watch(lambda: not eye.current.waiting)
+        watch(lambda: not session.eye.waiting)
         assert told["colors"] == str(folder_of(ready) / "colors.npy")
     finally:
         eye.close_eye()
@@ -174,16 +176,16 @@ def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
 def test_the_eye_ends_with_its_body_its_process_and_its_button(dressed, open_eye):
     process = open_eye._onlooker._process
     bpy.ops.cloak.eye()
-    assert eye.current is None and process.poll() is not None
+    assert session.eye is None and process.poll() is not None
     bpy.ops.cloak.eye()
-    process = eye.current._onlooker._process
+    process = session.eye._onlooker._process
     process.kill()
     process.wait()
-    assert eye.tick() is None and eye.current is None and "exit code -9" in eye.closed_because
+    assert eye.tick() is None and session.eye is None and "exit code -9" in session.eye_closed_because
     bpy.ops.cloak.eye()
-    assert eye.closed_because == ""
+    assert session.eye_closed_because == ""
     bpy.data.objects.remove(dressed)
-    assert eye.tick() is None and "is gone" in eye.closed_because
+    assert eye.tick() is None and "is gone" in session.eye_closed_because
 
 
 def test_an_answer_that_is_an_error_is_told(tmp_path, stub):

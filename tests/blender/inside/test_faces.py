@@ -5,9 +5,13 @@ import json
 import bpy
 import numpy as np
 import pytest
-from cloak import body, faces, overlay, steps
+from cloak.blender import faces
+from cloak.body import objects as body
+from cloak.body.reasons import logo_reason
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.files.errors import InputError
+from cloak.logo import overlay
+from cloak.session import session
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 
@@ -148,7 +152,7 @@ def test_empty_and_foreign_logos_are_refused_by_name():
     obj = make_egg()
     with pytest.raises(InputError, match="Logo 'chest' is on 'Other', not on 'Body': make 'Other' the active object"):
         faces.require_logo(obj, "chest")
-    assert "'Other' has one" in steps.logo_reason(bpy.context)
+    assert "'Other' has one" in logo_reason(bpy.context)
     with pytest.raises(InputError, match="has no logo 'x'"):
         faces.require_logo(obj, "x")
     with pytest.raises(RuntimeError, match="No faces selected"):
@@ -214,19 +218,18 @@ def test_export_of_many_faces_from_edit_mode(tmp_path):
 
 
 def test_the_heatmap_tells_how_far_it_is(stub, monkeypatch):
-    from cloak import jobs
     from conftest import run_job, wait_for
 
     make_egg()
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.heatmap()
-    wait_for(lambda: jobs.current.progress.step >= 3)
-    assert 0.3 < jobs.current.fraction < 1 and " left" in jobs.current.describe()
+    wait_for(lambda: session.job.progress.step >= 3)
+    assert 0.3 < session.job.fraction < 1 and " left" in session.job.describe()
     run_job()
 
 
 def test_the_heatmap_can_be_hidden_and_shown_again(stub):
-    from cloak import colors
+    from cloak.blender import colors
     from conftest import run_job
 
     obj = make_egg()

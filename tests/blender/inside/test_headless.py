@@ -7,8 +7,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import body, colors, faces, stamp
-from cloak.operators.heat import show_heat
+from cloak.blender import colors, faces
+from cloak.body import objects as body
+from cloak.logo import stamp
+from cloak.logo.heat import show_heat
 from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
 
@@ -158,12 +160,13 @@ def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_pa
 
 def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     """The add-on's command lines are those the trainer understands."""
-    from cloak import command_lines, trainer_python
     from cloak.exchange.scenes import read_scene, write_scene
     from cloak.files.reading import read_npy
-    from cloak.jobs import Job
-    from cloak.poses import PoseChoice
-    from cloak.scene_export import export_bodies
+    from cloak.poses.export import export_bodies
+    from cloak.poses.poses import PoseChoice
+    from cloak.trainer import command_lines
+    from cloak.trainer import python as trainer_python
+    from cloak.trainer.jobs import Job
 
     python = str(real_trainer)
 
@@ -178,7 +181,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     obj = body.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     write_scene(tmp_path / "one", export_bodies(bpy.context, obj, PoseChoice()))
-    request = command_lines.TrainRequest(f"python:{RED}:load", "procedural:train:2", "0:0:1")
+    request = command_lines.TrainRequest((f"python:{RED}:load",), "procedural:train:2", "0:0:1")
     command = command_lines.heatmap_command(python, request, tmp_path / "one", tmp_path / "heat.npy", tmp_path / "e")
     answer("Heatmap", [*command, "--pick", "0.1"])
     show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
@@ -189,5 +192,5 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     image = bpy.data.images.new("grey", 32, 32)
     image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
     image.save()
-    said = answer("Check", command_lines.check_command(python, request, tmp_path / "grey.png"))
+    said = answer("Check", command_lines.check_command(python, request.detectors[0], tmp_path / "grey.png"))
     assert 0 <= json.loads(said)["max_person"] <= 1

@@ -3,10 +3,13 @@
 import json
 
 import pytest
-from cloak import runs
 from cloak.files.errors import InputError
-from cloak.jobs import Job, TrainingJob
-from cloak.progress import Progress, take_event
+from cloak.session import session
+from cloak.trainer import jobs
+from cloak.trainer.jobs import Job, TrainingJob
+from cloak.trainer.progress import Progress, take_event
+from cloak.training import runs
+from conftest import run_job
 
 
 @pytest.mark.parametrize(
@@ -39,8 +42,8 @@ def test_a_job_runs_its_commands_in_order_and_stops_at_the_first_that_fails(tmp_
     job = Job("Bad", [[sys.executable, "-c", "import sys; sys.exit('boom')"], say("no")], tmp_path, "bad").wait()
     assert (job.state, job.outputs) == ("failed", [""]) and "boom" in job.message
     with pytest.raises(InputError, match="cannot be started"):
-        Job("None", [["/nowhere/python"]], tmp_path, "none")
-    job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long")
+        Job("None", [["/nowhere/python"]], tmp_path, "none").start()
+    job = Job("Long", [[sys.executable, "-c", "import time; time.sleep(60)"]], tmp_path, "long").start()
     job.cancel()
     assert job.wait(120).state == "stopped"
 
@@ -53,6 +56,19 @@ def test_what_follows_a_job_may_fail_it_or_have_the_last_word(tmp_path, stub):
     assert (job.state, job.message) == ("failed", "the object is gone")
     job = Job("One", [[str(stub), "-c", "pass"]], tmp_path, "one", lambda job: "Opened it").wait()
     assert (job.state, job.message) == ("done", "Opened it")
+
+
+def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
+    quick = [[str(stub), "-c", "pass"]]
+    first = jobs.launch(Job("One", [[str(stub), "-c", "import time; time.sleep(0.5)"]], tmp_path, "one"))
+    second, third, lost = (jobs.launch(Job(name, quick, tmp_path, name)) for name in ("Two", "Three", "Lost"))
+    assert second.describe() == "Two waits for One" and session.job is first
+    assert session.job_of("Three") is third and second.state == third.state == "waiting"
+    third.cancel()
+    lost._commands = [["/nowhere/python"]]
+    run_job()
+    assert [job.state for job in (first, second, third, lost)] == ["done", "done", "stopped", "failed"]
+    assert third.message == "Three stopped" and "cannot be started" in lost.message
 
 
 def test_run_folders_never_collide(tmp_path):

@@ -9,9 +9,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import evaluations, jobs, outputs, ring, run_list, run_states, runs
-from cloak.evaluations import Sector
 from cloak.exchange.colors import write_colors
+from cloak.result import evaluations, outputs, ring
+from cloak.result.evaluations import Sector
+from cloak.session import session
+from cloak.trainer import jobs
+from cloak.training import run_list, run_states, runs
 from conftest import folder_of, run_job, wait_for
 from made import add_camera
 
@@ -21,9 +24,9 @@ from made import add_camera
 def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.evaluate()
-    wait_for(lambda: jobs.current.progress.step >= 3)
-    assert 0.3 < jobs.current.fraction < 1 and " left" in jobs.current.describe()
-    assert jobs.current.describe().startswith("Evaluation 3/8") or jobs.current.progress.step > 3
+    wait_for(lambda: session.job.progress.step >= 3)
+    assert 0.3 < session.job.fraction < 1 and " left" in session.job.describe()
+    assert session.job.describe().startswith("Evaluation 3/8") or session.job.progress.step > 3
     job = run_job()
     assert job.state == "done" and not job.is_bad_news, job.message
     assert job.message == "Evaluation done: 240 images of each kind, unseen bodies and unseen backgrounds"
@@ -44,10 +47,8 @@ def test_evaluate_tells_how_far_it_is_and_what_came_out(dressed, monkeypatch):
 
 
 def test_the_panel_is_drawn_again_while_any_job_runs(dressed, monkeypatch):
-    """Not only after a training of this session, whose watch is not asked about other jobs."""
     drawn = []
     monkeypatch.setattr(jobs, "redraw", lambda panels_alone: drawn.append(panels_alone))
-    jobs.on_tick[:] = [lambda job: pytest.fail("of an earlier job")]
     bpy.ops.cloak.evaluate()
     assert run_job().state == "done" and drawn and all(drawn), "the sidebars alone"
 
@@ -55,7 +56,7 @@ def test_the_panel_is_drawn_again_while_any_job_runs(dressed, monkeypatch):
 def test_evaluation_can_be_cancelled(dressed, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.evaluate()
-    wait_for(lambda: jobs.current.progress.step >= 1)
+    wait_for(lambda: session.job.progress.step >= 1)
     bpy.ops.cloak.train_cancel()
     job = run_job()
     assert job.state == "stopped" and job.message == "Evaluation stopped"
@@ -89,7 +90,7 @@ def test_a_sample_bodys_run_is_judged_on_those_kept_back(dressed):
 
 
 def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeypatch):
-    from cloak import body
+    from cloak.body import objects as body
 
     bpy.context.scene.cloak.steps = 2
     ready.cloak.made_from = f"sample:train|{body.topology(ready)}"
@@ -103,7 +104,7 @@ def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeyp
 
 
 def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path):
-    from cloak.operators.evaluate import _evaluated
+    from cloak.result.evaluate import _evaluated
 
     run = folder_of(dressed)
     (run / "evaluation").mkdir()
@@ -218,7 +219,7 @@ def test_keyframes_turn_on_beyond_half_a_circle():
 
 
 def test_other_faces_than_the_runs_are_refused(dressed):
-    from cloak import body
+    from cloak.body import objects as body
 
     body.subdivide(dressed)
     with pytest.raises(RuntimeError, match=r"changed since run ä was trained"):

@@ -3,12 +3,16 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import body, colors, faces, modifiers, runs, scene_export, steps
+from cloak.blender import colors, faces, modifiers
+from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
-from cloak.poses import PoseChoice
+from cloak.poses import export as scene_export
+from cloak.poses.poses import PoseChoice
+from cloak.poses.reasons import poses_reason
+from cloak.training import runs
 from made import centers, make_egg, make_grid, set_mode
 
 NOW = PoseChoice()
@@ -97,7 +101,7 @@ def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
     faces.new_logo(obj, "chest", np.arange(len(obj.data.polygons)) < 30)
     add(obj)
     bpy.context.view_layer.update()
-    assert steps.poses_reason(bpy.context) == ""
+    assert poses_reason(bpy.context) == ""
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
     assert read_scene(done.scene).topology == done.topology == body.topology(obj)
 
@@ -112,7 +116,7 @@ def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     ids = np.flatnonzero(faces.read_faces(obj, "chest"))
     add(obj)
     bpy.context.view_layer.update()
-    assert steps.poses_reason(bpy.context) == ""
+    assert poses_reason(bpy.context) == ""
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
     bodies = read_scene(done.scene)
     assert np.array_equal(read_face_list(done.face_list, bodies).ids, ids)
@@ -214,7 +218,7 @@ def test_a_modifier_that_loses_the_faces_is_named_and_a_copy_offered(tmp_path):
     remesh.mode, remesh.voxel_size = "VOXEL", 0.1
     obj.modifiers.new("Bend", "SIMPLE_DEFORM")
     bpy.context.view_layer.update()
-    reason = steps.poses_reason(bpy.context)
+    reason = poses_reason(bpy.context)
     assert "'Clay'" in reason and "'Half'" not in reason and "Apply a Copy" in reason
     with pytest.raises(InputError, match="'Clay'"):
         scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
@@ -226,5 +230,5 @@ def test_a_modifier_that_loses_the_faces_is_named_and_a_copy_offered(tmp_path):
     assert [m.name for m in copy.modifiers] == ["Bend"]
     faces.new_logo(copy, "chest", np.arange(len(copy.data.polygons)) < 30)
     bpy.context.view_layer.update()
-    assert steps.poses_reason(bpy.context) == ""
+    assert poses_reason(bpy.context) == ""
     scene_export.export(bpy.context, copy, "chest", NOW, tmp_path / "input")

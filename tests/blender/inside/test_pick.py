@@ -3,7 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import faces, regions
+from cloak.blender import faces
+from cloak.logo import regions
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 
@@ -13,7 +14,7 @@ def taken(obj, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("mode", ["OBJECT", "EDIT"])
 def test_a_logo_of_a_material_counts_what_the_cloak_covers(mode):
-    from cloak import colors
+    from cloak.blender import colors
 
     obj = make_egg()
     shirt = centers(obj)[:, 2] > 0.9

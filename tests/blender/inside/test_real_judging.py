@@ -5,8 +5,10 @@ import time
 
 import bpy
 import numpy as np
-from cloak import eye, jobs, outputs, run_states
-from cloak.preferences import preferences
+from cloak.result import eye, outputs
+from cloak.session import session
+from cloak.trainer.preferences import preferences
+from cloak.training import run_states
 from conftest import run_job
 from made import make_egg
 from test_colors import made_run
@@ -22,7 +24,7 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": spec}]}))
     obj.cloak.run, preferences().python = str(run), str(real_trainer)
     settings = bpy.context.scene.cloak
-    settings.detector, settings.python_file = "PYTHON", str(RED)
+    settings.detectors.add().file = str(RED)
     judging = settings.judging
     judging.bodies, judging.frame_start, judging.frame_end = "FRAMES", 1, 1
     judging.images, judging.angle, judging.film_seconds = 8, 90, 0.5
@@ -30,8 +32,8 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
         bpy.ops.cloak.result_load()
         for press in (bpy.ops.cloak.evaluate, bpy.ops.cloak.turntable, bpy.ops.cloak.print_sheets):
             press()
-            assert run_job(200).state == "done", jobs.current.message
-            assert jobs.current.fraction == 1
+            assert run_job(200).state == "done", session.job.message
+            assert session.job.fraction == 1
         found = run_states.read_state(run).evaluation
         assert found.images == 8 and [s.azimuth for s in found.worst_sectors()] == [-180, -90, 0, 90]
         assert 0 <= found.detectors[0].rates["clothing"][1].value <= 1
@@ -42,13 +44,13 @@ def test_the_real_trainer_evaluates_films_prints_and_looks(tmp_path, real_traine
         bpy.context.view_layer.update()
         bpy.ops.cloak.eye()
         until = time.monotonic() + 300
-        while eye.current.seen is None:
+        while session.eye.seen is None:
             eye.tick()
-            assert eye.current is not None and time.monotonic() < until, eye.closed_because
+            assert session.eye is not None and time.monotonic() < until, session.eye_closed_because
             time.sleep(0.05)
-        glances = eye.current.seen.glances[spec]
+        glances = session.eye.seen.glances[spec]
         assert glances["cloak"].score < glances["clothing"].score  # the detector's person vanishes as it turns red
-        assert all(path.is_file() for path in eye.current.seen.pictures.values())
+        assert all(path.is_file() for path in session.eye.seen.pictures.values())
     finally:
         eye.close_eye()
         preferences().python = ""

@@ -6,10 +6,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import render_check, run_states, runs
 from cloak.files.errors import InputError
-from cloak.jobs import Job
-from cloak.operators import result
+from cloak.result import operators as result
+from cloak.result import render_check
+from cloak.trainer.jobs import Job
+from cloak.training import run_states, runs
 from conftest import folder_of, run_job
 from made import make_egg
 from test_colors import made_run
@@ -65,7 +66,9 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     job = run_job(400)
     assert job.state == "done", (job.message, job.log.read_text()[-2000:])
     assert obj.cloak.verdict == job.message
-    assert "detected in 0 of 2 renders with the cloak (highest score 0.10), in 2 without" in job.message
+    assert (
+        "detected in 0 of 2 renders with the cloak (highest score 0.10, reported from 0.6), in 2 without" in job.message
+    )
     folder = runs.side_folder(folder_of(obj)) / "render check 1"
     with_cloak, without = pixels_of(folder / "cloak +10.png"), pixels_of(folder / "own +10.png")
     assert with_cloak.shape == (416, 416, 4) and (with_cloak[..., 3] == 1).all()
@@ -74,7 +77,7 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
     assert with_cloak[middle][..., 0].mean() > 0.6 > 0.2 > with_cloak[middle][..., 1].mean()
     assert np.ptp(without[middle].mean((0, 1))[:3]) < 0.05  # grey again
     assert obj.name in bpy.data.objects and bpy.data.filepath == ""  # this Blender's file was not touched
-    kept = run_states.read_state(folder_of(obj)).check  # from the disk: undo and closing do not lose it
+    kept = run_states.read_state(folder_of(obj)).checks[0]  # from the disk: undo and closing do not lose it
     assert kept.holds and job.message == kept.describe() and job.message.startswith("The cloak holds. Cycles")
     assert kept.images[1] == folder / "cloak +10.png" and not job.is_bad_news
 
@@ -91,16 +94,34 @@ def test_from_the_operator_to_the_verdict(tmp_path, stub):
 def test_a_cloak_that_failed_is_said_to_have_failed(tmp_path, scores, holds, words):
     plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
     plan.folder.mkdir()
-    verdict = render_check.verdict(plan, [json.dumps({"max_person": score}) for score in scores])
+    (verdict,) = render_check.verdicts(plan, {"builtin": 0.6}, [json.dumps({"max_person": score}) for score in scores])
     assert verdict.holds == holds and verdict.describe().startswith(words)
-    assert render_check.last_verdict(tmp_path) == verdict
+    assert render_check.last_verdicts(tmp_path) == (verdict,)
+
+
+def test_each_detector_judges_by_its_own_threshold(tmp_path):
+    plan = render_check.Plan("Body", tmp_path / "render check 1", (0, 5))
+    plan.folder.mkdir()
+    scores = (0.1, 0.3, 0.9, 0.9, 0.1, 0.3, 0.9, 0.9)
+    answers = [json.dumps({"max_person": score}) for score in scores]
+    found = render_check.verdicts(plan, {"builtin": 0.5, "onnx:/a/b.onnx@conf=0.25": 0.25}, answers)
+    assert [verdict.holds for verdict in found] == [True, False]
+    told = render_check.describe_all(found)
+    assert told.startswith("Holds against 1 of 2 detectors. Worst, onnx:b.onnx@conf=0.25: The cloak holds in 1 of 2")
+    assert render_check.last_verdicts(tmp_path) == tuple(found)
 
 
 def test_a_failed_cloak_gets_no_green_tick(tmp_path, stub, monkeypatch):
     """The panel ticks off jobs that are done and no bad news."""
     obj = dressed(tmp_path)
     plan = render_check.Plan(obj.name, tmp_path, (0,))
-    job = Job("Render check", [["true"]], tmp_path, "check", lambda job: result._judge(job, plan, obj.session_uid))
+    job = Job(
+        "Render check",
+        [["true"]],
+        tmp_path,
+        "check",
+        lambda job: result._judge(job, plan, {"builtin": 0.6}, obj.session_uid),
+    )
     monkeypatch.setattr(Job, "_said", lambda self: json.dumps({"max_person": 0.9}))
     job.outputs = ["", json.dumps({"max_person": 0.8})]
     job.wait(120)
@@ -118,4 +139,4 @@ def test_answers_that_make_no_sense(tmp_path):
     plan = render_check.Plan("Body", tmp_path, (0,))
     for answers in (["", ""], ["{}", "{}"], ["[]", "3"]):
         with pytest.raises(InputError, match="not understood"):
-            render_check.verdict(plan, answers)
+            render_check.verdicts(plan, {"builtin": 0.6}, answers)

@@ -13,9 +13,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from cloak import colors, jobs, run_list, run_states, runs, steps
+from cloak.blender import colors
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
+from cloak.result.reasons import result_reason
+from cloak.session import session
+from cloak.trainer import jobs
+from cloak.training import run_list, run_states, runs
+from cloak.training.reasons import kept_reason, resume_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import make_egg
 
@@ -23,7 +28,7 @@ from made import make_egg
 def listed() -> dict[str, str]:
     """State by name, as the panel's list has them."""
     run_list.refresh(bpy.context)
-    return {Path(item.path).name: run_list.states[item.path].state for item in bpy.context.window_manager.cloak.runs}
+    return {Path(item.path).name: session.runs[item.path].state for item in bpy.context.window_manager.cloak.runs}
 
 
 def choose(name: str) -> None:
@@ -37,7 +42,7 @@ def cancelled_run(obj: bpy.types.Object, monkeypatch) -> Path:
     """Train a few steps and stop."""
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.ops.cloak.train_start()
-    wait_for(lambda: jobs.current.progress.step >= 2)
+    wait_for(lambda: session.job.progress.step >= 2)
     bpy.ops.cloak.train_cancel()
     run_job()
     monkeypatch.setenv("CLOAK_STUB", "")
@@ -57,13 +62,13 @@ def test_runs_are_listed_with_how_they_ended(ready, monkeypatch):
     run_job()
     expected = {"": "done", " 2": "stopped", " 3": "failed", " 4": "failed"}
     assert listed() == {f"Body Brust_Ärmel{number}": state for number, state in expected.items()}
-    states = {path.name: state for path, state in ((Path(p), s) for p, s in run_list.states.items())}
+    states = {path.name: state for path, state in ((Path(p), s) for p, s in session.runs.items())}
     assert states["Body Brust_Ärmel"].progress.step == 20 and states["Body Brust_Ärmel"].progress.success > 0
     assert states["Body Brust_Ärmel"].object == "Body" and states["Body Brust_Ärmel"].detectors == ("builtin",)
     assert "ended without a word after step 5" in states["Body Brust_Ärmel 3"].why
     assert "--detector builtin: no such thing here" in states["Body Brust_Ärmel 4"].why
     choose("Body Brust_Ärmel")
-    assert folder_of(ready).name == "Body Brust_Ärmel" and steps.result_reason(bpy.context) == ""
+    assert folder_of(ready).name == "Body Brust_Ärmel" and result_reason(bpy.context) == ""
 
 
 def test_a_failed_start_makes_room_for_the_next(ready, monkeypatch):
@@ -89,9 +94,9 @@ def test_undo_does_not_forget_a_run_nor_leave_the_body_naked(ready, monkeypatch)
     bpy.ops.ed.undo()
     obj = bpy.data.objects["Body"]
     assert obj.location.x == 0 and not colors.is_dressed(obj)
-    assert folder_of(obj) == run and steps.result_reason(bpy.context) == ""
+    assert folder_of(obj) == run and result_reason(bpy.context) == ""
     wait_for(lambda: colors.is_dressed(bpy.data.objects["Body"]))
-    assert jobs.current.running
+    assert session.job.running
     bpy.ops.ed.redo()
     assert folder_of(bpy.data.objects["Body"]) == run
     bpy.ops.cloak.train_cancel()
@@ -105,9 +110,9 @@ def test_show_original_stays_while_colours_go_on_coming(ready, monkeypatch):
     bpy.ops.cloak.train_start()
     wait_for(lambda: colors.is_dressed(ready))
     bpy.ops.cloak.result_toggle()
-    step = jobs.current.progress.step
-    wait_for(lambda: jobs.current.progress.step > step + 7)
-    assert jobs.current.running and not colors.is_dressed(ready)
+    step = session.job.progress.step
+    wait_for(lambda: session.job.progress.step > step + 7)
+    assert session.job.running and not colors.is_dressed(ready)
 
 
 def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypatch):
@@ -116,27 +121,27 @@ def test_a_deleted_body_is_said_at_once_and_undo_brings_all_back(ready, monkeypa
     bpy.ops.ed.undo_push(message="body")
     bpy.ops.cloak.train_start()
     run = folder_of(ready)
-    wait_for(lambda: jobs.current.progress.step >= 1)
+    wait_for(lambda: session.job.progress.step >= 1)
     bpy.data.objects.remove(ready)
     bpy.ops.ed.undo_push(message="deleted")
     jobs.tick()
-    assert jobs.current.running and "'Body' was deleted: its training goes on" in jobs.current.notice
+    assert session.job.running and "'Body' was deleted: its training goes on" in session.job.notice
     bpy.ops.ed.undo()
     jobs.tick()
-    assert jobs.current.notice == "" and folder_of(bpy.data.objects["Body"]) == run
+    assert session.job.notice == "" and folder_of(bpy.data.objects["Body"]) == run
     bpy.ops.cloak.train_cancel()
     assert run_job().state == "stopped" and red_faces(bpy.data.objects["Body"]) == LOGO_FACES
 
 
 def test_a_body_that_was_changed_is_said_at_once(ready, monkeypatch):
-    from cloak import body
+    from cloak.body import objects as body
 
     monkeypatch.setenv("CLOAK_STUB", "slow")
     bpy.context.scene.cloak.live_seconds, bpy.context.scene.cloak.steps = 0.5, 300
     bpy.ops.cloak.train_start()
     body.subdivide(ready)
-    wait_for(lambda: "changed since export" in jobs.current.notice)
-    assert jobs.current.running
+    wait_for(lambda: "changed since export" in session.job.notice)
+    assert session.job.running
 
 
 # --- more steps -------------------------------------------------------------------------------------------------------
@@ -159,10 +164,10 @@ def test_more_steps_for_a_run_that_is_done(ready):
 
 def test_resume_says_what_it_keeps(ready, monkeypatch):
     cancelled_run(ready, monkeypatch)
-    assert steps.kept_reason(bpy.context) == ""
+    assert kept_reason(bpy.context) == ""
     bpy.context.scene.cloak.steps, bpy.context.scene.cloak.preset = 40, "paper"
     expected = "Resume keeps what Body Brust_Ärmel began with: preset best (not paper), steps 20 (not 40); Extend"
-    assert steps.kept_reason(bpy.context).startswith(expected)
+    assert kept_reason(bpy.context).startswith(expected)
     bpy.ops.cloak.train_resume()
     assert "20/20" in run_job().message
 
@@ -201,9 +206,12 @@ def test_an_orphan_is_found_followed_and_stopped(orphan):
     assert not obj.cloak.run  # the file was saved before Start: it knows nothing of the run
     assert listed() == {"Body Brust_Ärmel": "running"}
     choose("Body Brust_Ärmel")
-    assert "is being trained" in steps.resume_reason(bpy.context)
-    bpy.ops.cloak.run_attach()
-    job = jobs.current
+    assert "is being trained" in resume_reason(bpy.context)
+    make_egg(6, name="Active")
+    choose("Body Brust_Ärmel")
+    bpy.ops.cloak.run_attach()  # at the first click, whatever is active
+    assert bpy.context.object == obj
+    job = session.job
     wait_for(lambda: job.progress.step >= 2)
     assert job.running and job.progress.steps == 300
     bpy.context.scene.cloak.live_seconds = 0.5
@@ -212,7 +220,7 @@ def test_an_orphan_is_found_followed_and_stopped(orphan):
     assert run_job().state == "stopped" and "Resume goes on" in job.message
     wait_for(lambda: not is_alive(orphan))
     assert red_faces(obj) == LOGO_FACES
-    assert listed() == {"Body Brust_Ärmel": "stopped"} and steps.resume_reason(bpy.context) == ""
+    assert listed() == {"Body Brust_Ärmel": "stopped"} and resume_reason(bpy.context) == ""
 
 
 def test_an_orphan_is_stopped_without_following_it(orphan):
@@ -232,7 +240,7 @@ def test_an_orphan_is_stopped_without_following_it(orphan):
 def test_closing_blender_lets_a_found_training_go_on(orphan):
     choose("Body Brust_Ärmel")
     bpy.ops.cloak.run_attach()
-    wait_for(lambda: jobs.current.progress.step >= 2)
+    wait_for(lambda: session.job.progress.step >= 2)
     run = folder_of(bpy.data.objects["Body"])
     bpy.ops.preferences.addon_disable(module=MODULE)
     bpy.ops.preferences.addon_enable(module=MODULE)
@@ -245,7 +253,7 @@ def test_closing_blender_lets_a_found_training_go_on(orphan):
 
 def command_line_run(folder: Path, obj: bpy.types.Object) -> Path:
     """A finished run that has no input beside it."""
-    from cloak import body
+    from cloak.body import objects as body
     from cloak.exchange.colors import write_colors
 
     run = folder / "from the command line"
@@ -272,7 +280,7 @@ def test_a_run_of_the_command_line_is_listed_loaded_and_reported(ready):
     job = run_job()
     assert job.state == "done" and (run / "report.html").is_file(), job.message
     assert not runs.input_folder(run).exists()
-    assert "is done (9/9): Extend trains on" in steps.resume_reason(bpy.context)
+    assert "is done (9/9): Extend trains on" in resume_reason(bpy.context)
 
 
 def test_only_what_cloak_made_is_deleted(ready, tmp_path):
@@ -308,7 +316,7 @@ def test_damaged_run_folders_are_listed_and_harm_nobody(ready):
     (run / "evaluation").mkdir()
     (run / "evaluation/summary.json").write_text('{"detectors": {"builtin": {"logo": 3, "grey": {"success": "x"}}}}')
     assert listed() == {run.name: "failed"}
-    assert run_list.states[str(run)].unseen == {} and run_list.states[str(run)].detectors == ()
+    assert session.runs[str(run)].unseen == {} and session.runs[str(run)].detectors == ()
 
 
 # --- projects move ----------------------------------------------------------------------------------------------------
@@ -330,7 +338,7 @@ def test_a_moved_project_finds_its_runs_and_files(ready, monkeypatch, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(moved / "body.blend"))
     obj = bpy.context.view_layer.objects.active = bpy.data.objects["Body"]
     assert listed() == {"Body Brust_Ärmel": "stopped"} and folder_of(obj).parent.parent == moved
-    assert f"--backgrounds={moved / 'photos'}" in steps.selected_run(bpy.context).options
+    assert f"--backgrounds={moved / 'photos'}" in selected_run(bpy.context).options
     bpy.ops.cloak.train_resume()
     assert run_job().state == "done" and red_faces(obj) == LOGO_FACES
 

@@ -3,16 +3,20 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import colors, faces, garments, overlay, runs, scene_export, steps
-from cloak.body import topology
+from cloak.blender import colors, faces
+from cloak.body import garments
+from cloak.body.objects import topology
+from cloak.body.samples import CLOTHES, add_people, part_of
 from cloak.exchange.bodies import Bodies
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
-from cloak.operators import heat
-from cloak.poses import PoseChoice
-from cloak.samples import CLOTHES, add_people, part_of
+from cloak.logo import heat, overlay
+from cloak.poses import export as scene_export
+from cloak.poses.poses import PoseChoice
+from cloak.result.reasons import check_reason
+from cloak.training import runs
 
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)
 """Of a box whose corners are numbered in binary, z last."""
@@ -47,19 +51,19 @@ def clothed() -> bpy.types.Object:
     obj = add_people(bpy.context, made_clothed(), True, "Sample Body")
     obj.cloak.logo = CLOTHES
     settings = bpy.context.scene.cloak
-    settings.clothing, settings.pose_source, settings.frame_start, settings.frame_end = True, "RANGE", 1, 2
+    settings.pose_source, settings.frame_start, settings.frame_end = "RANGE", 1, 2
     bpy.context.view_layer.update()
     return obj
 
 
 def exported(obj, tmp_path, logo=CLOTHES):
     run = tmp_path / "run"
-    done = scene_export.export(bpy.context, obj, logo, PoseChoice("RANGE", 1, 2, 1), runs.input_folder(run), True)
+    done = scene_export.export(bpy.context, obj, logo, PoseChoice("RANGE", 1, 2, 1), runs.input_folder(run))
     return run, done
 
 
 def test_body_and_garments_are_objects_with_names_and_logos_of_their_own(clothed):
-    shirt, trousers = garments.clothing_of(clothed)
+    shirt, trousers = garments.worn_by(clothed)
     assert (clothed.name, shirt.name, trousers.name) == ("Sample Body", "Shirt", "Trousers")
     assert bpy.context.object == clothed and clothed.select_get() and not shirt.select_get()
     assert [len(o.data.polygons) for o in (clothed, shirt, trousers)] == [6, 6, 6]
@@ -99,8 +103,9 @@ def test_figures_and_tint_count_the_garments(clothed):
     corners = overlay.worn_tint(clothed, mask)
     assert corners.shape == (2 * 6 * 2 * 3, 3) and len(overlay.tint_triangles(clothed, mask)) == 0
     assert corners[:, 2].max() == pytest.approx(2, abs=0.01)
-    bpy.context.scene.cloak.clothing = False
-    assert overlay.active_stats(clothed).faces == 0, "clothing that is not trained does not count"
+    for worn in clothed.children:
+        worn.cloak.left_out = True
+    assert overlay.active_stats(clothed).faces == 0, "what the camera does not see does not count"
 
 
 def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
@@ -113,7 +118,7 @@ def test_garments_alone_wear_the_cloak_and_take_it_off(clothed, tmp_path):
     shirt = bpy.data.objects["Shirt"]
     assert garments.is_dressed(clothed) and not colors.is_dressed(clothed)
     assert np.allclose(colors.read_face_colors(shirt, "Cloak"), 0.75, atol=1e-5)
-    assert not steps.check_reason(bpy.context)
+    assert not check_reason(bpy.context)
     heat.show_heat(bpy.context, clothed, np.linspace(0, 1, 6))
     bpy.ops.cloak.heatmap_toggle()
     assert clothed.data.color_attributes.active_color_name == "Cloak", "what its clothing wears is shown again"

@@ -3,9 +3,12 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import faces, scene_export, simulations, steps
+from cloak.blender import faces
 from cloak.files.errors import InputError
-from cloak.poses import PoseChoice
+from cloak.poses import export as scene_export
+from cloak.poses import simulations
+from cloak.poses.poses import PoseChoice
+from cloak.poses.reasons import poses_reason
 from made import make_egg
 
 FRAMES = PoseChoice("RANGE", 5, 21, 8)
@@ -70,7 +73,7 @@ def test_what_was_never_played_is_played(kind):
     bpy.data.objects.remove(bpy.data.objects["Sheet"])
     make_sheet(obj, kind)
     bpy.context.scene.frame_set(17)
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, True)
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
     assert bpy.context.scene.frame_current == 17
 
@@ -83,7 +86,7 @@ def test_a_logo_on_cloth_that_is_refined_after_the_simulation():
     fine.levels = 1
     faces.new_logo(sheet, "chest", np.arange(len(sheet.data.polygons)) < 3)
     expected = played(sheet)
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, True, "chest")
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, "chest")
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 
 
@@ -96,7 +99,7 @@ def test_a_baked_simulation_is_not_played_again():
     with bpy.context.temp_override(scene=bpy.context.scene, object=sheet, active_object=sheet, point_cache=cache):
         bpy.ops.ptcache.bake(bake=True)
     assert cache.is_baked and simulations.first_frame(bpy.context.scene, [obj, sheet]) is None
-    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES, True)
+    bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 
 
@@ -107,13 +110,12 @@ def test_every_action_does_not_go_with_a_simulation():
     key.keyframe_insert("value", frame=1)
     make_sheet(obj, "CLOTH")
     actions = PoseChoice("ACTIONS")
-    bpy.context.scene.cloak.clothing = True
-    assert "'Sheet' is simulated (Falls)" in steps.poses_reason(bpy.context, actions)
-    assert not steps.poses_reason(bpy.context, FRAMES)
+    assert "'Sheet' is simulated (Falls)" in poses_reason(bpy.context, actions)
+    assert not poses_reason(bpy.context, FRAMES)
     with pytest.raises(InputError, match="choose Frame Range"):
-        scene_export.export_bodies(bpy.context, obj, actions, True)
+        scene_export.export_bodies(bpy.context, obj, actions)
     bpy.data.objects["Sheet"].modifiers["Falls"].show_viewport = False
-    assert not steps.poses_reason(bpy.context, actions)
+    assert not poses_reason(bpy.context, actions)
 
 
 @pytest.mark.skipif(not bpy.app.build_options.alembic, reason="this Blender was built without Alembic")
@@ -133,6 +135,6 @@ def test_an_alembic_cache_is_exported_frame_by_frame(tmp_path):
     for worn in (body, sheet):
         faces.new_logo(worn, "chest", np.arange(len(worn.data.polygons)) < 3)
     bpy.context.view_layer.update()
-    assert not steps.poses_reason(bpy.context, FRAMES)
-    bodies = scene_export.export_bodies(bpy.context, body, FRAMES, True, "chest")
+    assert not poses_reason(bpy.context, FRAMES)
+    bodies = scene_export.export_bodies(bpy.context, body, FRAMES, "chest")
     assert np.abs(heights(bodies, body) - expected).max() < 2e-3

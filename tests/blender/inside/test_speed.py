@@ -3,8 +3,10 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import faces, mesh_arrays, occlusion, overlay, symmetry
+from cloak.blender import faces, mesh_arrays, occlusion, symmetry
 from cloak.exchange.face_lists import read_face_list
+from cloak.logo import overlay
+from cloak.session import session
 from made import add_ngons, make_egg, make_fine_egg, select_only, set_mode
 
 FACES = 100_000
@@ -37,20 +39,20 @@ def test_selecting_and_moving_an_object_do_not_count_as_changes_of_the_logo():
     faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 9)
     set_mode("EDIT")
     bpy.context.view_layer.update()
-    before = overlay._changes
+    before = session.mesh_changes
     bpy.ops.mesh.select_all(action="INVERT")
     bpy.context.view_layer.update()
-    assert overlay._changes == before
+    assert session.mesh_changes == before
     set_mode("OBJECT")
     bpy.context.view_layer.update()
-    before = overlay._changes
+    before = session.mesh_changes
     obj.location.x += 1
     bpy.context.view_layer.update()
-    assert overlay._changes == before
+    assert session.mesh_changes == before
     obj.data.vertices[0].co.z += 1
     obj.data.update_tag()
     bpy.context.view_layer.update()
-    assert overlay._changes > before
+    assert session.mesh_changes > before
 
 
 def test_the_copy_of_an_edited_mesh_ages_with_each_change():

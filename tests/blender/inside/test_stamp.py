@@ -3,8 +3,9 @@
 import bpy
 import numpy as np
 import pytest
-from cloak import faces, stamp
+from cloak.blender import faces
 from cloak.files.errors import InputError
+from cloak.logo import stamp
 from made import centers, make_egg, make_grid
 from mathutils import Matrix, Vector
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import bpy
 import pytest
-from cloak import command_lines, steps, trainer_python
 from cloak.files.errors import InputError
-from cloak.preferences import preferences
+from cloak.trainer import command_lines
+from cloak.trainer import python as trainer_python
+from cloak.trainer.preferences import preferences
+from cloak.training.reasons import train_reason
 from conftest import run_job
 
 # --- its Python -------------------------------------------------------------------------------------------------------
@@ -101,37 +103,16 @@ def test_settings_that_cannot_work_are_named(ready, tmp_path):
     for change, words in (
         ({"angle_first": 20, "angle_last": 10}, "Angles 20 to 10"),
         ({"backgrounds": str(tmp_path / "none")}, "Backgrounds folder .* does not exist"),
-        ({"detector": "DARKNET"}, "Detector > Config is empty: choose a file"),
-        ({"detector": "DARKNET", "darknet_cfg": "/x.cfg"}, "/x.cfg does not exist"),
         ({"config": "/x.toml"}, "Settings File: /x.toml does not exist"),
-        ({"detector": "PYTHON", "python_file": __file__, "python_function": " "}, "Function is empty"),
-        ({"detector": "TORCHVISION", "torchvision_name": ""}, "Model is empty"),
     ):
         before = {key: getattr(settings, key) for key in change}
         for key, value in change.items():
             setattr(settings, key, value)
         with pytest.raises(RuntimeError, match=words):
             bpy.ops.cloak.train_start()
-            assert re.search(words, steps.train_reason(bpy.context))
+            assert re.search(words, train_reason(bpy.context))
         for key, value in before.items():
             setattr(settings, key, value)
-
-
-def test_detector_specs(tmp_path):
-    from cloak.properties import detector_spec
-
-    settings = bpy.context.scene.cloak
-    for name in ("a.cfg", "a.weights", "d.py"):
-        (tmp_path / name).touch()
-    assert detector_spec(settings) == "builtin"
-    settings.detector = "DARKNET"
-    settings.darknet_cfg, settings.darknet_weights = str(tmp_path / "a.cfg"), str(tmp_path / "a.weights")
-    assert detector_spec(settings) == f"darknet:{tmp_path / 'a.cfg'}:{tmp_path / 'a.weights'}"
-    settings.detector = "PYTHON"
-    settings.python_file, settings.python_function = str(tmp_path / "d.py"), "load"
-    assert detector_spec(settings) == f"python:{tmp_path / 'd.py'}:load"
-    settings.detector = "TORCHVISION"
-    assert detector_spec(settings) == "torchvision:fasterrcnn_mobilenet_v3_large_fpn"
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def body():
 
 
 def logo_size(name="Logo"):
-    from cloak import faces
+    from cloak.blender import faces
 
     return int(faces.read_faces(body(), name).sum()) if name in faces.logo_names(body().data) else 0
 
@@ -68,7 +68,7 @@ def timed(owner, name):
 
 
 def check_brush():
-    from cloak.operators import paint
+    from cloak.logo import paint
 
     timed(paint, "read_surface")
     for name in ("_touch", "_finish"):
@@ -111,7 +111,7 @@ def check_brush():
 
 
 def check_drag():
-    from cloak import placing
+    from cloak.logo import placing
 
     timed(placing.Placed, "faces")
     yield from move(0.5, 0.6)

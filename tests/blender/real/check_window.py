@@ -39,13 +39,13 @@ def body():
 
 
 def logo_size():
-    from cloak import faces
+    from cloak.blender import faces
 
     return int(faces.read_faces(body(), "chest").sum())
 
 
 def make_body():
-    from cloak import faces
+    from cloak.blender import faces
     from made import add_ngons, centers, make_egg
 
     obj = make_egg()
@@ -80,7 +80,9 @@ def check_undo():
 
 
 def check_undo_while_training():
-    from cloak import colors, jobs, run_list
+    from cloak.blender import colors
+    from cloak.session import session
+    from cloak.training import run_list
 
     settings = bpy.context.scene.cloak
     settings.output, settings.steps, settings.live_seconds = FOLDER, 500, 0.5
@@ -89,24 +91,24 @@ def check_undo_while_training():
     press(bpy.ops.cloak.train_start)
     run = body().cloak.run
     while not colors.is_dressed(body()):
-        assert jobs.current.running, jobs.current.message
+        assert session.job.running, session.job.message
         yield 0.2
     undo()
     assert not colors.is_dressed(body()) and body().cloak.run == run, "undo must not forget the run"
     while not colors.is_dressed(body()):
-        assert jobs.current.running, jobs.current.message
+        assert session.job.running, session.job.message
         yield 0.2
     press(bpy.ops.cloak.train_cancel)
-    while jobs.current.running:
+    while session.job.running:
         yield 0.2
-    assert jobs.current.state == "stopped", jobs.current.message
+    assert session.job.state == "stopped", session.job.message
     run_list.refresh(bpy.context)
     assert run_list.selected(bpy.context).state == "stopped"
     print("undo while it trains: run kept, body dressed again: ok", flush=True)
 
 
 def check_training():
-    from cloak import colors
+    from cloak.blender import colors
 
     settings = bpy.context.scene.cloak
     settings.output, settings.steps, settings.live_seconds = FOLDER, 12, 0.5
@@ -121,7 +123,7 @@ def check_training():
 
 
 def check_edit_mode():
-    from cloak import overlay
+    from cloak.logo import overlay
     from made import set_mode
 
     size = logo_size()
@@ -147,13 +149,14 @@ def check_edit_mode():
 
 
 def close_while_training():
-    from cloak import jobs
+
+    from cloak.session import session
 
     bpy.context.scene.cloak.steps = 500
     press(bpy.ops.cloak.train_start)
-    while jobs.current.progress.step < 2:
+    while session.job.progress.step < 2:
         yield 0.2
-    print("closing with process", jobs.current._process.pid, "in", body().cloak.run, flush=True)
+    print("closing with process", session.job._process.pid, "in", body().cloak.run, flush=True)
 
 
 def steps():

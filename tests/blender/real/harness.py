@@ -49,11 +49,11 @@ def play(steps: Iterator[float]) -> None:
 
 def until_done() -> Iterator[float]:
     """Steps until the current job has ended well."""
-    from cloak import jobs
+    from cloak.session import session
 
-    while jobs.current.running:
+    while session.job.running:
         yield 0.2
-    assert jobs.current.state == "done", jobs.current.message
+    assert session.job.state == "done", session.job.message
 
 
 # --- the window -------------------------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def frame():
 def sidebar(*names):
     """Show the Cloak tab, and of its panels only those named."""
     yield from show_tab()
-    for cls in reversed(sys.modules["cloak.panel"].CLASSES):  # those inside others first
+    for cls in reversed(sys.modules["cloak"].CLASSES):  # those inside others first
         short = cls.__name__.removeprefix("CLOAK_PT_")
         if short != cls.__name__ and short not in names and cls.is_registered:
             bpy.utils.unregister_class(cls)
@@ -113,7 +113,7 @@ def show_all():
 
 def open_panel(name):
     """A panel that is closed by default, open."""
-    cls = next(c for c in sys.modules["cloak.panel"].CLASSES if c.__name__ == f"CLOAK_PT_{name}")
+    cls = next(c for c in sys.modules["cloak"].CLASSES if c.__name__ == f"CLOAK_PT_{name}")
     bpy.utils.unregister_class(cls)
     cls.bl_options = set()
     bpy.utils.register_class(cls)

@@ -39,7 +39,7 @@ def summary(values: list[tuple[float, float]]) -> str:
 
 
 def sample() -> bpy.types.Object:
-    from cloak import body
+    from cloak.body import objects as body
     from cloak.exchange.scenes import read_scene
 
     return body.add_from_scene(bpy.context, read_scene(Path(SCENE)))
@@ -55,11 +55,12 @@ def touch(obj: bpy.types.Object) -> None:
 
 def waits(obj: bpy.types.Object) -> dict[str, str]:
     """Every wait in Edit Mode, on one body."""
-    from cloak import faces, overlay
-    from cloak.mesh_arrays import current_mesh
-    from cloak.placing import Placed, Placement
-    from cloak.stamp import text_stamp
-    from cloak.surface import read_surface
+    from cloak.blender import faces
+    from cloak.blender.mesh_arrays import current_mesh
+    from cloak.blender.surface import read_surface
+    from cloak.logo import overlay
+    from cloak.logo.placing import Placed, Placement
+    from cloak.logo.stamp import text_stamp
     from made import select_only, set_mode
 
     print(obj.name, file=sys.stderr, flush=True)

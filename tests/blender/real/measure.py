@@ -86,16 +86,19 @@ def measure() -> dict:
 
 
 def export(obj: bpy.types.Object, folder: Path) -> None:
-    from cloak import poses, scene_export
+    from cloak.poses import export as scene_export
+    from cloak.poses import poses
 
     scene_export.export(bpy.context, obj, "half", poses.PoseChoice("RANGE", 1, POSES, 1), folder)
 
 
 def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     """A run's colours onto the object: at once, and live."""
-    from cloak import body, colors, runs
+    from cloak.blender import colors
+    from cloak.body import objects as body
     from cloak.exchange.colors import write_colors
     from cloak.exchange.face_lists import write_face_list
+    from cloak.training import runs
 
     run.mkdir()
     write_face_list(run / "logo.npy", ids, body.topology(obj))

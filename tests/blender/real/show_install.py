@@ -20,7 +20,7 @@ ZIP, WHEEL = sys.argv[sys.argv.index("--") + 1 :][:2]
 
 def steps():
     install(ZIP)
-    from cloak import trainer_install
+    from cloak.trainer import install as trainer_install
 
     bpy.context.preferences.system.use_online_access = False
     assert not bpy.ops.cloak.install_trainer.poll(), "offline, nothing may be installed"

@@ -38,7 +38,7 @@ def look_from(turn: float, up: float, away: float = 1.0):
 
 
 def ring(obj):
-    from cloak import run_list
+    from cloak.training import run_list
 
     run_list.refresh(bpy.context)
     if run_list.selected(bpy.context).evaluation is None:
@@ -50,7 +50,7 @@ def ring(obj):
 
 
 def eye(obj):
-    from cloak import eye as watching
+    from cloak.result import eye as watching
 
     yield from look_from(0.1, 0.0, 1.3)
     bpy.ops.cloak.eye()
@@ -79,7 +79,7 @@ def along(obj):
     for press in (bpy.ops.cloak.print_sheets, bpy.ops.cloak.turntable):
         press()
         yield from until_done()
-    from cloak import outputs
+    from cloak.result import outputs
 
     assert {path.name for path in outputs.made(Path(RUN))} >= {"print sheets", "turntable.gif"}
 

@@ -124,23 +124,24 @@ def click(text: str, name: str, effect: Callable[[], object], turned: bool = Fal
 
 def finished(label: str, half_way: Callable[[], None] = lambda: None) -> Iterator[float]:
     """Wait for the job that a click started."""
-    from cloak import jobs
+    from cloak.session import session
 
     start, before = time.monotonic(), os.times()
-    while jobs.current.running and jobs.current.fraction < 0.5:
+    while session.job.running and session.job.fraction < 0.5:
         yield 0.5
     half_way()
     yield from until_done()
     after = os.times()
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     seconds[label] = {"clock": round(time.monotonic() - start, 1), "processor": round(spent, 1)}
-    print(jobs.current.message, seconds[label], flush=True)
+    print(session.job.message, seconds[label], flush=True)
 
 
 def busy_with(label: str) -> Callable[[], bool]:
-    from cloak import jobs
 
-    return lambda: jobs.current is not None and jobs.current.label == label
+    from cloak.session import session
+
+    return lambda: session.job is not None and session.job.label == label
 
 
 def get_a_body() -> Iterator[float]:
@@ -182,7 +183,8 @@ def strip(film: Path) -> None:
 
 
 def keep() -> None:
-    from cloak import jobs, run_states
+    from cloak.session import session
+    from cloak.training import run_states
 
     run = Path(bpy.path.abspath(bpy.context.object.cloak.run))
     film = next(run.parent.glob(f"{run.name}*/turntable.gif"))
@@ -199,7 +201,7 @@ def keep() -> None:
     told |= {"whole": round(time.monotonic() - begun, 1), "success_in_training": state.progress.success}
     (OUT / "newcomer.json").write_text(json.dumps(told, indent=1))
     bpy.ops.wm.save_as_mainfile(filepath=str(OUT / "demo.blend"), compress=True)
-    print(json.dumps(told), (OUT / "demo.blend").stat().st_size, jobs.current.message, flush=True)
+    print(json.dumps(told), (OUT / "demo.blend").stat().st_size, session.job.message, flush=True)
 
 
 def steps() -> Iterator[float]:

@@ -52,11 +52,11 @@ def steps():
         settings.frame_end = 3
         settings.steps = 400 if STATE == "train" else 25
         bpy.ops.cloak.train_start()
-        from cloak import jobs
+        from cloak.session import session
 
         if STATE == "train":
-            while jobs.current.progress.step < 30:
-                assert jobs.current.running, jobs.current.message
+            while session.job.progress.step < 30:
+                assert session.job.running, session.job.message
                 yield 0.2
         else:
             yield from until_done()
@@ -69,9 +69,9 @@ def steps():
     show_all()
     if STATE == "train":
         bpy.ops.cloak.train_cancel()
-        while jobs.current.running:
+        while session.job.running:
             yield 0.2
-        assert jobs.current.state == "stopped", jobs.current.message
+        assert session.job.state == "stopped", session.job.message
 
 
 play(steps())

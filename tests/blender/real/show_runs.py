@@ -22,7 +22,8 @@ ZIP, FOLDER, *PANELS = sys.argv[sys.argv.index("--") + 1 :]
 
 def make_run(obj, name: str, last: int, success: float, end: str = "", unseen: tuple = ()) -> Path:
     """A run folder as the trainer leaves it."""
-    from cloak import body, faces
+    from cloak.blender import faces
+    from cloak.body import objects as body
     from cloak.exchange.colors import write_colors
     from cloak.exchange.face_lists import write_face_list
 
@@ -59,10 +60,13 @@ def make_check(run: Path) -> None:
 def steps():
     import fcntl
 
+    from cloak.session import session
+
     install(ZIP)
     tidy()
     yield 0.5
-    from cloak import faces, run_list
+    from cloak.blender import faces
+    from cloak.training import run_list
     from made import centers, make_egg
 
     obj = make_egg()
@@ -85,7 +89,7 @@ def steps():
     open_panel("compare")
     yield from (show_tab() if PANELS == ["all"] else sidebar(*(PANELS or ["runs", "compare"])))
     yield 1.5
-    states = sorted(state.state for state in run_list.states.values())
+    states = sorted(state.state for state in session.runs.values())
     assert states == ["done", "done", "failed", "running", "stopped"], states
     Path(os.environ["SHOT_READY"]).touch()
     yield 4.0

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paths that a .blend file keeps: relative to it ("//...") where they lie beside it, so that a project can be moved.
+
+Blender itself carries relative paths over when a file is saved into another folder, but not those of add-ons.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+"""Options of path properties: the file browser may put in "//" paths. Older Blenders always let it."""
+_while_saving: dict[int, tuple[object, dict[str, str]]] = {}
+"""Absolute paths by their owner (its address) while a file is being written."""
+
+
+def absolute(path: str) -> str:
+    """A path as the user typed it ("//" means beside the .blend file) as an absolute one; "" stays ""."""
+    return str(Path(bpy.path.abspath(path)).absolute()) if path else ""
+
+
+def blend_folder() -> Path | None:
+    """Where the open file lies; None while it was never saved."""
+    return Path(bpy.data.filepath).parent if bpy.data.filepath else None
+
+
+def portable(path: str, folder: Path | None) -> str:
+    """An absolute path as a file in `folder` keeps it: "//..." when it lies there or below."""
+    if folder is None or not path or not Path(path).is_relative_to(folder):
+        return path
+    return "//" + Path(path).relative_to(folder).as_posix()
+
+
+def _owners() -> list[bpy.types.PropertyGroup]:
+    objects = [obj.cloak for obj in bpy.data.objects if obj.library is None]
+    scenes = [scene.cloak for scene in bpy.data.scenes if scene.library is None]
+    return [*objects, *scenes, *(s.judging for s in scenes), *(d for s in scenes for d in s.detectors)]
+
+
+def _path_names(owner: bpy.types.PropertyGroup) -> list[str]:
+    kinds = ("FILE_PATH", "DIR_PATH")
+    return [p.identifier for p in owner.bl_rna.properties if p.type == "STRING" and p.subtype in kinds]
+
+
+@persistent
+def before_saving(file: str, _: object = None) -> None:
+    """Paths as the file that is about to be written needs them; what they mean stays."""
+    folder = Path(file).parent if file else None
+    _while_saving.clear()
+    for owner in _owners():
+        paths = {name: absolute(getattr(owner, name)) for name in _path_names(owner) if getattr(owner, name)}
+        if paths:
+            _while_saving[owner.as_pointer()] = owner, paths
+            _write(owner, paths, folder)
+
+
+@persistent
+def after_saving(*_: object) -> None:
+    """Paths as the file that is open now needs them: it may be another one than was written (a copy)."""
+    for owner, paths in _while_saving.values():
+        _write(owner, paths, blend_folder())
+    _while_saving.clear()
+
+
+def _write(owner: bpy.types.PropertyGroup, paths: dict[str, str], folder: Path | None) -> None:
+    for name, path in paths.items():
+        words = portable(path, folder)
+        if getattr(owner, name) != words:
+            setattr(owner, name, words)
+
+
+HANDLERS = (("save_pre", before_saving), ("save_post", after_saving), ("save_post_fail", after_saving))
+
+
+def register() -> None:
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).remove(handler)

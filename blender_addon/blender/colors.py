@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colours on the model: trained colours as a face-corner colour attribute, the material that shows it, and what the
+body's faces look like without a cloak.
+
+Files and detectors speak display-referred sRGB in [0, 1]; Blender's colour attributes are scene-linear. The conversion
+happens here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..files.errors import InputError
+from .mesh_arrays import corner_counts, image_pixels, mean_of_corners, read, sync, write_attribute
+
+CLOAK = "Cloak"
+"""Name of the colour attribute that holds the trained colours."""
+SEEN, LOOKDEV = "SEEN", "LOOKDEV"
+LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
+"""The materials that show it: unlit, so that every colour is the trained one, or lit as cloth."""
+OUTFIT = "Outfit"
+"""The same for the plain clothing of bodies made from a scene package."""
+HEATMAP = "Cloak Heatmap"
+HEAT = "cloak_heat"
+"""Float face attribute: the last heat map."""
+SLOTS = "material_index"
+"""Blender's own face attribute: the material slot of each face."""
+OWN_MATERIAL = "cloak_own_material"
+"""Integer face attribute: the material slot each face had before it was dressed."""
+GREY = 0.5
+
+
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, elementwise; float32 in, float32 out."""
+    values = np.asarray(values, np.float32)
+    return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(values: np.ndarray) -> np.ndarray:
+    """Inverse of `srgb_to_linear`."""
+    values = np.asarray(values, np.float32)
+    return np.where(values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
+
+
+# --- the colour attribute --------------------------------------------------------------------------------------------
+
+
+def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> None:
+    """Write one sRGB colour per face, [F, 3], into the corner colour attribute `name`, made where there is none."""
+    mesh = obj.data
+    if obj.mode == "EDIT":
+        raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
+    attribute = mesh.color_attributes.get(name)
+    if attribute is None or attribute.domain != "CORNER" or attribute.data_type != "FLOAT_COLOR":
+        if mesh.attributes.get(name) is not None:
+            mesh.attributes.remove(mesh.attributes[name])
+        attribute = mesh.color_attributes.new(name, "FLOAT_COLOR", "CORNER")
+    rgba = np.ones((len(mesh.polygons), 4), np.float32)
+    rgba[:, :3] = srgb_to_linear(colors)
+    attribute.data.foreach_set("color", np.repeat(rgba, corner_counts(mesh), axis=0).ravel())
+    mesh.update_tag()
+
+
+def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """[F, 3] sRGB: the mean over each face's corners of a colour attribute, as written by `write_face_colors`."""
+    attribute = obj.data.color_attributes[name]
+    values = read(attribute.data, "color", 4)[:, :3]
+    if attribute.domain == "POINT":
+        values = values[read(obj.data.loops, "vertex_index", dtype=np.int32)]
+    return linear_to_srgb(mean_of_corners(obj.data, values))
+
+
+def cloak_colors(obj: bpy.types.Object, face_ids: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """[F, 3] sRGB: the body's own colours with the logo's faces in the trained ones."""
+    combined = own_face_colors(obj)
+    combined[face_ids] = colors
+    return combined
+
+
+def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str | None) -> None:
+    """Let Solid shading show the colour attribute `name`; None returns the viewports to the body's own colours."""
+    if name is None and OUTFIT in obj.data.color_attributes:
+        name = OUTFIT
+    if name is not None:
+        activate(obj, name)
+    for window in context.window_manager.windows if context.window_manager else ():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.shading.color_type = "VERTEX" if name else "MATERIAL"
+
+
+def activate(obj: bpy.types.Object, name: str) -> None:
+    """Make a colour attribute the one that viewports and renders show."""
+    attributes = obj.data.color_attributes
+    attributes.active_color = attributes[name]
+    attributes.render_color_index = attributes.active_color_index
+
+
+def shown_attribute(obj: bpy.types.Object) -> str:
+    """The colour attribute that viewports show; "" for none."""
+    name = obj.data.color_attributes.active_color_name
+    return name if name in obj.data.color_attributes else ""  # Blender 5.2 goes on naming one that was removed
+
+
+def shows_heat(obj: bpy.types.Object) -> bool:
+    """Whether the heat map is what viewports show."""
+    return shown_attribute(obj) == HEATMAP
+
+
+def hide_heat(context: bpy.types.Context, obj: bpy.types.Object, cloaked: bool) -> None:
+    """Show the cloak again where the body or its clothing wears it, else the body's own colours."""
+    show_attribute(context, obj, CLOAK if cloaked and CLOAK in obj.data.color_attributes else None)
+    if shows_heat(obj):  # a body without colours of its own has nothing else to show
+        obj.data.color_attributes.remove(obj.data.color_attributes[HEATMAP])
+
+
+# --- materials -------------------------------------------------------------------------------------------------------
+
+
+def attribute_material(name: str, title: str = "") -> bpy.types.Material:
+    """The material called `title` (or as the attribute) whose base colour is the colour attribute `name`."""
+    material = bpy.data.materials.get(title or name)
+    if material is not None and material.library is None and _shows_attribute(material, name):
+        return material
+    material = bpy.data.materials.new(title or name)
+    nodes, links = nodes_of(material)
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Roughness"].default_value = 0.6
+    source = nodes.new("ShaderNodeVertexColor")
+    source.layer_name = name
+    source.location = (shader.location.x - 220, shader.location.y)
+    links.new(source.outputs["Color"], shader.inputs["Base Color"])
+    return material
+
+
+def cloak_material(look: str) -> bpy.types.Material:
+    """The material of a look: emission of the trained colours, or a matte cloth that light falls on."""
+    material = attribute_material(CLOAK, LOOKS[look])
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    if look == SEEN and not any(node.type == "EMISSION" for node in nodes):
+        source = next(node for node in nodes if node.bl_idname == "ShaderNodeVertexColor")
+        nodes.remove(next(node for node in nodes if node.type == "BSDF_PRINCIPLED"))
+        emission, output = nodes.new("ShaderNodeEmission"), next(n for n in nodes if n.type == "OUTPUT_MATERIAL")
+        links.new(source.outputs["Color"], emission.inputs["Color"])
+        links.new(emission.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def set_look(obj: bpy.types.Object, look: str) -> None:
+    """Show a cloak that the object wears through the material of a look."""
+    slot = _cloak_slot(obj.data)
+    if slot is not None:
+        obj.data.materials[slot] = cloak_material(look)
+
+
+def nodes_of(owner: bpy.types.Material | bpy.types.World) -> tuple:
+    """The nodes of a new material or world, and their links."""
+    if bpy.app.version < (5, 0, 0):
+        owner.use_nodes = True
+    return owner.node_tree.nodes, owner.node_tree.links
+
+
+def _shows_attribute(material: bpy.types.Material, name: str) -> bool:
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return any(node.bl_idname == "ShaderNodeVertexColor" and node.layer_name == name for node in nodes)
+
+
+def dress(obj: bpy.types.Object, face_ids: np.ndarray) -> None:
+    """Give the logo's faces the cloak material and remember the slot each face had before."""
+    undress(obj)
+    mesh = obj.data
+    slot = _slot_of(mesh, cloak_material(bpy.context.scene.cloak.look))
+    set_look(obj, bpy.context.scene.cloak.look)
+    slots = _read_slots(mesh)
+    write_attribute(mesh, OWN_MATERIAL, "INT", slots)
+    slots[face_ids] = slot
+    write_attribute(mesh, SLOTS, "INT", slots)
+
+
+def undress(obj: bpy.types.Object) -> None:
+    """Give faces that wear the cloak material their own material back."""
+    if _cloak_slot(obj.data) is not None and OWN_MATERIAL in obj.data.attributes:
+        write_attribute(obj.data, SLOTS, "INT", own_material_slots(obj))
+
+
+def is_dressed(obj: bpy.types.Object) -> bool:
+    """Whether some faces wear the cloak material."""
+    slot = _cloak_slot(obj.data)
+    if slot is None:
+        return False
+    return bool((_read_slots(obj.data) == slot).any())
+
+
+def lost_its_cloak(obj: bpy.types.Object) -> bool:
+    """Whether an object that was dressed misses material or attributes: undo takes them, Show Original does not."""
+    mesh = obj.data
+    return _cloak_slot(mesh) is None or OWN_MATERIAL not in mesh.attributes or CLOAK not in mesh.color_attributes
+
+
+def own_material_slots(obj: bpy.types.Object) -> np.ndarray:
+    """[F] int32: each face's material slot, without the cloak."""
+    return own_slots_of(obj, obj.data)
+
+
+def own_slots_of(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
+    """The same, read from a copy of the object's mesh, which has no materials of its own."""
+    slots = _read_slots(mesh)
+    slot, own = _cloak_slot(obj.data), mesh.attributes.get(OWN_MATERIAL)
+    if slot is not None and own is not None and len(own.data) == len(slots):
+        slots = np.where(slots == slot, read(own.data, "value", dtype=np.int32), slots)
+    return slots
+
+
+def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
+    """[F] int32: material slot of each face; from the attribute, which is ten times as fast as from the polygons."""
+    attribute = mesh.attributes.get(SLOTS)
+    if attribute is None:
+        return np.zeros(len(mesh.polygons), np.int32)
+    if len(attribute.data) == len(mesh.polygons):
+        return read(attribute.data, "value", dtype=np.int32)
+    return read(mesh.polygons, SLOTS, dtype=np.int32)
+
+
+def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
+    for index, material in enumerate(mesh.materials):
+        if material is not None and _shows_attribute(material, CLOAK):
+            return index
+    return None
+
+
+def _slot_of(mesh: bpy.types.Mesh, material: bpy.types.Material) -> int:
+    if not mesh.materials:
+        mesh.materials.append(None)  # faces without a material use slot 0, which must stay plain
+    index = _cloak_slot(mesh)
+    if index is None:
+        mesh.materials.append(material)
+        index = len(mesh.materials) - 1
+    return index
+
+
+def dress_in_outfits(obj: bpy.types.Object, outfits: np.ndarray) -> None:
+    """Plain clothing for a new body: sRGB [K, F, 3] as the attributes "Outfit", "Outfit 2" ... and a material."""
+    for number, outfit in enumerate(outfits, 1):
+        write_face_colors(obj, OUTFIT if number == 1 else f"{OUTFIT} {number}", outfit)
+    obj.data.materials.append(attribute_material(OUTFIT))
+
+
+# --- what the body looks like without a cloak ------------------------------------------------------------------------
+
+
+def own_outfits(obj: bpy.types.Object) -> np.ndarray:
+    """[K, F, 3] float32 sRGB: the body's own colours, and as it would look in its other outfits where it has them."""
+    own = own_face_colors(obj)
+    slots = own_material_slots(obj)
+    outfit_slots = [i for i, s in enumerate(obj.material_slots) if s.material and _shows_attribute(s.material, OUTFIT)]
+    outfits, number = [own], 2
+    while obj.mode != "EDIT" and outfit_slots and obj.data.color_attributes.get(f"{OUTFIT} {number}"):
+        other = own.copy()
+        worn = np.isin(slots, outfit_slots)
+        other[worn] = np.clip(read_face_colors(obj, f"{OUTFIT} {number}")[worn], 0, 1)
+        outfits.append(other)
+        number += 1
+    return np.stack(outfits)
+
+
+def own_face_colors(obj: bpy.types.Object) -> np.ndarray:
+    """[F, 3] float32 sRGB: each face's base colour, from its material, image texture or colour attribute."""
+    sync(obj)
+    slots = own_material_slots(obj)
+    colors = np.full((len(slots), 3), GREY, np.float32)
+    for index, slot in enumerate(obj.material_slots):
+        faces = slots == index
+        if slot.material is not None and faces.any():
+            colors[faces] = _material_colors(obj, slot.material, faces)
+    return np.clip(np.nan_to_num(colors, nan=GREY), 0, 1)
+
+
+def _material_colors(obj: bpy.types.Object, material: bpy.types.Material, faces: np.ndarray) -> np.ndarray:
+    """sRGB [n, 3] or [3] for the faces of a mask."""
+    source = _base_color_input(material)
+    if source is None:
+        return linear_to_srgb(material.diffuse_color[:3])
+    if not source.is_linked:
+        return linear_to_srgb(source.default_value[:3])
+    node = source.links[0].from_node
+    if node.bl_idname == "ShaderNodeTexImage" and node.image is not None and obj.data.uv_layers.active:
+        sampled = _image_colors(obj.data, node.image)
+        if sampled is not None:
+            return sampled[faces]
+    name = getattr(node, "layer_name", "") or getattr(node, "attribute_name", "")
+    if name and obj.mode != "EDIT" and obj.data.color_attributes.get(name):
+        return read_face_colors(obj, name)[faces]
+    if node.bl_idname == "ShaderNodeRGB":
+        return linear_to_srgb(node.outputs[0].default_value[:3])
+    return linear_to_srgb(material.diffuse_color[:3])
+
+
+def _base_color_input(material: bpy.types.Material) -> bpy.types.NodeSocket | None:
+    uses = bpy.app.version >= (5, 0, 0) or material.use_nodes  # from then on all materials do
+    nodes = material.node_tree.nodes if material.node_tree and uses else ()
+    for node in nodes:
+        if node.type in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "EMISSION"):
+            return node.inputs.get("Base Color") or node.inputs.get("Color")
+    return None
+
+
+def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | None:
+    """[F, 3] sRGB: the texel under the middle of each face's texture coordinates."""
+    width, height = image.size
+    if not width or not height:
+        return None
+    pixels = image_pixels(image)
+    pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
+    middle = np.nan_to_num(mean_of_corners(mesh, read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
+    x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
+    y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
+    texels = pixels[y, x]
+    return linear_to_srgb(texels) if image.is_float else texels
+
+
+# --- heat map --------------------------------------------------------------------------------------------------------
+
+
+def heat_colors(heat: np.ndarray) -> np.ndarray:
+    """[F] heat to [F, 3] sRGB: dark blue through magenta and orange to pale yellow; the hottest 1 % saturate."""
+    top = float(np.quantile(heat, 0.99)) if heat.size else 0.0
+    level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
+    stops = np.array(
+        [(0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75)]
+    )
+    return np.stack([np.interp(level, np.linspace(0, 1, len(stops)), stops[:, c]) for c in range(3)], -1)
+
+
+# --- view transform --------------------------------------------------------------------------------------------------
+
+
+def view_transform_reason(scene: bpy.types.Scene) -> str:
+    """Why the scene's colour management will not show the trained colours as the detector saw them; "" when it will."""
+    view = scene.view_settings
+    if scene.display_settings.display_device != "sRGB":
+        return f"Display device '{scene.display_settings.display_device}' does not show the trained colours"
+    if view.view_transform != "Standard":
+        return f"View transform '{view.view_transform}' does not show the trained colours"
+    if (
+        view.look not in ("None", "")
+        or abs(view.exposure) > 1e-6
+        or abs(view.gamma - 1) > 1e-6
+        or view.use_curve_mapping
+    ):
+        return "Look, exposure, gamma or curves change the trained colours"
+    return ""
+
+
+def use_standard_view(scene: bpy.types.Scene) -> None:
+    """Colour management that shows sRGB colours as they are."""
+    scene.display_settings.display_device = "sRGB"
+    view = scene.view_settings
+    view.view_transform = "Standard"
+    view.look = "None"
+    view.exposure, view.gamma, view.use_curve_mapping = 0.0, 1.0, False

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which points of a surface are seen in a projection: numpy alone, because a ray from Python takes thirty microseconds.
+
+Plane coordinates [n, 3]: x and y in the projection's plane, and a nearness that grows towards the viewer and is linear
+over each triangle's image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TOLERANCE = 1e-6
+"""Nearness that two layers may differ by and still count as one, as a share of the range of the points."""
+MAX_PAIRS = 4_000_000
+
+
+def seen(
+    points: np.ndarray, faces: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, triangle_face: np.ndarray
+) -> np.ndarray:
+    """Mask [n] of the points [n, 3] on their own faces [n] that no triangle of another face lies before.
+
+    The triangles [T, 3] of faces [T] index plane coordinates `vertices` [V, 3]. Triangles and points meet in the cells
+    of a grid over the plane, about as many cells as there are triangles.
+    """
+    if not len(points):
+        return np.zeros(0, bool)
+    low, high = points[:, :2].min(0), points[:, :2].max(0)
+    beyond = [vertices[:, axis] < low[axis] for axis in (0, 1)] + [vertices[:, axis] > high[axis] for axis in (0, 1)]
+    aside = [side[triangles[:, 0]] & side[triangles[:, 1]] & side[triangles[:, 2]] for side in beyond]
+    behind = vertices[:, 2] <= points[:, 2].min()
+    near = ~np.logical_or.reduce([*aside, behind[triangles].all(1)])
+    first, second, third = (vertices[triangles[near, corner]] for corner in range(3))
+    least, most = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
+    corners, triangle_face = np.stack([first, second, third], 1), triangle_face[near]
+    tolerance = TOLERANCE * max(float(np.ptp(points[:, 2])), 1e-30)
+    side = max(1, int(len(corners) ** 0.5))
+    cell = np.maximum((high - low) / side, 1e-30)
+
+    def cell_of(places: np.ndarray) -> np.ndarray:
+        return np.clip(np.floor((places - low) / cell), 0, side - 1).astype(np.int64)
+
+    cells, triangles = cells_touched(cell_of(least[:, :2]), cell_of(most[:, :2]), side)
+    wanted = cell_of(points[:, :2]) @ np.array([1, side])
+    farthest = np.full(side * side, np.inf)
+    np.minimum.at(farthest, wanted, points[:, 2])
+    matters = most[triangles, 2] > farthest[cells]  # not in empty cells, nor behind all points
+    order = np.argsort(cells[matters])
+    cells, triangles = cells[matters][order], triangles[matters][order]
+    first, last = np.searchsorted(cells, wanted, "left"), np.searchsorted(cells, wanted, "right")
+    visible = np.ones(len(points), bool)
+    counts = last - first
+    for part in np.array_split(np.arange(len(points)), 1 + int(counts.sum()) // MAX_PAIRS):
+        point, place = ranges(part, first[part], counts[part])
+        triangle = triangles[place]
+        other = triangle_face[triangle] != faces[point]
+        point, triangle = point[other], triangle[other]
+        before = _lies_before(points[point], corners[triangle], tolerance)
+        visible[point[before]] = False
+    return visible
+
+
+def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Nearness [W, H] of the nearest triangle in the middle of each cell (-inf for none), and its number (-1 for none).
+
+    points: plane coordinates [V, 3], x and y in cells, of which there are `shape` (width, height).
+    """
+    width, height = shape
+    # Axis by axis, in single precision: numpy takes a tenth of the time that it does over corners of three.
+    x, y = (points[:, axis].astype(np.float32)[triangles.T] - np.float32(0.5) for axis in (0, 1))
+    low = [np.ceil(np.minimum(np.minimum(v[0], v[1]), v[2])) for v in (x, y)]
+    high = [np.floor(np.maximum(np.maximum(v[0], v[1]), v[2])) for v in (x, y)]
+    some = np.flatnonzero((high[0] >= low[0]) & (high[1] >= low[1]))  # those that reach the middle of a cell
+    most = np.array(shape) - 1
+    least, last = (np.clip(np.stack([v[some] for v in pair], 1), 0, most).astype(np.int64) for pair in (low, high))
+    cell, triangle = cells_touched(least, last, width)
+    triangle = some[triangle]
+    middle = np.stack([cell % width, cell // width], -1) + 0.5
+    a, b, c = (points[triangles[triangle, corner]] for corner in range(3))
+    sides = ((b, c), (c, a), (a, b))
+    weights = np.stack([_turn(p[:, :2] - middle, q[:, :2] - middle) for p, q in sides], -1)
+    area = weights[:, 0] + weights[:, 1] + weights[:, 2]
+    inside = ((weights >= 0).all(1) | (weights <= 0).all(1)) & (area != 0)
+    depth = (weights[:, 0] * a[:, 2] + weights[:, 1] * b[:, 2] + weights[:, 2] * c[:, 2])[inside] / area[inside]
+    cell, triangle = cell[inside], triangle[inside]
+    order = np.argsort(depth)  # of several values for one cell the last one written stays
+    nearness, owner = np.full(width * height, -np.inf), np.full(width * height, -1)
+    nearness[cell[order]], owner[cell[order]] = depth[order], triangle[order]
+    return nearness.reshape(height, width), owner.reshape(height, width)
+
+
+def cells_touched(low: np.ndarray, high: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cells under each bounding box [T, 2] of cells, one after the other, and the box of each."""
+    columns, rows = (high - low + 1).T
+    box, place = ranges(np.arange(len(low)), np.zeros(len(low), np.int64), columns * rows)
+    x, y = low[box, 0] + place % columns[box], low[box, 1] + place // columns[box]
+    return x + side * y, box
+
+
+def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each owner repeated `counts` times, beside first, first + 1, ..."""
+    places = np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
+    return np.repeat(owners, counts), places
+
+
+def _lies_before(points: np.ndarray, corners: np.ndarray, tolerance: float) -> np.ndarray:
+    """Mask [n]: the triangle [n, 3, 3] covers its point [n, 3] and is nearer there."""
+    a, b, c = (corners[:, i] - points for i in range(3))
+    weights = np.stack([_turn(b, c), _turn(c, a), _turn(a, b)], -1)
+    inside = (weights >= 0).all(1) | (weights <= 0).all(1)
+    area = weights.sum(1)
+    covers = inside & (area != 0)
+    depth = (weights * np.stack([a[:, 2], b[:, 2], c[:, 2]], -1)).sum(1)
+    return covers & (depth / np.where(covers, area, 1) > tolerance)
+
+
+def _turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A body's faces as they stand in the viewport, in arrays that answer quickly what a ray hits and what lies around.
+
+Read once when a stroke begins; no tree, because a pass over hundreds of thousands of faces takes numpy milliseconds.
+Points that come in and go out are in world space. P evaluated faces, F faces of the mesh itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..files.errors import InputError
+from .mesh_arrays import (
+    corners_by_size,
+    evaluated_mesh,
+    face_centers,
+    face_count,
+    face_normals,
+    hidden_faces,
+    polygon_loops,
+    split_faces,
+    to_world,
+    vertex_points,
+)
+from .modifiers import carried_faces, lost_reason, numbered_faces
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One body at one moment. Places are float32 around `middle`, so that they are exact wherever the body stands."""
+
+    middle: np.ndarray
+    """[3] float64, in world space."""
+    points: np.ndarray
+    """[V, 3] vertices."""
+    centers: np.ndarray
+    """[P, 3]."""
+    normals: np.ndarray
+    """[P, 3], of any length."""
+    reach: np.ndarray
+    """[P] from each centre to its farthest corner."""
+    shown: np.ndarray
+    """[P] bool: not hidden."""
+    starts: np.ndarray
+    counts: np.ndarray
+    loops: np.ndarray
+    """First corner and number of corners of each face [P], and all corners' vertices [C]."""
+    own: np.ndarray | None
+    """[P] the mesh's own face that each one comes from, -1 for none; None where they are the same."""
+    own_count: int
+    """F."""
+
+    def triangles(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [n, 3] of the triangles of some faces, and the face of each [n]."""
+        return split_faces(self.points, self.starts, self.counts, self.loops, faces)
+
+    def hits(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """[n, 3] where a ray meets shown faces, the nearest first."""
+        start = np.asarray(origin, np.float64) - self.middle
+        ray = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+        offset = self.centers - start.astype(np.float32)
+        along = offset @ ray.astype(np.float32)
+        aside = np.einsum("ij,ij->i", offset, offset) - along * along
+        near = np.flatnonzero((aside <= 1.001 * self.reach**2 + 1e-12) & (along > -self.reach) & self.shown)
+        triangles, _ = self.triangles(near)
+        distance = _distances(start, ray, self.points[triangles].astype(np.float64))
+        return self.middle + start + np.sort(distance[distance > 0])[:, None] * ray
+
+    def face_at(self, place: np.ndarray) -> int:
+        """The shown face that a place lies on, or whose centre is nearest; -1 where there are none."""
+        point = (place - self.middle).astype(np.float32)
+        squared = _squared(self.centers - point)
+        squared[~self.shown] = np.inf
+        near = np.flatnonzero(squared <= 1.001 * self.reach**2 + 1e-12)
+        if len(near):
+            triangles, face = self.triangles(near)
+            outside = _outside(point.astype(np.float64), self.points[triangles].astype(np.float64))
+            return int(face[np.argmin(outside)])
+        return int(np.argmin(squared)) if self.shown.any() else -1
+
+    def around(self, place: np.ndarray, radius: float) -> np.ndarray:
+        """The faces whose centres lie within a radius of a place on the surface, and that look to its side; [n]."""
+        touched = self.face_at(place)
+        if touched < 0:
+            return np.zeros(0, np.int64)
+        point = (place - self.middle).astype(np.float32)
+        near = np.flatnonzero(_squared(self.centers - point) <= radius**2)
+        near = near[self.shown[near] & (self.normals[near] @ self.normals[touched] > 0)]
+        beyond = np.sqrt(_squared(self.centers[touched] - point)) > max(radius, 1.001 * float(self.reach[touched]))
+        return near if beyond else np.union1d(near, [touched])
+
+    def own_mask(self, faces: np.ndarray) -> np.ndarray:
+        """Mask [F] of the mesh's own faces that some evaluated faces come from."""
+        mask = np.zeros(self.own_count, bool)
+        own = faces if self.own is None else self.own[faces]
+        mask[own[own >= 0]] = True
+        return mask
+
+
+def _squared(vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("...j,...j->...", vectors, vectors)
+
+
+def _distances(start: np.ndarray, ray: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """[n] along the ray to each triangle [n, 3, 3], nan where it misses (Möller and Trumbore 1997)."""
+    first, second, third = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(ray, third)
+    volume = np.einsum("ij,ij->i", second, across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = ((start - first) * across).sum(1) / volume
+        turned = np.cross(start - first, second)
+        v, distance = turned @ ray / volume, (turned * third).sum(1) / volume
+        return np.where((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9), distance, np.nan)
+
+
+def _outside(point: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """[n] how far a point lies from the plane of each triangle [n, 3, 3], and how far aside of it, added up."""
+    a, b, c = (corners[:, i] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
+    height = np.abs(((point - a) * normal).sum(1)) / size
+    sides = [(np.cross(q - p, point - p) * normal).sum(1) / size for p, q in ((a, b), (b, c), (c, a))]
+    return height + np.maximum(0, -np.min(sides, 0)) / np.sqrt(size)
+
+
+def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
+    """The body as it is seen now: posed, and with its modifiers' faces where they come from its own."""
+    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+        if len(mesh.polygons) == face_count(obj):
+            return _surface(obj, mesh, matrix, None)
+    with numbered_faces([obj]), evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+        own = carried_faces(obj, mesh)
+        if own is None:
+            raise InputError(lost_reason(obj))
+        return _surface(obj, mesh, matrix, own)
+
+
+def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, own: np.ndarray | None) -> Surface:
+    placed = to_world(vertex_points(mesh), matrix)
+    middle = placed.mean(0)
+    points = (placed - middle).astype(np.float32)
+    counts, loops = polygon_loops(mesh)
+    starts = np.cumsum(counts) - counts
+    centers = face_centers(points, counts, loops)
+    normals = face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
+    reach = np.empty(len(centers), np.float32)
+    for faces, corners in corners_by_size(counts, loops):
+        away = [_squared(points[corner] - centers[faces]) for corner in corners.T]
+        reach[faces] = np.sqrt(np.maximum.reduce(away))
+    shown = ~hidden_faces(mesh)
+    return Surface(middle, points, centers, normals, reach, shown, starts, counts, loops, own, face_count(obj))

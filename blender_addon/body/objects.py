@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bodies: the mesh object that wears the logo. Checks, topology, subdivision, and bodies built from a scene package.
+
+Plain functions over objects and meshes; whatever is wrong with the user's object is an `InputError` whose one line says
+what to do next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bmesh
+import bpy
+import numpy as np
+
+from ..blender import colors
+from ..blender.mesh_arrays import current_mesh, polygon_loops
+from ..exchange.bodies import Bodies, topology_hash
+from ..files.errors import InputError
+
+ORIGINAL_FACE = "cloak_original_face"
+"""Integer face attribute that subdivision leaves: the face each one came from."""
+
+
+def active_body(context: bpy.types.Context) -> bpy.types.Object:
+    """The active object, checked to be a mesh that Cloak may write to."""
+    obj = context.view_layer.objects.active if context.view_layer else None
+    require_body(obj)
+    return obj
+
+
+def object_of(uid: int) -> bpy.types.Object | None:
+    """The object with this `session_uid`, which stays when it is renamed; None when it is gone."""
+    return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+
+
+def require_body(obj: bpy.types.Object | None) -> None:
+    """Raise `InputError` unless `obj` is a local, single-user mesh object with faces."""
+    if obj is None:
+        raise InputError("No active object: click the character's mesh in the viewport")
+    if obj.type != "MESH":
+        meshes = [child.name for child in obj.children_recursive if child.type == "MESH"]
+        hint = f"click '{meshes[0]}' instead" if meshes else "click the character's mesh in the viewport"
+        raise InputError(f"'{obj.name}' is not a mesh ({obj.type.lower()}): {hint}")
+    mesh = obj.data
+    library = obj.library or mesh.library
+    if library or obj.override_library or mesh.override_library:
+        what = f"linked from {library.name}" if library else "a library override"
+        raise InputError(f"'{obj.name}' is {what}: Object > Relations > Make Local > Selected Objects and Data")
+    users = mesh.users - mesh.use_fake_user
+    if users > 1:
+        raise InputError(
+            f"Mesh '{mesh.name}' is shared by {users} objects: Object > Relations > Make Single User > Object & Data"
+        )
+    if obj.mode != "EDIT" and not mesh.polygons:
+        raise InputError(f"'{obj.name}' has no faces: click the character's mesh in the viewport")
+
+
+def require_upright(obj: bpy.types.Object) -> None:
+    """Raise `InputError` when the object's transform mirrors or flattens the body."""
+    determinant = obj.matrix_world.determinant()
+    if not np.isfinite(determinant) or determinant == 0:
+        raise InputError(f"'{obj.name}' is scaled to nothing: set its scale, then apply it (Ctrl A > Scale)")
+    if determinant < 0:
+        raise InputError(
+            f"'{obj.name}' has a negative scale, which turns its faces inside out: apply it (Ctrl A > Scale), "
+            "then Mesh > Normals > Recalculate Outside"
+        )
+
+
+def topology(obj: bpy.types.Object) -> str:
+    """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
+    with current_mesh(obj) as mesh:
+        return topology_hash(len(mesh.vertices), *polygon_loops(mesh))
+
+
+# --- subdivision -----------------------------------------------------------------------------------------------------
+
+
+def _silent(fraction: float) -> None:
+    """Progress that nobody watches."""
+
+
+def subdivide(
+    obj: bpy.types.Object, triangulate: bool = True, show: Callable[[float], None] = _silent
+) -> tuple[int, int]:
+    """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
+
+    With `triangulate` every face ends as triangles. Shape keys, vertex groups, materials, UVs and face attributes (so
+    also logos) carry over; each face keeps the index it came from in the attribute `cloak_original_face`.
+    """
+    mesh = obj.data
+    editing = obj.mode == "EDIT"
+    bm = bmesh.from_edit_mesh(mesh) if editing else bmesh.new()
+    if not editing:
+        bm.from_mesh(mesh)
+    try:
+        before = len(bm.faces)
+        _remember_faces(bm)
+        show(0.05)
+        _split(bm, keep_quads=not triangulate, show=show)
+        after = len(bm.faces)
+        if editing:
+            bmesh.update_edit_mesh(mesh, destructive=True)
+        else:
+            bm.to_mesh(mesh)
+            mesh.update()
+    finally:
+        if not editing:
+            bm.free()
+    return before, after
+
+
+def _remember_faces(bm: bmesh.types.BMesh) -> None:
+    if bm.faces.layers.int.get(ORIGINAL_FACE) is not None:
+        return
+    layer = bm.faces.layers.int.new(ORIGINAL_FACE)
+    for index, face in enumerate(bm.faces):
+        face[layer] = index
+
+
+def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
+    hidden = _remember_hidden(bm)
+    has_ngons = any(len(f.verts) > 4 for f in bm.faces)
+    corner = bm.verts.layers.int.new("cloak_corner")
+    for vert in bm.verts if has_ngons else ():
+        vert[corner] = True
+    show(0.1)
+    middles = bmesh.ops.subdivide_edges(bm, edges=bm.edges[:], cuts=1, use_grid_fill=True)["geom_inner"]
+    show(0.5)
+    if has_ngons:
+        for element in middles:
+            if isinstance(element, bmesh.types.BMVert):
+                element[corner] = False  # new vertices take over the flags of the old
+        _split_ngons(bm, keep_quads)
+    if not keep_quads:
+        bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
+    show(0.9)
+    if hidden:
+        _hide_again(bm)
+    bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
+
+
+def _remember_hidden(bm: bmesh.types.BMesh) -> bool:
+    """Write down which faces are hidden: splitting does not hand the flag down reliably. Whether there are any."""
+    faces = [face for face in bm.faces if face.hide]
+    if faces:
+        layer = bm.faces.layers.int.new("cloak_hidden")
+        for face in bm.faces:
+            face[layer] = face.hide
+    return bool(faces)
+
+
+def _hide_again(bm: bmesh.types.BMesh) -> None:
+    layer = bm.faces.layers.int["cloak_hidden"]
+    flags = [face[layer] for face in bm.faces]
+    for face, flag in zip(bm.faces, flags, strict=True):
+        if face.hide != flag:
+            face.hide_set(flag)
+    bm.faces.layers.int.remove(layer)
+
+
+def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
+    """Faces that edge subdivision left as one polygon with 2n corners get a centre, as Simple subdivision has it."""
+    corner = bm.verts.layers.int["cloak_corner"]
+    for face in [f for f in bm.faces if len(f.verts) > 4]:
+        ring = list(face.verts)
+        (center,) = bmesh.ops.poke(bm, faces=[face], center_mode="MEAN")["verts"]
+        _average(bm, center, [v for v in ring if v[corner]])
+        if keep_quads:
+            spokes = [e for e in center.link_edges if e.other_vert(center)[corner]]
+            bmesh.ops.dissolve_edges(bm, edges=spokes, use_verts=False)
+
+
+def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.types.BMVert]) -> None:
+    """Give `vert` the mean position, shape keys and weights of `ring`."""
+    for layer in bm.verts.layers.shape.values():
+        vert[layer] = sum((v[layer] for v in ring[1:]), ring[0][layer].copy()) / len(ring)
+    deform = bm.verts.layers.deform.active
+    if deform is None:
+        return
+    weights: dict[int, float] = {}
+    for v in ring:
+        for group, weight in v[deform].items():
+            weights[group] = weights.get(group, 0.0) + weight / len(ring)
+    vert[deform].clear()
+    for group, weight in weights.items():
+        vert[deform][group] = weight
+
+
+# --- bodies from a scene package -------------------------------------------------------------------------------------
+
+
+def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
+    """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
+
+    The outfits become the corner colour attributes "Outfit", "Outfit 2" ..., the first shown by a material; the
+    scene's frame range is set to the poses.
+    """
+    mesh = bpy.data.meshes.new(bodies.name)
+    poses = blender_axes(bodies.vertices)
+    loop_total, loop_vertices = bodies.loop_total, bodies.loop_vertices
+    if loop_total is None:
+        loop_total, loop_vertices = np.full(bodies.triangle_count, 3, np.int32), bodies.triangles.ravel()
+    _fill_mesh(mesh, poses[0], loop_total, loop_vertices)
+    for name, mask in bodies.regions.items():
+        mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
+    obj = bpy.data.objects.new(bodies.name, mesh)
+    context.collection.objects.link(obj)
+    colors.dress_in_outfits(obj, bodies.face_colors)
+    colors.show_attribute(context, obj, colors.OUTFIT)
+    if bodies.pose_count > 1:
+        _key_poses(context.scene, obj, poses, bodies.names)
+    if context.mode == "OBJECT":
+        for other in context.selected_objects:
+            other.select_set(False)
+        obj.select_set(True)
+        context.view_layer.objects.active = obj
+    return obj
+
+
+def blender_axes(vertices: np.ndarray) -> np.ndarray:
+    """Scene axes (y up, facing +z) to Blender's (z up, facing -y): [..., 3] -> [..., 3]."""
+    return np.stack((vertices[..., 0], -vertices[..., 2], vertices[..., 1]), -1)
+
+
+def scene_axes(vertices: np.ndarray) -> np.ndarray:
+    """Blender's axes (z up, facing -y) to scene axes (y up, facing +z): [..., 3] -> [..., 3]."""
+    return np.stack((vertices[..., 0], vertices[..., 2], -vertices[..., 1]), -1)
+
+
+def _fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, loop_total: np.ndarray, loop_vertices: np.ndarray) -> None:
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
+    mesh.loops.add(len(loop_vertices))
+    mesh.loops.foreach_set("vertex_index", loop_vertices)
+    mesh.polygons.add(len(loop_total))
+    mesh.polygons.foreach_set("loop_start", np.concatenate(([0], np.cumsum(loop_total)[:-1])).astype(np.int32))
+    mesh.update(calc_edges=True)
+    if mesh.validate():
+        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
+
+
+def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
+    """Pose p stands on frame p + 1, as a shape key that is 1 on that frame alone."""
+    obj.shape_key_add(name=names[0], from_mix=False)
+    for index in range(1, len(poses)):
+        key = obj.shape_key_add(name=names[index], from_mix=False)
+        key.data.foreach_set("co", np.ascontiguousarray(poses[index], np.float32).ravel())
+        for frame, value in ((index, 0.0), (index + 1, 1.0), (index + 2, 0.0)):
+            key.value = value
+            key.keyframe_insert("value", frame=frame)
+        key.value = 0.0
+    obj.data.shape_keys.name = f"{obj.name} poses"
+    scene.frame_start, scene.frame_end = 1, len(poses)
+    scene.frame_set(1)

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 1, the body."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+
+from ..blender.faces import logo_names, write_faces
+from ..blender.modifiers import applied_copy
+from ..exchange.scenes import read_scene
+from ..files.errors import InputError
+from ..properties import settings_of
+from ..trainer.command_lines import SAMPLES, sample_command
+from ..trainer.jobs import Job, launch, waits
+from ..trainer.preferences import chosen_python, user_folder
+from ..ui.cursor import progress_cursor
+from ..ui.operator import BodyOperator, CloakOperator, push_undo
+from .garments import faces_over, wearable
+from .objects import subdivide
+from .reasons import logo_reason
+from .samples import CLOTHES, add_people
+
+
+class CLOAK_OT_subdivide(BodyOperator):
+    """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
+keys, weights, materials, UVs and logos are kept"""
+
+    bl_label = "Subdivide Body"
+
+    triangulate: bpy.props.BoolProperty(
+        name="Triangulate", description="Also split every face into triangles", default=True
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.triangulate = settings_of(context).triangulate
+        return self.execute(context)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        with progress_cursor(context) as show:
+            before, after = subdivide(obj, self.triangulate, show)
+        return f"'{obj.name}': {before:,} faces became {after:,}"
+
+
+class CLOAK_OT_apply_copy(BodyOperator):
+    """Make a copy of the body with the modifiers applied that make new faces, and hide the original. Deforming \
+modifiers stay; shape keys end in their present mix"""
+
+    bl_label = "Apply a Copy"
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if obj.mode == "EDIT":
+            raise InputError("Leave Edit Mode (Tab) to apply modifiers")
+        copy = applied_copy(context, obj)
+        return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
+
+
+class CLOAK_OT_add_sample_body(CloakOperator):
+    """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
+or walking and running in a shirt and trousers that are objects of their own"""
+
+    bl_label = "Add Sample Body"
+
+    people: bpy.props.EnumProperty(
+        name="People",
+        description="Whom to add",
+        items=(
+            ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
+            ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
+        ),
+    )
+
+    def run(self, context: bpy.types.Context) -> str:
+        folder, people = user_folder("sample"), self.people
+        scene = folder / "scene"
+        shutil.rmtree(scene, ignore_errors=True)
+        command = sample_command(chosen_python(), scene, people)
+        job = launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene, people)))
+        return "Fetching the sample body from the trainer" + waits(job)
+
+
+def _add(job: Job, scene: Path, people: str) -> str | None:
+    if job.state != "done":
+        return None
+    bodies, clothed = read_scene(scene), people == "CLOTHED"
+    obj = add_people(bpy.context, bodies, clothed, "Sample Body")
+    obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
+    look_at_selected()
+    settings = settings_of(bpy.context)
+    settings.pose_source, settings.frame_step = "RANGE", 1
+    settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    logo = CLOTHES if clothed else "chest"
+    if logo in logo_names(obj.data):
+        obj.cloak.logo = logo
+    push_undo("Add Sample Body")
+    worn = [f"{o.name}: {len(o.data.polygons):,} faces" for o in (obj, *obj.children)]
+    return f"Added {', '.join(worn)}"
+
+
+class CLOAK_OT_logo_onto(BodyOperator):
+    """Let the logo go on over this piece: make a logo of the same name of the faces that lie over it"""
+
+    bl_label = "Put the Logo on It"
+    needs = staticmethod(logo_reason)
+
+    garment: bpy.props.StringProperty(name="Piece", description="Name of what covers the logo")
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        worn = next((o for o in wearable(obj) if o.name == self.garment), None)
+        if worn is None:
+            raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
+        names = logo_names(obj.data)
+        logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
+        with progress_cursor(context):
+            mask = faces_over(context, obj, worn, logo)
+        if not mask.any():
+            raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
+        write_faces(worn, logo, mask)
+        return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
+
+
+class CLOAK_OT_leave_out(BodyOperator):
+    """Let the camera not see this piece, in training, judging and films; it stays visible in Blender"""
+
+    bl_label = "Leave It Out"
+
+    garment: bpy.props.StringProperty(name="Piece", description="Name of what is left out")
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        worn = bpy.data.objects.get(self.garment)
+        if worn is None:
+            raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
+        worn.cloak.left_out = True
+        return f"The camera does not see '{worn.name}'"
+
+
+def look_at_selected() -> None:
+    """Let every 3D viewport frame what is selected."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            region = next((r for r in area.regions if r.type == "WINDOW"), None)
+            if area.type == "VIEW_3D" and region is not None and not bpy.app.background:
+                with bpy.context.temp_override(window=window, area=area, region=region):
+                    bpy.ops.view3d.view_selected()

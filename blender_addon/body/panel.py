@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panel of step 1: the mesh that wears the logo, and the program that trains."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..properties import settings_of
+from ..trainer.preferences import PACKAGE, trainer_answer, trainer_reason
+from ..translations import said
+from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
+from .garments import wearable
+from .objects import active_body
+from .reasons import body_reason
+
+MOST_WORN = 8
+"""So many pieces are listed."""
+TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
+
+
+class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
+    """Step 1: the mesh that wears the logo"""
+
+    bl_label = "1. Body"
+
+    @staticmethod
+    def is_done(context: bpy.types.Context) -> bool:
+        return not body_reason(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        reason = body_reason(context)
+        if reason:
+            wrapped(self.layout, context, reason)
+        column = settings_column(self.layout)
+        column.enabled = not reason
+        if not reason:
+            obj = active_body(context)
+            count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
+            column.label(text=f"{obj.name}: {said(count)}", icon="MESH_DATA")
+            self._worn(obj)
+        row = self.layout.row(align=True)
+        splits = row.row(align=True)
+        splits.enabled = not reason
+        splits.operator("cloak.subdivide", text="Subdivide")
+        splits.prop(settings_of(context), "triangulate", toggle=True)
+        row = self.layout.row(align=True)
+        row.operator("cloak.add_sample_body", text="Sample Body", icon="ADD").people = "BARE"
+        row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"
+        self.progress(context, "Sample body")
+        self._trainer(context)
+
+    def _worn(self, obj: bpy.types.Object) -> None:
+        """What the camera sees beside the body, each with its switch."""
+        for worn in wearable(obj)[:MOST_WORN]:
+            row = self.layout.row(align=True)
+            row.label(text=worn.name, icon="MATCLOTH")
+            row.prop(
+                worn.cloak, "left_out", text="", icon="HIDE_ON" if worn.cloak.left_out else "HIDE_OFF", toggle=True
+            )
+
+    def _trainer(self, context: bpy.types.Context) -> None:
+        """Who will train, or what to do about it that nobody can."""
+        reason = trainer_reason()
+        if reason:
+            wrapped(self.layout, context, reason, icon="ERROR")
+            row = self.layout.row(align=True)
+            row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
+            row.operator("cloak.find_python", text="", icon="VIEWZOOM")
+            row.operator("preferences.addon_show", text="", icon="PREFERENCES").module = PACKAGE
+        elif reason is None:
+            self.layout.label(text="Looking for the trainer...", icon="TIME")
+        else:
+            figure(self.layout, trainer_answer() or "Trainer found", TRAINER, "CONSOLE")
+        self.progress(context, "Installation", "Test")

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 2, the logo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..blender import faces
+from ..blender.mesh_arrays import current_mesh
+from ..body.objects import active_body, topology
+from ..body.reasons import logo_reason
+from ..exchange.face_lists import write_face_list
+from ..files.errors import InputError
+from ..ui.operator import BodyOperator, CloakOperator
+
+
+def active_logo(obj: bpy.types.Object) -> str:
+    """Name of the logo that is active in the list; `InputError` when the mesh has none."""
+    names = faces.logo_names(obj.data)
+    if not names:
+        raise InputError(f"'{obj.name}' has no logo: select faces in Edit Mode and press New from Selection")
+    return obj.cloak.logo if obj.cloak.logo in names else names[0]
+
+
+def selected_faces(obj: bpy.types.Object) -> np.ndarray:
+    """Mask of the selected faces; `InputError` when there are none."""
+    mask = faces.read_selection(obj)
+    if not mask.any():
+        raise InputError("No faces selected: select some in Edit Mode (hidden faces do not count)")
+    return mask
+
+
+class LogoOperator(BodyOperator):
+    """Base of operators that give the active logo other faces: `faces_from(obj, mask) -> mask`."""
+
+    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        name = active_logo(obj)
+        with current_mesh(obj):
+            mask = self.faces_from(obj, faces.read_faces(obj, name))
+            faces.write_faces(obj, name, mask)
+        return f"Logo '{name}': {int(mask.sum()):,} faces"
+
+
+class CLOAK_OT_logo_new(BodyOperator):
+    """Make a logo of the selected faces"""
+
+    bl_label = "New from Selection"
+
+    name: StringProperty(name="Name", description="Name of the new logo", default="Logo")
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        mask = selected_faces(obj)
+        obj.cloak.logo = faces.new_logo(obj, self.name, mask)
+        return f"Logo '{obj.cloak.logo}': {int(mask.sum()):,} faces"
+
+
+class CLOAK_OT_logo_assign(LogoOperator):
+    """Add the selected faces to the active logo"""
+
+    bl_label = "Assign"
+    needs = staticmethod(logo_reason)
+
+    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+        return mask | selected_faces(obj)
+
+
+class CLOAK_OT_logo_unassign(LogoOperator):
+    """Take the selected faces out of the active logo"""
+
+    bl_label = "Remove"
+    needs = staticmethod(logo_reason)
+
+    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+        return mask & ~faces.read_selection(obj)
+
+
+class CLOAK_OT_logo_select(BodyOperator):
+    """Select the faces of the active logo"""
+
+    bl_label = "Select"
+    needs = staticmethod(logo_reason)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        name = active_logo(obj)
+        with current_mesh(obj):
+            mask = faces.require_logo(obj, name)
+            hidden = faces.select_faces(obj, mask)
+        note = f"; {hidden:,} are hidden and stay unselected: reveal them with Alt H" if hidden else ""
+        return f"Selected {int(mask.sum()):,} faces{note}"
+
+
+class CLOAK_OT_logo_remove(BodyOperator):
+    """Delete the active logo; the faces themselves stay"""
+
+    bl_label = "Delete Logo"
+    needs = staticmethod(logo_reason)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        name = active_logo(obj)
+        faces.remove_logo(obj, name)
+        obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
+        return f"Deleted logo '{name}'"
+
+
+class CLOAK_OT_logo_mirror(BodyOperator):
+    """Mirror the active logo across the object's X axis"""
+
+    bl_label = "Mirror"
+    needs = staticmethod(logo_reason)
+
+    extend: BoolProperty(name="Extend", description="Keep the faces of this side as well", default=True)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        name = active_logo(obj)
+        with current_mesh(obj):
+            mask = faces.require_logo(obj, name)
+            mirrored, lost = faces.mirror(obj, mask)
+            if not mirrored.any():
+                raise InputError(
+                    f"No face lies opposite logo '{name}' across X: the mesh is not symmetric, or its origin is off"
+                )
+            faces.write_faces(obj, name, mirrored | mask if self.extend else mirrored)
+        note = f"; {lost:,} have no opposite" if lost else ""
+        return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
+
+
+class CLOAK_OT_logo_grow(LogoOperator):
+    """Extend the active logo by the faces around it"""
+
+    bl_label = "Grow"
+    needs = staticmethod(logo_reason)
+
+    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+        return faces.grow(obj, mask)
+
+
+class CLOAK_OT_logo_shrink(LogoOperator):
+    """Take the outermost faces off the active logo"""
+
+    bl_label = "Shrink"
+    needs = staticmethod(logo_reason)
+
+    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+        smaller = faces.shrink(obj, mask)
+        if not smaller.any():
+            raise InputError("The logo is too small to shrink: nothing would be left")
+        return smaller
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
+    """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
+
+    bl_label = "Export Face List"
+    needs = staticmethod(logo_reason)
+
+    filename_ext = ".npy"
+    filter_glob: StringProperty(default="*.npy", options={"HIDDEN"})
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj = active_body(context)
+        name = active_logo(obj)
+        with current_mesh(obj):
+            ids = np.flatnonzero(faces.require_logo(obj, name))
+            write_face_list(self.filepath, ids, topology(obj))
+        return f"Wrote {self.filepath}: {len(ids):,} faces of '{obj.name}'"
+
+
+class CLOAK_OT_logo_import(BodyOperator, ImportHelper):
+    """Make a logo from a face list (.npy) that was made for this mesh"""
+
+    bl_label = "Import Face List"
+
+    filename_ext = ".npy"
+    filter_glob: StringProperty(default="*.npy;*.idx", options={"HIDDEN"})
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        obj.cloak.logo = faces.import_face_list(obj, Path(self.filepath))
+        return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"

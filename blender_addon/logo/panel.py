@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panels of step 2: the faces that get trained colours."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import faces
+from ..blender.colors import HEAT, shows_heat
+from ..body.objects import active_body
+from ..body.reasons import body_reason, logo_reason
+from ..properties import settings_of
+from ..translations import said
+from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
+from . import overlay
+from .tools import PAINT
+
+
+class CLOAK_UL_logos(bpy.types.UIList):
+    """The mesh's logos: its boolean face attributes"""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+        layout.prop(item, "name", text="", emboss=False, icon="FACESEL")
+
+    def filter_items(self, context, data, property) -> tuple[list[int], list[int]]:
+        return [self.bitflag_filter_item if faces.is_logo(a) else 0 for a in getattr(data, property)], []
+
+
+AREA = "Faces of the logo, and their share of the body's whole surface, as it stands now"
+
+
+PROJECTED = (
+    "What a camera in front sees of the logo: its area on the picture plane, and its share of the outline. What "
+    "the body itself or a piece over it hides does not count"
+)
+
+
+class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
+    """Step 2: the faces that get trained colours"""
+
+    bl_label = "2. Logo"
+
+    @staticmethod
+    def is_done(context: bpy.types.Context) -> bool:
+        return not logo_reason(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        reason = body_reason(context)
+        column = self.gate(context, reason)
+        settings = settings_of(context)
+        if not reason:
+            self._list(column, active_body(context))
+            self._stats(column, active_body(context), settings)
+
+    def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
+        row = column.row()
+        row.template_list("CLOAK_UL_logos", "", obj.data, "attributes", obj.cloak, "logo_index", rows=2)
+        side = row.column(align=True)
+        side.operator("cloak.logo_new", text="", icon="ADD")
+        side.operator("cloak.logo_remove", text="", icon="REMOVE")
+        column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
+        _buttons(column, "assign", "unassign", "select")
+
+    def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object, settings: bpy.types.PropertyGroup) -> None:
+        stats = overlay.active_stats(obj)
+        if stats is not None:
+            lines = column.column(align=True)
+            figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
+            front = f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}"
+            figure(lines, front, PROJECTED)
+            if not stats.faces:
+                lines.label(text="Empty: select faces and press Assign", icon="ERROR")
+            for name, share in stats.covered:
+                wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
+                row = lines.row(align=True)
+                row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
+                row.operator("cloak.leave_out", text="Leave It Out").garment = name
+            if stats.hidden:
+                lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
+        column.prop(settings, "tint")
+
+
+def _buttons(column: bpy.types.UILayout, *names: str) -> None:
+    """Operators of the active logo in one row."""
+    row = column.row(align=True)
+    for name in names:
+        label = {"export": "Export Face List", "import": "Import"}.get(name)
+        row.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
+
+
+class CLOAK_PT_regions(CloakPanel, bpy.types.Panel):
+    """Logos of what belongs together already, and what changes a logo as a whole"""
+
+    bl_label = "Take, Change, Export"
+    bl_parent_id = "CLOAK_PT_logo"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = settings_column(self.layout)
+        column.enabled = not body_reason(context)
+        row = column.row(align=True)
+        row.operator_menu_enum("cloak.logo_from_material", "slot", text="Material")
+        row.operator_menu_enum("cloak.logo_from_group", "group", text="Group")
+        row = column.row(align=True)
+        row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
+        row.operator("cloak.logo_from_island", text="Island")
+        _buttons(column, "mirror", "grow", "shrink")
+        _buttons(column, "export", "import")
+
+
+class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
+    """A logo from a text, a picture or a smiley"""
+
+    bl_label = "Stamp"
+    bl_parent_id = "CLOAK_PT_logo"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        settings = settings_of(context)
+        column = settings_column(self.layout)
+        column.enabled = not body_reason(context)
+        box = column.column(align=True)
+        box.row(align=True).prop(settings, "stamp_kind", expand=True)
+        if settings.stamp_kind == "TEXT":
+            box.prop(settings, "stamp_text")
+        elif settings.stamp_kind == "IMAGE":
+            box.template_ID(settings, "stamp_image", open="image.open")
+        box.row(align=True).prop(settings, "stamp_from", expand=True)
+        box.prop(settings, "stamp_size")
+        if settings.stamp_from == "FRONT":
+            box.prop(settings, "stamp_center")
+            box.prop(settings, "stamp_offset")
+        drag = column.column(align=True)
+        drag.operator("cloak.stamp_drag", text="Drag onto the Body", icon="VIEW_PAN").kind = "SETTINGS"
+        kinds = drag.row(align=True)
+        kinds.operator("cloak.stamp_drag", text="Drag Letter").kind = "LETTER"
+        kinds.operator("cloak.stamp_drag", text="Drag Smiley").kind = "SMILEY"
+        presets = column.row(align=True)
+        presets.operator("cloak.stamp_paper", text="Paper's Letter").kind = "TEXT"
+        presets.operator("cloak.stamp_paper", text="Paper's Smiley").kind = "SMILEY"
+        row = box.row(align=True)
+        row.operator("cloak.logo_stamp", text="Stamp New Logo").target = "NEW"
+        row.operator("cloak.logo_stamp", text="Add").target = "ADD"
+
+
+class CLOAK_PT_heatmap(CloakPanel, bpy.types.Panel):
+    """A logo where the detector looks"""
+
+    bl_label = "Heatmap"
+    bl_parent_id = "CLOAK_PT_logo"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = settings_column(self.layout).column(align=True)
+        column.operator("cloak.heatmap", icon="SHADING_RENDERED")
+        if not body_reason(context) and active_body(context).data.attributes.get(HEAT):
+            shown = shows_heat(active_body(context))
+            text = "Hide Heatmap" if shown else "Show Heatmap"
+            column.operator("cloak.heatmap_toggle", text=text, icon="HIDE_ON" if shown else "HIDE_OFF")
+            column.prop(settings_of(context), "heat_share")
+            column.operator("cloak.logo_from_heat")
+        self.progress(context, "Heatmap")

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a Blender scene to the trainer's files: a scene package and a face list.
+
+The body's polygons come first and keep their indices, so a logo's face ids mean the same on both sides; clothing
+follows them, and may wear the logo too. Polygons are triangulated once, in the first pose. Where modifiers give an
+object other faces, its triangles are exported as evaluated and its faces as its own (see `modifiers`).
+"""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..blender import colors
+from ..blender.faces import require_logo
+from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
+from ..blender.modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
+from ..body.garments import Garment, logo_mask, worn_by
+from ..body.objects import require_body, require_upright, scene_axes, topology
+from ..exchange.bodies import Bodies
+from ..exchange.face_lists import write_face_list
+from ..exchange.scenes import write_scene
+from ..files.errors import InputError
+from ..files.identity import sha256_arrays, sha256_record
+from ..files.reading import read_json
+from ..files.writing import new_folder, write_json
+from ..ui.cursor import progress_cursor
+from .poses import PoseChoice, list_poses, require_size, visit
+from .simulations import first_frame, require_own_animation
+
+RECORD = "export.json"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One evaluated object in one pose, in scene axes and metres."""
+
+    vertices: np.ndarray
+    loop_total: np.ndarray
+    loop_vertices: np.ndarray
+    own_face: np.ndarray | None
+    """[P] the face of the mesh that each evaluated polygon counts as; None where each is one of its own."""
+    triangles: np.ndarray | None = None
+    triangle_face: np.ndarray | None = None
+
+    @property
+    def face_count(self) -> int:
+        """Polygons that come from none of the mesh's own faces count behind those."""
+        return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
+
+
+def export_bodies(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = "", worn: list | None = None
+) -> Bodies:
+    """What the camera sees in every chosen pose: the body, and what it wears (the logo may go on there).
+
+    worn: other objects than `worn_by` names. Leaves the scene as it was.
+    """
+    return _bodies_and_garments(context, obj, choice, worn_by(obj) if worn is None else worn, logo)[0]
+
+
+def _bodies_and_garments(
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, clothing: list[bpy.types.Object], logo: str
+) -> tuple[Bodies, list[Garment]]:
+    """Bodies, and the clothing that wears the logo too: it is exported face by face, as the body is."""
+    require_body(obj)
+    require_upright(obj)
+    require_size(obj)
+    objects = [obj, *clothing]
+    for worn in clothing:
+        require_upright(worn)
+    wearing = [obj, *(o for o in clothing if logo and logo_mask(o, logo).any())]
+    require_own_animation(objects, choice)
+    poses = list_poses(obj, choice)
+    frames: list[list[Part]] = []
+    play_from = first_frame(context.scene, objects)
+    # Detector's Eye exports one pose again and again, which the pointer need not tell.
+    pointer = progress_cursor(context) if len(poses) > 1 else nullcontext(lambda fraction: None)
+    with visit(context, obj, play_from) as go, pointer as show:
+        go(poses[0])
+        graph = context.evaluated_depsgraph_get()
+        with numbered_faces([o for o in wearing if changes_faces(o, graph)]):
+            for done, pose in enumerate(poses):
+                show(done / len(poses))
+                go(pose)
+                graph = context.evaluated_depsgraph_get()
+                frames.append([_evaluate(o, graph, o in wearing, with_triangles=not frames) for o in objects])
+                _require_same_topology(objects, frames)
+    body = [_filled_up(outfit, frames[0][0].face_count) for outfit in colors.own_outfits(obj)]
+    worn = [_outfits(o, part, len(body)) for o, part in zip(clothing, frames[0][1:], strict=True)]
+    outfits = np.stack([np.concatenate(together) for together in zip(body, *worn, strict=True)])
+    try:
+        bodies = _join(frames, [pose.name for pose in poses], outfits, obj.name, [topology(o) for o in wearing])
+    except InputError as error:
+        raise InputError(f"'{obj.name}': {error}") from None
+    starts = np.cumsum([0, *(part.face_count for part in frames[0])]).tolist()
+    found = ((o, start) for o, start in zip(objects, starts, strict=False) if o in wearing[1:])
+    return bodies, [Garment(o.name, start, len(o.data.polygons), topology(o)) for o, start in found]
+
+
+def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bool, with_triangles: bool) -> Part:
+    with evaluated_mesh(obj, graph) as (mesh, matrix):
+        own = None
+        if by_own_face and not keeps_faces(obj, mesh):
+            own = _numbered_on(obj, carried_faces(obj, mesh))
+        world = to_world(read(mesh.vertices, "co", 3), matrix) * graph.scene.unit_settings.scale_length
+        triangles, face = mesh_triangles(mesh) if with_triangles else (None, None)
+        if with_triangles and own is not None:
+            face = own[face]
+        return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), own, triangles, face)
+
+
+def _numbered_on(obj: bpy.types.Object, own: np.ndarray | None) -> np.ndarray:
+    """[P] int32: polygons of no own face get numbers behind the mesh's last. Raises `InputError` where all are lost."""
+    if own is None:
+        raise InputError(lost_reason(obj))
+    new = own < 0
+    return np.where(new, len(obj.data.polygons) + np.cumsum(new) - 1, own).astype(np.int32)
+
+
+def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
+    """No object may change its faces between poses."""
+    for obj, a, b in zip(objects, frames[-1], frames[0], strict=True):
+        same = np.array_equal(a.loop_vertices, b.loop_vertices) and len(a.vertices) == len(b.vertices)
+        if not same or not np.array_equal(a.loop_total, b.loop_total):
+            raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
+
+
+def _outfits(obj: bpy.types.Object, part: Part, count: int) -> list[np.ndarray]:
+    """`count` times [F, 3] sRGB of a piece of clothing: with the body's outfits it changes, if it has as many."""
+    own = colors.own_outfits(obj)
+    own = own if len(own) == count else np.repeat(own[:1], count, axis=0)
+    if own.shape[1] == len(part.loop_total) or part.own_face is not None:
+        return [_filled_up(outfit, part.face_count) for outfit in own]
+    # Clothing whose modifiers change its faces: its main material's colour for all of them.
+    return [np.tile(np.median(outfit, axis=0), (len(part.loop_total), 1)).astype(np.float32) for outfit in own]
+
+
+def _filled_up(own: np.ndarray, count: int) -> np.ndarray:
+    """[count, 3]: own colours [F, 3], and their median for faces that modifiers add; fewer where the last are gone."""
+    extra = np.tile(np.median(own, axis=0), (max(0, count - len(own)), 1))
+    return np.concatenate([own, extra]).astype(np.float32)[:count]
+
+
+def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name: str, topologies: list[str]) -> Bodies:
+    first = frames[0]
+
+    def shifted(key: str, counts: list[int]) -> np.ndarray:
+        """Indices of all parts, behind what was counted in the parts before."""
+        before = np.cumsum([0, *counts])
+        return np.concatenate([getattr(part, key) + count for part, count in zip(first, before, strict=False)])
+
+    vertex_counts, face_counts = [len(p.vertices) for p in first], [p.face_count for p in first]
+    if any(part.own_face is not None for part in first):
+        # Polygons are the meshes' own and their corners the evaluated ones: no loops, but the meshes' topologies.
+        parts = {"meshes": topologies, "worn": sha256_arrays(*(p.loop_vertices for p in first[1:]))}
+        one = len(first) == 1
+        mesh = {"recorded_topology": topologies[0] if one else sha256_record(parts)}
+    else:
+        loops = shifted("loop_vertices", vertex_counts)
+        mesh = {"loop_total": np.concatenate([p.loop_total for p in first]), "loop_vertices": loops}
+    return Bodies(
+        vertices=np.stack([np.concatenate([p.vertices for p in parts]) for parts in frames]),
+        triangles=shifted("triangles", vertex_counts),
+        triangle_face=shifted("triangle_face", face_counts),
+        face_colors=outfits,
+        names=tuple(names),
+        name=name,
+        **mesh,
+    )
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Export:
+    """What one export wrote into `folder`."""
+
+    folder: Path
+    object: str
+    logo: str
+    topology: str
+    """Of the body alone: what colours that come back are checked against."""
+    poses: int
+    faces: int
+
+    @property
+    def scene(self) -> Path:
+        return self.folder / "scene"
+
+    @property
+    def face_list(self) -> Path:
+        return self.folder / "logo.npy"
+
+
+def export(
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    logo: str,
+    choice: PoseChoice,
+    folder: Path,
+) -> Export:
+    """Write scene package, face list and record into `folder`, which appears whole or not at all."""
+    require_body(obj)
+    clothing = worn_by(obj)
+    worn_elsewhere = any(logo_mask(o, logo).any() for o in clothing)
+    mask = logo_mask(obj, logo) if worn_elsewhere else require_logo(obj, logo)
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; choose another output folder")
+    bodies, garments = _bodies_and_garments(context, obj, choice, clothing, logo)
+    worn = [np.flatnonzero(logo_mask(bpy.data.objects[g.object], logo)) + g.first for g in garments]
+    ids = np.concatenate([np.flatnonzero(mask), *worn])
+    ids = np.intersect1d(ids, bodies.triangle_face)  # faces that a modifier takes away are not seen
+    if not len(ids):
+        raise InputError(f"No face of logo '{logo}' is left when '{obj.name}' is evaluated: look at its modifiers")
+    done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count)
+    with new_folder(folder) as temporary:
+        write_scene(temporary / "scene", bodies, creator="cloak add-on")
+        write_face_list(temporary / "logo.npy", ids, bodies.topology)
+        record = {key: getattr(done, key) for key in ("object", "logo", "topology", "poses", "faces")}
+        record["objects"] = [obj.name, *(o.name for o in clothing)]
+        record["garments"] = [asdict(garment) for garment in garments]
+        write_json(temporary / RECORD, {"format": "cloak export", "version": 1, **record})
+    return done
+
+
+def read_export(folder: Path) -> Export:
+    """The record of an earlier export."""
+    record = read_json(folder / RECORD)
+    try:
+        words = {key: str(record[key]) for key in ("object", "logo", "topology")}
+        return Export(folder, poses=int(record["poses"]), faces=int(record["faces"]), **words)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{folder / RECORD}: not the record of an export") from None

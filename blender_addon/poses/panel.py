@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Panel of step 3: the poses to train on."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender.modifiers import modifiers_reason
+from ..body.objects import active_body
+from ..body.reasons import body_reason
+from ..properties import settings_of
+from ..ui.panel_parts import CLOSED, CloakPanel, wrapped
+from .poses import lying_warning
+from .reasons import export_summary, poses_reason
+
+
+class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
+    """Step 3: the poses to train on"""
+
+    bl_label = "3. Poses"
+    bl_options = CLOSED
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """Closed at first, because what it begins with suits most bodies; so what is wrong shows outside."""
+        super().draw_header(context)
+        if not body_reason(context) and not self.is_done(context):
+            self.layout.label(icon="ERROR")
+
+    @staticmethod
+    def is_done(context: bpy.types.Context) -> bool:
+        return not poses_reason(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        no_body = body_reason(context)
+        column = self.gate(context, no_body)
+        settings = settings_of(context)
+        column.prop(settings, "pose_source")
+        if settings.pose_source == "RANGE":
+            pair = column.column(align=True)
+            pair.prop(settings, "frame_start")
+            pair.prop(settings, "frame_end", text="End")
+        if settings.pose_source != "CURRENT":
+            column.prop(settings, "frame_step", text="Step")
+        if no_body:
+            return
+        reason = poses_reason(context)
+        if reason:
+            wrapped(column, context, reason, icon="ERROR")
+            if modifiers_reason(active_body(context)):
+                column.operator("cloak.apply_copy")
+        else:
+            wrapped(column, context, export_summary(context), icon="EXPORT")
+            if lying_warning(active_body(context)):
+                wrapped(column, context, lying_warning(active_body(context)), icon="ERROR")

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which poses are exported: the current one, a frame range, or every action that moves the body.
+
+Stepping through poses changes the scene's frame, actions and unkeyed pose; `visit` puts all of it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..blender.mesh_arrays import vertex_points
+from ..body.garments import armature_of
+from ..files.errors import InputError
+
+MAX_POSES = 1000
+
+
+@dataclass(frozen=True)
+class PoseChoice:
+    """What the user asked for; `start`, `end` and `step` are frames (ACTIONS uses `step` alone)."""
+
+    source: str = "CURRENT"
+    start: int = 1
+    end: int = 1
+    step: int = 1
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One pose to export: a frame, with an action put on `owner` where one is given."""
+
+    name: str
+    frame: int | None = None
+    owner: bpy.types.ID | None = None
+    action: bpy.types.Action | None = None
+
+
+def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
+    """The poses a choice stands for; raises `InputError` when there are none or far too many."""
+    if choice.source == "CURRENT":
+        return [Pose("current pose")]
+    if choice.step < 1:
+        raise InputError(f"Frame step {choice.step}: it must be at least 1")
+    if choice.source == "RANGE":
+        if choice.end < choice.start:
+            raise InputError(f"Frames {choice.start} to {choice.end}: the end lies before the start")
+        poses = [Pose(f"frame {f}", f) for f in range(choice.start, choice.end + 1, choice.step)]
+    else:
+        poses = _action_poses(obj, choice.step)
+    if len(poses) > MAX_POSES:
+        raise InputError(f"{len(poses)} poses are more than {MAX_POSES}: raise the frame step")
+    return poses
+
+
+def _owners(obj: bpy.types.Object) -> list[bpy.types.ID]:
+    """Whatever an action may move: the armature (or, without one, the object) and the shape keys."""
+    owners: list[bpy.types.ID] = [armature_of(obj) or obj]
+    if obj.data.shape_keys is not None:
+        owners.append(obj.data.shape_keys)
+    return owners
+
+
+def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
+    poses = []
+    for action in bpy.data.actions:
+        owner = next((o for o in _owners(obj) if _fits(action, o)), None)
+        if owner is None:
+            continue
+        first, last = (round(frame) for frame in action.frame_range)
+        for frame in range(first, last + 1, step):
+            poses.append(Pose(f"{action.name} {frame}", frame, owner, action))
+    if not poses:
+        raise InputError(f"No action moves '{obj.name}': choose Current Pose or Frame Range, or add an action")
+    return poses
+
+
+def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:
+    return any(_path_fits(curve.data_path, owner) for curve in _curves(action, owner))
+
+
+def _path_fits(path: str, owner: bpy.types.ID) -> bool:
+    try:
+        owner.path_resolve(path)
+    except ValueError:
+        return False
+    return True
+
+
+def _slot(action: bpy.types.Action, owner: bpy.types.ID) -> object | None:
+    """The action's slot for this kind of owner (actions have slots from Blender 4.4)."""
+    return next((s for s in action.slots if s.target_id_type in (owner.id_type, "UNSPECIFIED")), None)
+
+
+def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    if bpy.app.version < (4, 4, 0):
+        return list(action.fcurves) if action.id_root in (owner.id_type, "UNSPECIFIED") else []
+    slot = _slot(action, owner)
+    if slot is None:
+        return []
+    bags = (strip.channelbag(slot) for layer in action.layers for strip in layer.strips)
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+
+
+# --- what a camera can see of them -----------------------------------------------------------------------------------
+
+
+DISTANCE = 2.2
+"""Metres from the middle of the body to the training cameras, unless a settings file says otherwise."""
+SMALLEST, LARGEST = 0.2, 2 * DISTANCE
+"""Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
+
+
+def extent(obj: bpy.types.Object) -> tuple[float, float, float]:
+    """Width, depth and height of the body as it stands now, in metres."""
+    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    return tuple((np.ptp(corners, axis=0) * bpy.context.scene.unit_settings.scale_length).tolist())
+
+
+def require_size(obj: bpy.types.Object) -> None:
+    """Raise `InputError` for a body that is too small or too large for cameras at a person's distance."""
+    largest = max(extent(obj))
+    what = f"'{obj.name}' measures {_length(largest)}"
+    how = "scale it to a person's size (S in the viewport), or set Unit Scale in the scene's properties"
+    if largest < SMALLEST:
+        raise InputError(f"{what}: {DISTANCE} m away it would be a few pixels; {how}")
+    if largest > LARGEST:
+        raise InputError(f"{what}: a camera {DISTANCE} m away would stand inside it; {how}")
+
+
+def _length(metres: float) -> str:
+    return f"{1000 * metres:.3g} mm" if metres < 1 else f"{metres:.3g} m"
+
+
+def require_faces(obj: bpy.types.Object) -> None:
+    """Raise `InputError` when the body has a vertex nowhere, or its modifiers leave no face of it."""
+    points = vertex_points(obj.data) if obj.mode != "EDIT" else np.zeros(0)
+    if not np.isfinite(points.sum()):
+        count = int((~np.isfinite(points).all(1)).sum())
+        raise InputError(f"'{obj.name}' has {count} vertices without a place (NaN): undo, or delete them")
+    if obj.mode == "EDIT" or not obj.modifiers:
+        return
+    if not len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.polygons):
+        names = ", ".join(f"'{m.name}'" for m in obj.modifiers if m.show_viewport)
+        raise InputError(f"No face of '{obj.name}' is left by its modifiers ({names}): turn off the one that hides it")
+
+
+def lying_warning(obj: bpy.types.Object) -> str:
+    """What to know about a body that lies; "" for one that stands."""
+    width, depth, height = extent(obj)
+    if not 0 < height < 0.5 * max(width, depth):
+        return ""
+    return (
+        f"'{obj.name}' lies: it is {_length(max(width, depth))} long and {_length(height)} high. Detectors know people "
+        "who stand, so there may be nothing to hide: turn it upright (Z is up), or choose other poses"
+    )
+
+
+# --- stepping through them -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | None = None) -> Iterator[object]:
+    """Yields `go(pose)`, which puts the body into a pose; frame, actions and unkeyed poses return at the end.
+
+    play_from: go through every frame from this one on, as simulations need it, in rising order.
+    """
+    scene = context.scene
+    frame, subframe = scene.frame_current, scene.frame_subframe
+    armature = armature_of(obj)
+    bones = {bone.name: bone.matrix_basis.copy() for bone in armature.pose.bones} if armature else {}
+    keys = obj.data.shape_keys
+    values = {key.name: key.value for key in keys.key_blocks} if keys else {}
+    saved = [(owner, *_animation_state(owner)) for owner in _owners(obj)]
+    moved, ahead = False, play_from
+
+    def go(pose: Pose) -> None:
+        nonlocal moved, ahead
+        if pose.action is not None:
+            _animate(pose.owner, pose.action)
+        if pose.frame is not None:
+            moved = True
+            if ahead is not None:
+                for between in range(ahead, pose.frame):
+                    scene.frame_set(between)
+                ahead = max(ahead, pose.frame + 1)
+            scene.frame_set(pose.frame)
+        else:
+            context.view_layer.update()
+
+    try:
+        yield go
+    finally:
+        if moved:
+            for owner, had_data, action, slot, use_nla in saved:
+                _restore_animation(owner, had_data, action, slot, use_nla)
+            scene.frame_set(frame, subframe=subframe)
+            for name, matrix in bones.items():
+                armature.pose.bones[name].matrix_basis = matrix
+            for name, value in values.items():
+                keys.key_blocks[name].value = value
+            context.view_layer.update()
+
+
+def _animation_state(owner: bpy.types.ID) -> tuple[bool, object, object, bool]:
+    data = owner.animation_data
+    if data is None:
+        return False, None, None, True
+    return True, data.action, getattr(data, "action_slot", None), data.use_nla
+
+
+def _animate(owner: bpy.types.ID, action: bpy.types.Action) -> None:
+    data = owner.animation_data or owner.animation_data_create()
+    data.use_nla = False
+    if data.action != action:
+        data.action = action
+    if hasattr(data, "action_slot"):
+        data.action_slot = _slot(action, owner)
+
+
+def _restore_animation(owner: bpy.types.ID, had_data: bool, action: object, slot: object, use_nla: bool) -> None:
+    data = owner.animation_data
+    if data is None:
+        return
+    if not had_data:
+        owner.animation_data_clear()
+        return
+    data.use_nla = use_nla
+    if data.action != action:
+        data.action = action
+    if action is not None and slot is not None:
+        data.action_slot = slot

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cloak as an image, for programs that know no colour attributes: on the body's own UV map where that has the room.
+
+Every texel whose middle lies in a face takes that face's colour; around the islands colours go on for a few texels, so
+that filtering finds no edge. A UV map of Cloak's own gives every face a square of texels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..blender import colors
+from ..blender.mesh_arrays import corner_counts, mean_of_corners, mesh_triangles, read
+from ..blender.occlusion import cells_touched
+from ..files.errors import InputError
+
+MARGIN = 4
+"""Texels by which colours go on beyond the islands."""
+OFF = 4 / 255
+"""A face whose colour in the image differs by more is off."""
+FEW = 0.005
+"""Share of the faces that may be off before a map of Cloak's own is made."""
+OWN_MAP = "Cloak UV"
+FEWEST = 3
+"""Texels along a face's square, at least."""
+
+
+@dataclass(frozen=True)
+class Baked:
+    """An image, packed into the file, and how true it is."""
+
+    image: bpy.types.Image
+    uv_map: str
+    off: int
+    """Faces whose colour in the image is off by more than 4/255."""
+    off_before: int | None = None
+    """The same on the body's own map, where Cloak made another; None where it did not, or the body had none."""
+
+
+def bake(obj: bpy.types.Object, size: int) -> Baked:
+    """An image of what the body wears; makes the map `OWN_MAP` where the body has none, or one with too little room."""
+    mesh = obj.data
+    if obj.mode == "EDIT":
+        raise InputError("Leave Edit Mode (Tab) to bake the cloak")
+    if colors.CLOAK not in mesh.color_attributes:
+        raise InputError(f"'{obj.name}' wears no trained colours: press Load Colours first")
+    wanted, before = colors.read_face_colors(obj, colors.CLOAK), None
+    users = next((layer for layer in (mesh.uv_layers.active, *mesh.uv_layers) if layer and layer.name != OWN_MAP), None)
+    if users is not None:
+        name = users.name
+        pixels = _on_map(mesh, name, wanted, size)
+        off = faces_off(mesh, name, pixels, wanted)
+        if off > FEW * len(wanted):
+            before, users = off, None
+    if users is None:
+        name = make_own_map(mesh, size)
+        pixels = squares(len(wanted), size, wanted)
+        off = faces_off(mesh, name, pixels, wanted)
+    image = bpy.data.images.new(f"{obj.name} cloak", size, size, alpha=True)
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    image.pack()
+    return Baked(image, name, off, before)
+
+
+def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.ndarray) -> int:
+    """How many faces find a colour in the image [S, S, 4], in the middle of their place, that is off [F, 3]."""
+    size = len(pixels)
+    middle = np.nan_to_num(mean_of_corners(mesh, read(mesh.uv_layers[uv_map].uv, "vector", 2)), nan=-1)
+    outside = ((middle < 0) | (middle > 1)).any(1)
+    x, y = np.clip((middle * size).astype(int), 0, size - 1).T
+    return int((outside | (np.abs(pixels[y, x, :3] - wanted) > OFF).any(1)).sum())
+
+
+def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
+    """[S, S, 4]: the colours on a UV map of the user's."""
+    mesh.calc_loop_triangles()
+    loops = read(mesh.loop_triangles, "loops", 3, np.int32)
+    face, claims = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], mesh_triangles(mesh)[1], size)
+    pixels = np.zeros((size, size, 4), np.float32)
+    pixels[claims > 0, :3] = wanted[face[claims > 0]]
+    pixels[claims > 0, 3] = 1
+    return _spread(pixels)
+
+
+def squares_along(count: int, size: int) -> int:
+    """How many squares stand side by side; `InputError` where they would be too small."""
+    side = int(np.ceil(count**0.5))
+    if size // side < FEWEST:
+        raise InputError(f"{count:,} faces need at least {FEWEST * side} texels along each side: raise Size")
+    return side
+
+
+def make_own_map(mesh: bpy.types.Mesh, size: int) -> str:
+    """Give each face a square of texels on the UV map `OWN_MAP`, its corners half a texel inside."""
+    counts = corner_counts(mesh)
+    side, face = squares_along(len(counts), size), np.repeat(np.arange(len(counts)), counts)
+    step, turn = size // side, np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    angle = 2 * np.pi * (turn + 0.5) / counts[face]
+    around = np.stack([np.cos(angle), np.sin(angle)], -1)
+    around /= np.abs(around).max(1, keepdims=True)  # from a circle onto the square
+    middle = (np.stack([face % side, face // side], -1) + 0.5) * step
+    layer = mesh.uv_layers.get(OWN_MAP)
+    if layer is None:
+        shown = mesh.uv_layers.active
+        layer = mesh.uv_layers.new(name=OWN_MAP, do_init=False)
+        if shown is not None:
+            mesh.uv_layers.active = mesh.uv_layers[shown.name]
+        layer = mesh.uv_layers.get(OWN_MAP)
+    if layer is None:
+        raise InputError("The mesh has as many UV maps as Blender allows: delete one")
+    layer.uv.foreach_set("vector", ((middle + around * (step / 2 - 0.5)) / size).astype(np.float32).ravel())
+    return OWN_MAP
+
+
+def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
+    """[S, S, 4]: each face's colour in its square."""
+    side = squares_along(count, size)
+    row, column = np.minimum(np.mgrid[:size, :size] // (size // side), side - 1)
+    return np.concatenate([wanted[np.minimum(row * side + column, count - 1)], np.ones((size, size, 1))], -1).astype(
+        np.float32
+    )
+
+
+def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Texture coordinates [T, 3, 2] of faces [T] onto texels: a face of each [size, size], how many faces claim it.
+
+    Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off.
+    """
+    corners = places * size - 0.5  # texel middles at whole numbers
+    low = np.clip(np.ceil(corners.min(1)), 0, size).astype(np.int64)
+    high = np.clip(np.floor(corners.max(1)), -1, size - 1).astype(np.int64)
+    some = np.flatnonzero((high >= low).all(1))
+    texel, triangle = cells_touched(low[some], high[some], size)
+    triangle = some[triangle]
+    points = np.stack([texel % size, texel // size], -1)
+    sides = []
+    for corner in range(3):
+        a, b = corners[triangle, corner], corners[triangle, (corner + 1) % 3]
+        sides.append((b[:, 0] - a[:, 0]) * (points[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (points[:, 0] - a[:, 0]))
+    inside = (np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0)
+    claimed = np.unique(texel[inside] * len(places) + triangle_face[triangle[inside]])
+    texel, owner = claimed // len(places), claimed % len(places)
+    face = np.zeros(size * size, np.int64)
+    face[texel] = owner
+    return face.reshape(size, size), np.bincount(texel, minlength=size * size).reshape(size, size)
+
+
+def _spread(pixels: np.ndarray) -> np.ndarray:
+    """Colours go on beyond the islands by `MARGIN` texels."""
+    for _ in range(MARGIN):
+        empty = pixels[..., 3] == 0
+        for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+            beside = np.roll(pixels, step, axis)
+            taken = empty & (beside[..., 3] > 0) & (pixels[..., 3] == 0)
+            pixels[taken] = beside[taken]
+    return pixels
+
+
+def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
+    """A material that shows the image on a UV map, marked as an asset, so that the asset browser offers it."""
+    material = bpy.data.materials.new(image.name)
+    nodes, links = colors.nodes_of(material)
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Roughness"].default_value = 0.6
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image = image
+    texture.location = (shader.location.x - 320, shader.location.y)
+    links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    places = nodes.new("ShaderNodeUVMap")
+    places.uv_map = uv_map
+    places.location = (texture.location.x - 200, texture.location.y - 200)
+    links.new(places.outputs["UV"], texture.inputs["Vector"])
+    material.asset_mark()
+    material.asset_data.description = "Trained colours on the texture coordinates of the body they were trained on"
+    if not bpy.app.background:
+        material.asset_generate_preview()
+    return material

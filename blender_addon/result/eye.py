@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The detector's eye: what a detector makes of the body from where the user, or the scene's camera, looks.
+
+The trainer renders the view as it renders for training, in own clothing and (once there are colours) cloaked. A timer
+asks again when the view, the body or the colours have changed, as soon as the last answer is there; boxes are drawn
+over the viewport only where they belong to what it shows.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..blender.blend_paths import absolute
+from ..blender.mesh_arrays import evaluated_mesh, read, to_world
+from ..body.garments import worn_by
+from ..body.objects import object_of, topology
+from ..body.reasons import refusal
+from ..files.errors import InputError
+from ..poses.poses import PoseChoice
+from ..properties import settings_of
+from ..session import session
+from ..trainer.onlooker import Onlooker, Seen
+from ..training.detectors import judges
+from ..training.runs import run_of, trained_faces
+from ..ui.redrawing import redraw
+from .reasons import worn_reason
+from .viewpoints import Viewpoint, middle_of, of_camera, of_region
+from .worn_scenes import export_worn
+
+LONGEST = 640
+"""Pixels along the longer side of the pictures that the detector gets."""
+TICK_SECONDS = 0.2
+
+
+class Eye:
+    """One body under watch."""
+
+    def __init__(
+        self, obj: bpy.types.Object, start: Callable[[tuple[str, ...]], Onlooker], folder: Path, specs: tuple[str, ...]
+    ) -> None:
+        self.message = ""
+        """What stands in the way; "" for nothing."""
+        self.seen: Seen | None = None
+        self.viewpoint: Viewpoint | None = None
+        """Of what was seen."""
+        self.region = 0
+        """The viewport that is looked from, by its address; 0 for any."""
+        self._uid, self._scene = obj.session_uid, folder / "scene"
+        self.specs = specs
+        """The detectors that look."""
+        self._start = start
+        self._onlooker = start(specs)
+        self._asked: tuple | None = None
+        self._asked_from: Viewpoint | None = None
+        self._shape: tuple = ()
+        self._fitting: tuple[tuple, Path | None] = (), None
+        self._exported: tuple = ()
+
+    @property
+    def object(self) -> bpy.types.Object | None:
+        return object_of(self._uid)
+
+    @property
+    def waiting(self) -> bool:
+        return self._onlooker.waiting
+
+    def tick(self, context: bpy.types.Context) -> None:
+        """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
+        if refusal(judges, settings_of(context)) == "" and judges(settings_of(context)) != self.specs:
+            self._use(judges(settings_of(context)))
+        failure = self._onlooker.failure()
+        if failure:
+            raise InputError(failure)
+        if self.object is None:
+            raise InputError("The body that was looked at is gone")
+        before = (self.seen, self.message)
+        try:
+            seen = self._onlooker.answer()
+            if seen is not None:
+                self.seen, self.viewpoint = seen, self._asked_from
+            if not self.waiting:
+                self._ask(context, self.object)
+                self.message = ""
+        except InputError as error:
+            self.message = str(error)
+        if before != (self.seen, self.message):
+            redraw()
+
+    def _use(self, specs: tuple[str, ...]) -> None:
+        """Other detectors stand in the list now: they look from now on."""
+        self._onlooker.stop()
+        self.specs, self.seen, self._asked = specs, None, None
+        self._onlooker = self._start(specs)
+
+    def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
+        viewpoint = self._looks_from(context, obj).sized(LONGEST)
+        settings, run = settings_of(context), self._run(obj)
+        reason = worn_reason(obj)
+        if reason:
+            raise InputError(reason)
+        self._export(context, obj, run)
+        background = {"background": settings.judging.eye_background}
+        if settings.backgrounds:
+            background["backgrounds"] = absolute(settings.backgrounds)
+        worn, stamp = {}, 0
+        if run is not None and (run / "colors.npy").is_file():
+            worn = {"logo": str(run / "logo.npy"), "colors": str(run / "colors.npy")}
+            stamp = (run / "colors.npy").stat().st_mtime_ns
+        asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
+        if asked != self._asked:
+            self._onlooker.ask({"scene": str(self._scene), **viewpoint.record(), **worn, **background})
+            self._asked, self._asked_from = asked, viewpoint
+
+    def _run(self, obj: bpy.types.Object) -> Path | None:
+        """The run whose colours fit, asked anew where the mesh or the run has changed."""
+        logo = run_of(obj) / "logo.npy" if obj.cloak.run else None
+        key = (session.mesh_changes, obj.cloak.run, logo is not None and logo.is_file())
+        if self._fitting[0] != key:
+            self._fitting = key, fitting_run(obj)
+        return self._fitting[1]
+
+    def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
+        metre = 1 / context.scene.unit_settings.scale_length
+        middle = middle_of(obj)
+        if settings_of(context).judging.eye_from == "CAMERA":
+            return of_camera(context.scene, middle, metre)
+        region, view = self._viewport(context)
+        if view.view_perspective == "CAMERA":
+            return of_camera(context.scene, middle, metre)
+        return of_region(region, view, middle, metre)
+
+    def _viewport(self, context: bpy.types.Context) -> tuple[bpy.types.Region, bpy.types.RegionView3D]:
+        found = []
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "VIEW_3D":
+                    found += [(r, area.spaces.active.region_3d) for r in area.regions if r.type == "WINDOW"]
+        if not found:
+            raise InputError("There is no 3D viewport to look from: choose From > Camera")
+        return next((pair for pair in found if pair[0].as_pointer() == self.region), found[0])
+
+    def _export(self, context: bpy.types.Context, obj: bpy.types.Object, run: Path | None) -> None:
+        """Write the body as it stands now, where it changed."""
+        if obj.mode == "EDIT":
+            raise InputError("Leave Edit Mode (Tab): the detector looks at the body as it then is")
+        worn = tuple(o.name for o in worn_by(obj))
+        about = (str(run), worn, tuple(value for row in obj.matrix_world for value in row))
+        if (session.mesh_changes, *about) == self._shape:
+            return
+        digest = shape_digest(context, [obj, *worn_by(obj)])
+        if (digest, *about) != self._exported:
+            export_worn(context, obj, run, PoseChoice(), self._scene)
+            self._exported = (digest, *about)
+        self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
+
+    def close(self) -> None:
+        """End the process."""
+        self._onlooker.stop()
+
+
+def fitting_run(obj: bpy.types.Object) -> Path | None:
+    """The run that the body wears, where that was trained on these faces."""
+    run = run_of(obj)
+    try:
+        return run if run is not None and trained_faces(run)[1] == topology(obj) else None
+    except InputError:
+        return None
+
+
+def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) -> str:
+    """A hash of where the objects' evaluated vertices are."""
+    graph, known = context.evaluated_depsgraph_get(), hashlib.sha256()
+    for obj in objects:
+        with evaluated_mesh(obj, graph) as (mesh, matrix):
+            known.update(to_world(read(mesh.vertices, "co", 3), matrix).tobytes())
+            known.update(str(len(mesh.polygons)).encode())
+    return known.hexdigest()
+
+
+# --- the one eye of this Blender --------------------------------------------------------------------------------------
+
+
+def open_eye(eye: Eye) -> None:
+    """Watch with this eye; an earlier one is closed."""
+    close_eye()
+    session.eye, session.eye_closed_because = eye, ""
+    if not bpy.app.background:
+        bpy.app.timers.register(tick)
+
+
+def close_eye() -> None:
+    """Watch no more."""
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if session.eye is not None:
+        session.eye.close()
+    session.eye = None
+
+
+def tick() -> float | None:
+    """The timer's function."""
+    if session.eye is None:
+        return None
+    try:
+        session.eye.tick(bpy.context)
+    except InputError as error:
+        session.eye.close()
+        session.eye, session.eye_closed_because = None, str(error)
+        redraw()
+        return None
+    return TICK_SECONDS
+
+
+@persistent
+def _close(*_: object) -> None:
+    close_eye()
+
+
+def register() -> None:
+    bpy.app.handlers.load_pre.append(_close)
+
+
+def unregister() -> None:
+    close_eye()
+    bpy.app.handlers.load_pre.remove(_close)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 5: colours on and off, colour management, report, render check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..blender import colors
+from ..blender.blend_paths import absolute
+from ..body.garments import is_dressed, undress
+from ..body.objects import active_body, object_of
+from ..properties import settings_of
+from ..trainer.command_lines import check_command, report_command
+from ..trainer.jobs import Job, launch, waits
+from ..trainer.preferences import chosen_python
+from ..training import run_list, runs
+from ..training.detectors import thresholds
+from ..training.runs import run_of
+from ..translations import said
+from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
+from . import render_check
+from .reasons import check_reason, report_reason, wear_reason
+
+
+class CLOAK_OT_result_load(BodyOperator):
+    """Bring the colours of the run folder onto the model"""
+
+    bl_label = "Load Colours"
+    needs = staticmethod(wear_reason)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        result = runs.import_colors(context, obj, run_of(obj))
+        return f"{len(result.face_ids):,} faces of '{obj.name}' wear the trained colours"
+
+
+class CLOAK_OT_result_toggle(BodyOperator):
+    """Switch between the cloak and the body's own materials"""
+
+    bl_label = "Toggle Cloak"
+    needs = staticmethod(wear_reason)
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if is_dressed(obj):
+            undress(obj)
+            colors.show_attribute(context, obj, None)
+            return f"'{obj.name}' shows its own materials"
+        runs.import_colors(context, obj, run_of(obj))
+        return f"'{obj.name}' wears the cloak"
+
+
+class CLOAK_OT_explain(CloakOperator):
+    """What a figure of the panel means"""
+
+    bl_label = "Explain"
+
+    tip: bpy.props.StringProperty(name="Tip", description="What the figure means")
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return said(properties.tip)
+
+    def run(self, context: bpy.types.Context) -> str:
+        return self.tip
+
+
+class CLOAK_OT_use_standard_view(CloakOperator):
+    """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
+
+    bl_label = "Use Standard"
+    bl_options = WITH_UNDO
+
+    def run(self, context: bpy.types.Context) -> str:
+        colors.use_standard_view(context.scene)
+        return "View transform: Standard"
+
+
+class CLOAK_OT_open_report(CloakOperator):
+    """Open the run's report in the web browser, after making it if need be"""
+
+    bl_label = "Open Report"
+    needs = staticmethod(report_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        run = run_of(active_body(context))
+        report = run / "report.html"
+        if report.exists():
+            return _open(report)
+        command = report_command(chosen_python(), run)
+        job = launch(Job("Report", [command], runs.side_folder(run), "report", lambda job: _opened(job, report)))
+        return "Making the report" + waits(job)
+
+
+def _opened(job: Job, report: Path) -> str | None:
+    return _open(report) if job.state == "done" and report.exists() else None
+
+
+def _open(report: Path) -> str:
+    if not bpy.app.background:
+        bpy.ops.wm.url_open(url=report.as_uri())
+    return f"Opened {report}"
+
+
+class CLOAK_OT_render_check(CloakOperator):
+    """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
+
+    bl_label = "Render Check"
+    needs = staticmethod(check_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, settings = active_body(context), settings_of(context)
+        run = run_of(obj)
+        folder = render_check.new_folder_in(runs.side_folder(run))
+        points, python = thresholds(settings, render_check.THRESHOLD), chosen_python()
+        angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
+        plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
+        images = render_check.image_paths(plan)
+        commands = [render_check.prepare(plan)] + [
+            check_command(python, spec, image) for spec in points for image in images
+        ]
+        uid = obj.session_uid
+        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, points, uid)))
+        return f"Rendering {len(images)} images into {folder}" + waits(job)
+
+
+def _judge(job: Job, plan: render_check.Plan, points: dict[str, float], uid: int) -> str | None:
+    if job.state != "done":
+        return None
+    found, obj = render_check.verdicts(plan, points, job.outputs[1:]), object_of(uid)
+    job.is_bad_news = not all(verdict.holds for verdict in found)
+    if obj is not None:
+        obj.cloak.verdict = render_check.describe_all(found)
+    run_list.refresh(bpy.context)
+    return render_check.describe_all(found)

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Does the cloak survive a path tracer? Cycles renders the body from the training cameras, and the detector judges.
+
+The rendering is done by a second Blender on a copy of the file (`train.py -- render-check PLAN`), so that the first one
+stays usable. Camera and light are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60
+degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and above.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..blender import colors
+from ..blender.mesh_arrays import evaluated_mesh, image_pixels, read, to_world
+from ..body.garments import undress, worn_by
+from ..files.errors import InputError
+from ..files.reading import read_json
+from ..files.specs import without_folders
+from ..files.writing import write_json
+
+THRESHOLD = 0.6
+"""A person counts as detected at this score."""
+DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
+LIGHT_POSITION = (0.0, -100.0, 85.0)
+AMBIENT, DIFFUSE = 0.5, 0.3
+SAMPLES = 32
+IMAGES = (".jpg", ".jpeg", ".png", ".webp")
+BLEND, PLAN, VERDICT = "check.blend", "plan.json", "verdict.json"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to render: an object from several azimuths (degrees), over photographs of a folder ("" for plain grey)."""
+
+    object: str
+    folder: Path
+    angles: tuple[int, ...]
+    backgrounds: str = ""
+
+
+def angles_of(first: int, last: int, step: int) -> tuple[int, ...]:
+    """The training azimuths."""
+    return tuple(range(first, last + 1, step))
+
+
+def new_folder_in(parent: Path) -> Path:
+    """A folder `render check N` that did not exist."""
+    number = 1
+    while (folder := parent / f"render check {number}").exists():
+        number += 1
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
+    return folder
+
+
+def image_paths(plan: Plan) -> list[Path]:
+    """The images a plan makes: with the cloak at every angle, then without."""
+    return [plan.folder / f"{kind} {angle:+d}.png" for kind in ("cloak", "own") for angle in plan.angles]
+
+
+def prepare(plan: Plan) -> list[str]:
+    """Save a copy of the file and the plan; returns the command that renders them."""
+    blend = plan.folder / BLEND
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
+    record = asdict(plan) | {"folder": str(plan.folder), "angles": list(plan.angles)}
+    write_json(plan.folder / PLAN, record)
+    script = str(Path(__file__).parents[1] / "train.py")
+    arguments = ["--", "render-check", str(plan.folder / PLAN)]
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "-b", str(blend), "--python-exit-code", "1", "-P", script, *arguments]
+    return [sys.executable, script, *arguments]
+
+
+def run_plan(path: Path) -> None:
+    """What the second Blender does."""
+    record = read_json(path)
+    plan = Plan(record["object"], Path(record["folder"]), tuple(record["angles"]), record["backgrounds"])
+    bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
+    obj = bpy.data.objects[plan.object]
+    photographs = _photographs(plan.backgrounds)
+    for worn in (obj, *worn_by(obj)):
+        colors.set_look(worn, colors.LOOKDEV)  # light falls on it here
+    paths = image_paths(plan)
+    for worn, batch in ((True, paths[: len(plan.angles)]), (False, paths[len(plan.angles) :])):
+        if not worn:
+            undress(obj)
+        for number, (angle, image) in enumerate(zip(plan.angles, batch, strict=True)):
+            render_view(obj, image, angle)
+            _composite(image, photographs[number % len(photographs)] if photographs else None)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one detector said about the renders."""
+
+    with_cloak: tuple[float, ...]
+    """Highest person score of each render with the cloak."""
+    without: tuple[float, ...]
+    """The same without it: the control."""
+    images: tuple[Path, ...] = ()
+    """The renders, in the order of the scores, those with the cloak first."""
+    threshold: float = THRESHOLD
+    """The detector reports a person from this score on."""
+    spec: str = ""
+
+    @property
+    def scores(self) -> tuple[float, ...]:
+        return self.with_cloak + self.without
+
+    @property
+    def holds(self) -> bool:
+        """Whether the cloak hides the body in every render, and the detector would have found it otherwise."""
+        return not self.found(self.with_cloak) and bool(self.found(self.without))
+
+    def found(self, scores: tuple[float, ...]) -> int:
+        """In how many renders it reports a person."""
+        return sum(score >= self.threshold for score in scores)
+
+    def describe(self) -> str:
+        """In one line, the outcome first."""
+        count, found, control = len(self.with_cloak), self.found(self.with_cloak), self.found(self.without)
+        if not control:
+            outcome = "This says nothing: the detector does not find the body without the cloak either"
+        elif not found:
+            outcome = "The cloak holds"
+        else:
+            outcome = "The cloak failed" if found == count else f"The cloak holds in {count - found} of {count} renders"
+        return (
+            f"{outcome}. Cycles: person detected in {found} of {count} renders with the cloak "
+            f"(highest score {max(self.with_cloak):.2f}, reported from {self.threshold:g}), in {control} without"
+        )
+
+
+def verdicts(plan: Plan, thresholds: dict[str, float], answers: list[str]) -> list[Verdict]:
+    """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
+    try:
+        scores = [float(json.loads(text)["max_person"]) for text in answers]
+    except (ValueError, KeyError, TypeError):
+        raise InputError("Render check: the detector's answer is not understood; see check.log") from None
+    images, count = image_paths(plan), len(plan.angles)
+    found = []
+    for number, (spec, threshold) in enumerate(thresholds.items()):
+        own = scores[number * len(images) : (number + 1) * len(images)]
+        found.append(Verdict(tuple(own[:count]), tuple(own[count:]), tuple(images), threshold, spec))
+    record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
+    write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
+    return found
+
+
+def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
+    """Those of the latest render check in a folder; none where there was none."""
+    files = sorted(parent.glob(f"render check */{VERDICT}"), key=lambda path: path.stat().st_mtime)
+    try:
+        record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
+        images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
+        told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
+        found = []
+        for spec, one in told.items():
+            scores, half = tuple(map(float, one["scores"])), len(one["scores"]) // 2
+            found.append(Verdict(scores[:half], scores[half:], images, float(one.get("threshold", THRESHOLD)), spec))
+    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+        return ()
+    return tuple(verdict for verdict in found if verdict.with_cloak)
+
+
+def describe_all(found: Sequence[Verdict]) -> str:
+    """One line for several detectors: of the one that finds most, and in how many the cloak holds."""
+    worst = max(found, key=lambda verdict: (verdict.found(verdict.with_cloak), -verdict.found(verdict.without)))
+    if len(found) == 1:
+        return worst.describe()
+    holding = sum(verdict.holds for verdict in found)
+    name = without_folders(worst.spec)
+    return f"Holds against {holding} of {len(found)} detectors. Worst, {name}: {worst.describe()}"
+
+
+# --- rendering -------------------------------------------------------------------------------------------------------
+
+
+def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = SIZE, samples: int = SAMPLES) -> None:
+    """Render the body with transparent surroundings from one training camera into a PNG, in display colours."""
+    scene = bpy.data.scenes.new("cloak render")
+    camera = bpy.data.cameras.new("cloak render")
+    sun = bpy.data.lights.new("cloak render", "SUN")
+    world = bpy.data.worlds.new("cloak render")
+    holders = [bpy.data.objects.new("cloak camera", camera), bpy.data.objects.new("cloak sun", sun)]
+    try:
+        for thing in (obj, *worn_by(obj), *holders):
+            scene.collection.objects.link(thing)
+        set_up(scene, size, samples)
+        _light(scene, holders[1], world)
+        scene.frame_set(bpy.context.scene.frame_current)
+        metre = 1 / bpy.context.scene.unit_settings.scale_length
+        _aim(scene, holders[0], _middle(scene, obj), azimuth, DISTANCE * metre)
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    finally:
+        for holder in holders:
+            bpy.data.objects.remove(holder)
+        bpy.data.scenes.remove(scene)
+        bpy.data.cameras.remove(camera)
+        bpy.data.lights.remove(sun)
+        bpy.data.worlds.remove(world)
+    if not path.exists():
+        raise InputError(f"{path}: the render was not written")
+
+
+def set_up(scene: bpy.types.Scene, size: int, samples: int) -> None:
+    """Cycles on the processor, not denoised: square RGBA PNGs in display colours, transparent around the body."""
+    render = scene.render
+    render.engine = "CYCLES"
+    render.resolution_x = render.resolution_y = size
+    render.resolution_percentage = 100
+    render.film_transparent = True
+    render.image_settings.file_format = "PNG"
+    render.image_settings.color_mode = "RGBA"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_denoising = False
+    scene.cycles.seed = 0
+    colors.use_standard_view(scene)
+
+
+def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World) -> None:
+    """A uniform surround of radiance 0.5 and a sun whose irradiance makes a white diffuse face reflect 0.3."""
+    background = next(n for n in colors.nodes_of(world)[0] if n.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    background.inputs["Strength"].default_value = AMBIENT
+    scene.world = world
+    sun.data.energy = DIFFUSE * math.pi
+    sun.rotation_euler = Vector(LIGHT_POSITION).to_track_quat("Z", "Y").to_euler()
+
+
+def _middle(scene: bpy.types.Scene, obj: bpy.types.Object) -> Vector:
+    with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
+        world = to_world(read(mesh.vertices, "co", 3), matrix)
+    return Vector((world.min(0) + world.max(0)) / 2)
+
+
+def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimuth: float, distance: float) -> None:
+    elevation, turn = math.radians(ELEVATION), math.radians(azimuth)
+    away = Vector((math.cos(elevation) * math.sin(turn), -math.cos(elevation) * math.cos(turn), math.sin(elevation)))
+    camera.location = pivot + away * distance
+    camera.rotation_euler = away.to_track_quat("Z", "Y").to_euler()
+    camera.data.sensor_fit = "VERTICAL"
+    camera.data.angle = math.radians(FIELD_OF_VIEW)
+    camera.data.clip_start, camera.data.clip_end = distance / 100, distance * 100
+    scene.camera = camera
+
+
+# --- backgrounds -----------------------------------------------------------------------------------------------------
+
+
+def _photographs(folder: str) -> list[Path]:
+    return sorted(p for p in Path(folder).iterdir() if p.suffix.lower() in IMAGES) if folder else []
+
+
+def _composite(path: Path, photograph: Path | None) -> None:
+    """Put the body in `path` (RGBA) in front of a photograph, or of mid-grey; in display colours, as training does."""
+    body = _read_pixels(path)
+    height, width = body.shape[:2]
+    behind = np.full((height, width, 3), colors.GREY, np.float32)
+    if photograph is not None:
+        behind = _read_pixels(photograph, cover=(width, height))[..., :3]
+    alpha = body[..., 3:]
+    mixed = np.ones_like(body)
+    mixed[..., :3] = body[..., :3] * alpha + behind * (1 - alpha)
+    image = bpy.data.images.new("cloak render", width, height, alpha=False)
+    try:
+        image.pixels.foreach_set(mixed.ravel())
+        image.filepath_raw, image.file_format = str(path), "PNG"
+        image.save()
+    finally:
+        bpy.data.images.remove(image)
+
+
+def _read_pixels(path: Path, cover: tuple[int, int] | None = None) -> np.ndarray:
+    """[H, W, 4] as stored (display colours, straight alpha), bottom row first; scaled and cropped to `cover`."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        if cover:
+            scale = max(cover[0] / image.size[0], cover[1] / image.size[1])
+            image.scale(math.ceil(image.size[0] * scale), math.ceil(image.size[1] * scale))
+        pixels = image_pixels(image)
+        if cover:
+            x, y = ((size - wanted) // 2 for size, wanted in zip(image.size, cover, strict=True))
+            pixels = pixels[y : y + cover[1], x : x + cover[0]]
+        return pixels
+    finally:
+        bpy.data.images.remove(image)

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Success by azimuth, drawn in the viewport as a ring around the body's feet.
+
+Outside the cloak, inside the body's own clothing: where both are blue, the detector finds nobody there anyway. Azimuths
+stand where their cameras stood, so the ring is read by walking around the body.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..blender import colors
+from ..blender.mesh_arrays import to_world
+from ..body.garments import is_dressed
+from ..properties import settings_of
+from ..training import run_list
+from ..ui.drawing import fill, short, size_of_words, width_of, write
+from .evaluations import Evaluation, Sector
+
+FOUND, EVEN, HIDDEN = (0.84, 0.37, 0.0), (0.93, 0.90, 0.82), (0.0, 0.45, 0.70)
+"""sRGB at success 0, a half and 1: orange to blue, which colour-blind eyes tell apart."""
+OPAQUE = 0.85
+INNER, MIDDLE, OUTER, TEXT = 0.62, 0.70, 0.92, 1.04
+"""Radii as shares of the body's largest extent: of own clothing, between both, of the cloak, of the figures."""
+STEP = 3.0
+"""Degrees of a straight piece of the ring."""
+LABELS = (0.0, 90.0, 180.0, -90.0)
+NAMES = {0.0: "front", 90.0: "left", 180.0: "back", -90.0: "right"}
+WIDEST = 30.0
+"""Degrees: one azimuth alone says nothing of what is farther away from it than half of this."""
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A piece of the ring, degrees."""
+
+    first: float
+    last: float
+    sector: Sector
+
+
+def arcs(sectors: Sequence[Sector]) -> list[Arc]:
+    """Each azimuth's share of the circle: half the way to its neighbours, and no farther than `WIDEST` lets it."""
+    if not sectors:
+        return []
+    once = {sector.azimuth % 360: sector for sector in sectors}
+    azimuths = sorted(once)
+    found = []
+    for index, azimuth in enumerate(azimuths):
+        before = (azimuth - azimuths[index - 1]) % 360 or 360
+        after = (azimuths[(index + 1) % len(azimuths)] - azimuth) % 360 or 360
+        # An azimuth at an end of what was evaluated reaches as far outwards as inwards.
+        nearest = min(before, after, WIDEST)
+        low, high = (gap if gap <= WIDEST else nearest for gap in (before, after))
+        found.append(Arc(azimuth - low / 2, azimuth + high / 2, once[azimuth]))
+    return found
+
+
+def color_of(success: float) -> tuple[float, float, float]:
+    """sRGB of a success in [0, 1]."""
+    stops = np.array([FOUND, EVEN, HIDDEN])
+    return tuple(float(np.interp(success, (0, 0.5, 1), stops[:, channel])) for channel in range(3))
+
+
+def on_circle(azimuth: float | np.ndarray) -> np.ndarray:
+    """[..., 2] where an azimuth's camera stands, seen from above in Blender's axes; the front is -y."""
+    turn = np.radians(azimuth)
+    return np.stack([np.sin(turn), -np.cos(turn)], -1)
+
+
+def band(first: float, last: float, inner: float, outer: float) -> np.ndarray:
+    """[n, 3, 2] triangles of a piece of a ring."""
+    count = max(1, math.ceil((last - first) / STEP))
+    turns = on_circle(np.linspace(first, last, count + 1))
+    a, b = turns[:-1], turns[1:]
+    near = np.stack([a * inner, a * outer, b * outer], 1)
+    return np.concatenate([near, np.stack([a * inner, b * outer, b * inner], 1)])
+
+
+def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
+    places, paints = [], []
+    for arc in arcs(sectors):
+        gap = min(0.5, 0.05 * (arc.last - arc.first))
+        shown = [(MIDDLE, OUTER, arc.sector.cloak)]
+        if arc.sector.clothing is not None:
+            shown.append((INNER, MIDDLE - 0.02, arc.sector.clothing))
+        for inner, outer, success in shown:
+            corners = band(arc.first + gap, arc.last - gap, inner, outer).reshape(-1, 2)
+            places.append(corners)
+            paints.append(np.tile((*color_of(success), OPAQUE), (len(corners), 1)))
+    empty = np.zeros((0, 2)), np.zeros((0, 4))
+    return (np.concatenate(places), np.concatenate(paints)) if places else empty
+
+
+def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
+    """Where the ring lies: the middle below the body, and the body's largest extent, in Blender's units."""
+    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
+    low, high = corners.min(0), corners.max(0)
+    middle = (low + high) / 2
+    return Vector((middle[0], middle[1], low[2])), float((high - low).max())
+
+
+def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | None:
+    """The body that wears its cloak, and the evaluation to draw; None for nothing."""
+    obj, state = context.object, run_list.selected(context)
+    if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
+        return None
+    if not settings_of(context).judging.ring or not obj.visible_get() or not obj.data.polygons:
+        return None
+    if not state.evaluation.worst_sectors() or not is_dressed(obj) or colors.shows_heat(obj):
+        return None
+    return obj, state.evaluation
+
+
+# --- drawing ---------------------------------------------------------------------------------------------------------
+
+
+_handles: list[object] = []
+_batch: tuple[object, object | None] = (None, None)
+
+
+def draw_ring() -> None:
+    """Viewport callback, in the space of the scene."""
+    global _batch
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    found = shown(bpy.context)
+    if found is None or not bpy.context.space_data.overlay.show_overlays:
+        return
+    obj, evaluation = found
+    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
+    if _batch[0] is not evaluation:
+        places, paints = ring_triangles(evaluation.worst_sectors())
+        corners = np.concatenate([places, np.zeros((len(places), 1))], 1).astype(np.float32)
+        _batch = evaluation, batch_for_shader(shader, "TRIS", {"pos": corners, "color": paints.astype(np.float32)})
+    place, extent = stand(obj)
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.blend_set("ALPHA")
+    with gpu.matrix.push_pop():
+        gpu.matrix.translate(place)
+        gpu.matrix.scale_uniform(extent)
+        _batch[1].draw(shader)
+    gpu.state.blend_set("NONE")
+    gpu.state.depth_test_set("NONE")
+
+
+def draw_words() -> None:
+    """Viewport callback, in pixels: figures at the ring, and its legend."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    found = shown(bpy.context)
+    context = bpy.context
+    if found is None or not context.space_data.overlay.show_overlays:
+        return
+    obj, evaluation = found
+    scale = size_of_words(context)
+    place, extent = stand(obj)
+    known = {sector.azimuth % 360: sector for sector in evaluation.worst_sectors()}
+    for azimuth in LABELS:
+        sector = known.get(azimuth % 360)
+        x, y = on_circle(azimuth) * extent * TEXT
+        at = location_3d_to_region_2d(context.region, context.region_data, place + Vector((x, y, 0)))
+        if sector is not None and at is not None:
+            write(f"{NAMES[azimuth]} {sector.cloak:.0%}", at.x, at.y, centered=True)
+    _legend(evaluation, scale)
+
+
+def _legend(evaluation: Evaluation, scale: float) -> None:
+    """At the lower left: what the colours mean."""
+    x, y, step = 20 * scale, 20 * scale, 16 * scale
+    write("found", x, y)
+    start = x + width_of("found") + 6 * scale
+    for index in range(11):
+        fill(start + 10 * index * scale, y - 2 * scale, 10 * scale, 12 * scale, color_of(index / 10))
+    write("hidden", start + 116 * scale, y)
+    which = "the worst of several detectors" if len(evaluation.detectors) > 1 else evaluation.detectors[0].spec
+    lines = [
+        f"{evaluation.describe()}{' (of earlier colours)' if evaluation.outdated else ''}",
+        "outside: the cloak; inside: own clothing",
+        f"Success by azimuth at {evaluation.threshold:g}, {short(which)}",
+    ]
+    for number, line in enumerate(lines, 1):
+        write(line, x, y + number * step + 4 * scale)
+
+
+def register() -> None:
+    if not bpy.app.background:
+        add = bpy.types.SpaceView3D.draw_handler_add
+        _handles.append(add(draw_ring, (), "WINDOW", "POST_VIEW"))
+        _handles.append(add(draw_words, (), "WINDOW", "POST_PIXEL"))
+
+
+def unregister() -> None:
+    global _batch
+    while _handles:
+        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
+    _batch = (None, None)

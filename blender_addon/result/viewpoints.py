@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a viewport or a camera of Blender looks from, in the trainer's words.
+
+The trainer's cameras stand upright: azimuth, elevation, distance from a point they look at, a vertical field of view.
+Whatever looks in perspective and is not rolled can be said so exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from ..body.objects import scene_axes
+from ..files.errors import InputError
+
+ROLL = 2e-3
+"""How far a camera's horizon may lean (as a sine) and still count as level."""
+NEAREST = 0.05
+"""Metres from the camera to what it looks at, at least."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A camera; degrees, metres, the trainer's axes."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    field_of_view: float
+    pivot: tuple[float, float, float]
+    width: int
+    height: int
+
+    def sized(self, longest: int) -> Viewpoint:
+        """The same with so many pixels along its longer side."""
+        scale = longest / max(self.width, self.height)
+        return replace(self, width=max(1, round(self.width * scale)), height=max(1, round(self.height * scale)))
+
+    def record(self) -> dict:
+        """As `cloak look` takes it."""
+        return asdict(self) | {"pivot": list(self.pivot)}
+
+    def is_like(self, other: Viewpoint) -> bool:
+        """Whether both show the same: what was drawn for one fits the other."""
+        mine, theirs = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
+        turn = abs((mine[0] - theirs[0] + 180) % 360 - 180)
+        aspect = abs(self.width / self.height - other.width / other.height)
+        return bool(turn < 0.02 and np.abs(mine[1:] - theirs[1:]).max() < 0.02 and aspect < 0.02)
+
+    def place(self) -> np.ndarray:
+        """[3] where it stands."""
+        a, e = math.radians(self.azimuth), math.radians(self.elevation)
+        back = np.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)])
+        return np.array(self.pivot) + self.distance * back
+
+
+def viewpoint(
+    matrix: Matrix, field_of_view: float, width: int, height: int, middle: Vector, metre: float = 1.0
+) -> Viewpoint:
+    """The viewpoint of a camera's world matrix that looks at what is as far away as `middle` (Blender's units).
+
+    field_of_view: vertical, degrees. metre: Blender's units in a metre. Raises `InputError` for a camera that is
+    rolled, or has the body behind it.
+    """
+    axes = np.array(matrix.to_3x3().normalized()).T  # rows: right, up, back
+    right, up, back = scene_axes(axes).astype(float)
+    if abs(right[1]) > ROLL or up[1] < -ROLL:
+        raise InputError("The view is rolled, and the trainer's cameras stand upright: level it (Numpad 1, 3 or 7)")
+    place = scene_axes(np.array(matrix.translation, float)) / metre
+    ahead = float(np.dot(place - scene_axes(np.array(middle, float)) / metre, back))
+    if ahead <= 0:
+        raise InputError("The body is behind the camera")
+    distance = max(ahead, NEAREST)
+    return Viewpoint(
+        azimuth=math.degrees(math.atan2(-right[2], right[0])),
+        elevation=math.degrees(math.asin(min(1.0, max(-1.0, back[1])))),
+        distance=distance,
+        field_of_view=field_of_view,
+        pivot=tuple((place - distance * back).tolist()),
+        width=width,
+        height=height,
+    )
+
+
+def of_region(region: bpy.types.Region, view: bpy.types.RegionView3D, middle: Vector, metre: float) -> Viewpoint:
+    """That of a viewport that is looked into freely."""
+    if view.view_perspective != "PERSP":
+        raise InputError("This view has no perspective: press Numpad 5, or let the detector look through the camera")
+    field = 2 * math.degrees(math.atan(1 / view.window_matrix[1][1]))
+    return viewpoint(view.view_matrix.inverted(), field, region.width, region.height, middle, metre)
+
+
+def of_camera(scene: bpy.types.Scene, middle: Vector, metre: float) -> Viewpoint:
+    """That of the scene's camera."""
+    holder = scene.camera
+    if holder is None or holder.type != "CAMERA":
+        raise InputError("The scene has no camera: add one (Shift A), or let the detector look from the view")
+    camera, render = holder.data, scene.render
+    if camera.type != "PERSP":
+        raise InputError(f"'{holder.name}' has no perspective: set its Type to Perspective")
+    if abs(camera.shift_x) > 1e-6 or abs(camera.shift_y) > 1e-6:
+        raise InputError(f"'{holder.name}' has a lens shift, which the trainer's cameras have not: set it to 0")
+    width = render.resolution_x * render.pixel_aspect_x
+    height = render.resolution_y * render.pixel_aspect_y
+    top, _, low, _ = camera.view_frame(scene=scene)[:4]
+    field = 2 * math.degrees(math.atan(abs(top.y - low.y) / 2 / abs(top.z)))
+    return viewpoint(holder.matrix_world, field, round(width), round(height), middle, metre)
+
+
+def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
+    """Where the scene's camera's picture lies in a viewport: left, bottom, right, top in pixels; None where it is not
+    looked through."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    view, holder = context.region_data, context.scene.camera
+    if view is None or view.view_perspective != "CAMERA" or holder is None or holder.type != "CAMERA":
+        return None
+    matrix = holder.matrix_world.normalized()
+    corners = [matrix @ corner for corner in holder.data.view_frame(scene=context.scene)]
+    places = [location_3d_to_region_2d(context.region, view, corner) for corner in corners]
+    if any(place is None for place in places):
+        return None
+    x, y = [place.x for place in places], [place.y for place in places]
+    return min(x), min(y), max(x), max(y)
+
+
+def middle_of(obj: bpy.types.Object) -> Vector:
+    """The middle of the body's box, in the world."""
+    return sum((obj.matrix_world @ Vector(corner) for corner in obj.bound_box), Vector()) / 8

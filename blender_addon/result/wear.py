@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Wear: the run's colours laid onto people in photographs, and what detectors make of them, before and after."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+
+from ..blender.blend_paths import absolute
+from ..body.objects import active_body
+from ..body.reasons import refusal
+from ..files.errors import InputError
+from ..files.reading import read_json
+from ..files.writing import write_json
+from ..properties import settings_of
+from ..trainer.command_lines import wear_command
+from ..trainer.jobs import Job, launch, waits
+from ..trainer.preferences import chosen_python
+from ..training.detectors import judges
+from ..training.runs import run_of, side_folder
+from ..ui.drawing import short
+from ..ui.operator import CloakOperator
+from ..ui.panel_parts import CLOSED, CloakPanel, settings_column, wrapped
+from ..ui.thumbnails import icon_of
+from .evaluations import CONTROLS
+from .outputs import new_place
+from .reasons import result_reason
+
+WEAR, ANSWER = "worn by people", "answer.json"
+PICTURES = (".png", ".jpg", ".jpeg")
+A_PAGE, A_ROW = 6, 2
+
+
+def people_file(path: str) -> Path:
+    """The COCO file of people that a folder holds, or that was named. Raises `InputError`."""
+    if not path:
+        raise InputError("People is empty: choose a people.json, or the folder of photographs that it lies in")
+    chosen = Path(absolute(path))
+    found = [chosen] if chosen.is_file() else sorted(chosen.glob("*.json"), key=lambda p: (p.name != "people.json", p))
+    if not found:
+        raise InputError(f"{chosen}: no people.json in it (people as COCO has them, with masks and landmarks)")
+    return found[0]
+
+
+@dataclass(frozen=True)
+class Worn:
+    """What came out of wearing a run."""
+
+    folder: Path
+    people: int
+    left_out: int
+    rates: dict[str, dict[str, float]]
+    """Share of the pictures in which each detector reports nobody, by detector and by what was worn."""
+    pictures: tuple[Path, ...]
+
+
+def last_worn(run: Path) -> Worn | None:
+    """That of the latest wearing of a run; None where there is none."""
+    places = sorted(side_folder(run).glob(f"{WEAR}*/{ANSWER}"), key=lambda path: path.stat().st_mtime)
+    if not places:
+        return None
+    folder = places[-1].parent
+    try:
+        record = read_json(places[-1])
+        rates = {spec: _rates(told) for spec, told in record["detectors"].items()}
+        left = sum(int(count) for count in (record.get("left_out") or {}).values())
+        found = [path for path in folder.rglob("pictures/*/*") if path.suffix.lower() in PICTURES]
+        pictures = sorted(found, key=lambda path: (path.parent, not path.stem.startswith("before"), path.name))
+        return Worn(folder, int(record["people"]), left, rates, tuple(pictures))
+    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+        return None
+
+
+def _rates(told: dict) -> dict[str, float]:
+    """At the detector's own threshold, where that is known."""
+    found = {}
+    for name, rate in told.items():
+        value = rate.get("success_own", rate.get("success")) if isinstance(rate, dict) else None
+        if isinstance(value, (int, float)):
+            found[name] = float(value)
+    return found
+
+
+class CLOAK_OT_wear(CloakOperator):
+    """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
+
+    bl_label = "Wear"
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        settings = settings_of(context)
+        return result_reason(context) or refusal(people_file, settings.judging.people) or refusal(judges, settings)
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings, run = settings_of(context), run_of(active_body(context))
+        people, place = people_file(settings.judging.people), new_place(run, WEAR)
+        command = wear_command(chosen_python(), run, people, judges(settings), settings.device, place)
+        job = launch(Job("Wear", [command], side_folder(run), "wear", lambda job: _ended(job, place)))
+        return f"{run.name} is put on by the people of {people.name}" + waits(job)
+
+
+def _ended(job: Job, place: Path) -> str | None:
+    if job.state != "done":
+        return None
+    try:
+        record = json.loads(job.outputs[-1])
+        people = int(record["people"])
+    except (ValueError, KeyError, TypeError):
+        raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
+    place.mkdir(exist_ok=True)
+    write_json(place / ANSWER, record)
+    return f"{people} people wear it"
+
+
+class CLOAK_OT_wear_page(CloakOperator):
+    """Show other pictures"""
+
+    bl_label = "Turn the Page"
+
+    step: bpy.props.IntProperty(name="Step", description="Pages to turn", default=1)
+
+    def run(self, context: bpy.types.Context) -> str:
+        judging = settings_of(context).judging
+        judging.people_page = max(0, judging.people_page + self.step)
+        return ""
+
+
+class CLOAK_PT_wear(CloakPanel, bpy.types.Panel):
+    """The cloak on people in photographs"""
+
+    bl_label = "Wear"
+    bl_parent_id = "CLOAK_PT_result"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        judging = settings_of(context).judging
+        settings_column(self.layout).prop(judging, "people")
+        self.layout.operator("cloak.wear", icon="COMMUNITY")
+        self.progress(context, "Wear")
+        worn = None if result_reason(context) else last_worn(run_of(active_body(context)))
+        if worn is None:
+            return
+        wrapped(self.layout, context, f"{worn.people} people, {worn.left_out} left out; nobody is reported in:")
+        table = self.layout.column(align=True)
+        for spec, rates in worn.rates.items():
+            table.label(text=short(spec, 40), icon="HIDE_OFF")
+            for name, rate in rates.items():
+                row = table.split(factor=0.6)
+                row.label(text=CONTROLS.get(name, short(name, 24)))
+                row.label(text=f"{rate:.0%}")
+        self._gallery(worn, judging.people_page)
+
+    def _gallery(self, worn: Worn, page: int) -> None:
+        pages = max(1, -(-len(worn.pictures) // A_PAGE))
+        page = min(page, pages - 1)
+        grid = self.layout.grid_flow(row_major=True, columns=A_ROW, even_columns=True)
+        for path in worn.pictures[page * A_PAGE : (page + 1) * A_PAGE]:
+            cell = grid.column(align=True)
+            cell.template_icon(icon_of(path), scale=7.0)
+            cell.label(text=short(path.stem, 24))
+        if pages > 1:
+            row = self.layout.row(align=True)
+            row.operator("cloak.wear_page", text="", icon="TRIA_LEFT").step = -1
+            row.label(text=f"{page + 1} / {pages}")
+            row.operator("cloak.wear_page", text="", icon="TRIA_RIGHT").step = 1

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Exports of a body that wears a run's colours: to be judged and filmed, not trained on."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import bpy
+
+from ..body.garments import worn_by
+from ..exchange.bodies import Bodies
+from ..exchange.face_lists import read_face_list
+from ..exchange.scenes import write_scene
+from ..files.errors import InputError
+from ..files.reading import read_json
+from ..poses.export import RECORD, export_bodies
+from ..poses.poses import PoseChoice
+from ..training.run_states import read_state
+from ..training.runs import input_folder
+
+
+def export_worn(
+    context: bpy.types.Context, obj: bpy.types.Object, run: Path | None, choice: PoseChoice, folder: Path
+) -> Bodies:
+    """A scene package in `folder` (replaced) of what the camera sees, with the faces that the run's colours are for.
+
+    Raises `InputError` where the faces are not those of the training, and says which piece is there or is missing.
+    """
+    expected = read_face_list(run / "logo.npy").topology if run else None
+    require_same_clothes(obj, run)
+    bodies = export_bodies(context, obj, choice, read_state(run).logo if run else "")
+    if expected not in (None, bodies.topology):
+        raise InputError(
+            f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
+            "the change, or train again"
+        )
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(folder, bodies, creator="cloak add-on")
+    return bodies
+
+
+def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
+    """Raise `InputError` where the camera sees other pieces than in the training. Runs that do not tell pass."""
+    record = input_folder(run) / RECORD if run else None
+    names = read_json(record).get("objects") if record is not None and record.is_file() else None
+    if not isinstance(names, list):
+        return
+    then, now = set(names[1:]), {o.name for o in worn_by(obj)}
+    if now - then:
+        raise InputError(f"{run.name} was trained without '{min(now - then)}': leave it out (step 1), or train again")
+    if then - now:
+        raise InputError(f"{run.name} was trained with '{min(then - now)}': show it again, or train again")

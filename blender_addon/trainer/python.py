@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trainer is another program: finding a Python that has `cloak_core`, and asking it about itself."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..files.errors import InputError
+
+INSTALL_LINE = "python3.11 -m venv .venv && .venv/bin/python -m pip install ."
+"""Run in the folder of Cloak's sources."""
+
+_PROBE = (
+    "import importlib.util as u, sys; "
+    "sys.exit(0 if all(u.find_spec(m) for m in ('cloak_core', 'torch', 'numpy')) else 9)"
+)
+NO_TRAINER = 9
+_ABOUT = """
+import json, platform
+import cloak_core, torch
+device = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "CPU, %d threads" % torch.get_num_threads()
+print(json.dumps({"cloak": cloak_core.__version__, "torch": torch.__version__, "python": platform.python_version(),
+                  "device": device}))
+"""
+
+
+def clean_environment() -> dict[str, str]:
+    """The environment for the trainer: without what would point its Python at Blender's libraries.
+
+    PYTHONSAFEPATH: nothing that happens to lie in the current folder is imported.
+    """
+    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")}
+    return environment | {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
+
+
+def candidates() -> list[str]:
+    """Where a Python with `cloak_core` may be: $CLOAK_PYTHON, the checkout's .venv, an active environment, the path.
+
+    `host-python` is the usual name of a wrapper that leaves a container.
+    """
+    folder = Path(__file__).resolve().parents[2]
+    scripts, suffix = ("Scripts", ".exe") if os.name == "nt" else ("bin", "")
+    places = [os.environ.get("CLOAK_PYTHON", "")]
+    for root in (str(folder / ".venv"), os.environ.get("VIRTUAL_ENV", ""), os.environ.get("CONDA_PREFIX", "")):
+        places.append(str(Path(root, scripts, f"python{suffix}")) if root else "")
+    if Path(sys.executable).name.startswith("python"):
+        places.append(sys.executable)
+    places += [shutil.which(name) or "" for name in ("host-python", "python3", "python", "python3.11")]
+    return list(dict.fromkeys(place for place in places if place and os.access(place, os.X_OK)))
+
+
+def ask(python: str, program: str) -> subprocess.CompletedProcess:
+    """What a Python answers to a short program. Raises `InputError`, without the Python's name: it does not answer."""
+    try:
+        return subprocess.run(
+            [python, "-c", program],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=20,
+            env=clean_environment(),
+            stdin=subprocess.DEVNULL,
+            check=False,
+            **no_window(),
+        )
+    except OSError as error:
+        raise InputError(f"cannot be run ({error.strerror})") from None
+    except subprocess.TimeoutExpired:
+        raise InputError("does not answer") from None
+
+
+def trainer_reason(python: str) -> str:
+    """Why this Python cannot train; "" when it has everything. Takes a tenth of a second."""
+    try:
+        answer = ask(python, _PROBE)
+    except InputError as error:
+        return str(error)
+    if answer.returncode == 0:
+        return ""
+    said = answer.stderr.strip().splitlines()
+    return "has no cloak_core" if answer.returncode == NO_TRAINER or not said else f"does not work: {said[-1][:200]}"
+
+
+def _first_found() -> str:
+    return next((python for python in candidates() if not trainer_reason(python)), "")
+
+
+class Question(threading.Thread):
+    """Asks Pythons about themselves without keeping Blender waiting; `answer` is None until it is known."""
+
+    def __init__(self, ask: Callable[[], Any]) -> None:
+        super().__init__(name="cloak asks for a trainer", daemon=True)
+        self._ask = ask
+        self.answer: Any = None
+        self.start()
+
+    def run(self) -> None:
+        self.answer = self._ask()
+
+
+_questions: dict[str, Question] = {}
+"""By the chosen Python's path; "" is the search for any."""
+
+
+def ask_ahead(chosen: str = "") -> None:
+    """Begin to find out what `find_python` will want to know."""
+    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    if path is not None and path not in _questions:
+        _questions[path] = Question(functools.partial(trainer_reason, path) if path else _first_found)
+
+
+def known_reason(chosen: str = "") -> str | None:
+    """Why `find_python` would refuse, "" when it would not, None while the answer is on its way. Never waits."""
+    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    if path is None:
+        return f"The trainer's Python '{chosen}' cannot be run"
+    ask_ahead(chosen)
+    answer = _questions[path].answer
+    if answer is None or bool(answer) != bool(path):
+        return None if answer is None else ""
+    return f"The trainer's Python '{chosen}' {answer}" if path else "No trainer yet: install it, or choose its Python"
+
+
+def forget_answers() -> None:
+    """Ask again: something may have been installed."""
+    _questions.clear()
+
+
+def _answer(path: str, seconds: float) -> str | None:
+    ask_ahead(path)
+    question = _questions[path]
+    question.join(min(seconds, threading.TIMEOUT_MAX))
+    if question.answer is not None and bool(question.answer) == bool(path):
+        del _questions[path]  # a refusal, or nothing found: ask again the next time
+    return question.answer
+
+
+def find_python(chosen: str = "", seconds: float = threading.TIMEOUT_MAX) -> str:
+    """The Python to train with: the chosen one, checked to exist, or the first that is found.
+
+    Waits so many seconds at most. A chosen Python that has not answered by then is taken at its word. Raises
+    `InputError` with what to do when there is none, or none yet.
+    """
+    if chosen:
+        path = shutil.which(os.path.expanduser(chosen))
+        if path is None:
+            raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
+        reason = _answer(path, seconds)
+        if reason:
+            raise InputError(f"Python '{chosen}' {reason}: install it there, or choose another in the preferences")
+        return path
+    python = _answer("", seconds)
+    if python is None:
+        raise InputError("Still looking for a Python with cloak_core: try again in a moment")
+    if not python:
+        raise InputError("No Python with cloak_core found: install it, then choose it in the add-on's preferences")
+    return python
+
+
+def about_command(python: str) -> list[str]:
+    """Asks a trainer for its versions and device; it imports torch, so the answer takes seconds."""
+    return [python, "-c", _ABOUT]
+
+
+def parse_about(python: str, done: bool, stdout: str, last_line: str) -> dict[str, str]:
+    """What `about_command` printed, or `InputError` with the last line of its log."""
+    try:
+        record = json.loads(stdout.strip().splitlines()[-1]) if done else {}
+        return {key: str(record[key]) for key in ("cloak", "torch", "python", "device")}
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise InputError(f"'{python}' has no working cloak_core: {last_line or 'no answer'}") from None
+
+
+def no_window() -> dict:
+    """Keyword arguments of subprocess that keep Windows from opening a console."""
+    return {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}

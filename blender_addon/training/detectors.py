@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The detectors of a scene: files of any family the trainer reads, those to hide from and those that only judge.
+
+What stands in this list is what every button uses. An empty list is the built-in detector.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ..blender.blend_paths import RELATIVE, absolute, blend_folder, portable
+from ..files.errors import InputError
+from ..trainer.command_lines import verify_command
+from ..trainer.jobs import Job, launch, waits
+from ..trainer.preferences import chosen_python, user_folder
+from ..ui.operator import CloakOperator
+
+BUILTIN = "builtin"
+FAMILIES = {
+    ".onnx": "onnx:{file}",
+    ".pt": "ultralytics:{file}",
+    ".xml": "openvino:{file}",
+    ".tflite": "tflite:{file}",
+    ".cfg": "darknet:{file}:{weights}",
+    ".py": "python:{file}:load",
+}
+"""How the trainer names a detector by the suffix of its file."""
+CHECK = "Detector check"
+
+
+def _changed(self: CloakDetector, context: bpy.types.Context) -> None:
+    """What was found out about another file, or another size, counts no more."""
+    self.checked = ""
+
+
+class CloakDetector(bpy.types.PropertyGroup):
+    """One detector of the list."""
+
+    file: StringProperty(
+        name="File",
+        description="The detector's file: .onnx, .pt, .xml, .tflite, .cfg (with its .weights) or .py",
+        subtype="FILE_PATH",
+        options={"ANIMATABLE"} | RELATIVE,
+        update=_changed,
+    )
+    weights: StringProperty(
+        name="Weights",
+        description="Of a .cfg: its .weights file",
+        subtype="FILE_PATH",
+        options={"ANIMATABLE"} | RELATIVE,
+        update=_changed,
+    )
+    spec: StringProperty(
+        name="Name",
+        description="A detector without a file of its own, as the command line names it: builtin, torchvision:NAME",
+        update=_changed,
+    )
+    options: StringProperty(
+        name="Options",
+        description="What the trainer cannot tell from the file: input size (640 or 320x544), person=CLASS, bgr",
+        update=_changed,
+    )
+    threshold: FloatProperty(
+        name="Reports From",
+        description="Score from which on this detector reports a person; 0 for its own",
+        min=0,
+        max=0.999,
+        precision=2,
+        step=1,
+    )
+    judges: BoolProperty(
+        name="Only Judges",
+        description="Training does not see it: it only judges, in Render Check, evaluation and Detector's Eye",
+    )
+    checked: StringProperty(name="Checked", description="The detector that the answer is about")
+    answer: StringProperty(name="Answer", description="What the trainer found out about it")
+    works: BoolProperty(name="Works", description="Whether it can be trained against")
+
+    @property
+    def title(self) -> str:
+        """Its file's name, or what it is called."""
+        return Path(self.file.replace("\\", "/")).name if self.file else self.spec or BUILTIN
+
+    @property
+    def bare(self) -> str:
+        """As the command line names it, without its threshold; `InputError` where a file is missing."""
+        words = self._named()
+        return f"{words}@{self.options.strip()}" if self.options.strip() else words
+
+    def _named(self) -> str:
+        if not self.file:
+            return self.spec.strip() or BUILTIN
+        file, suffix = existing(self.file, "Detector > File"), Path(self.file).suffix.lower()
+        if suffix not in FAMILIES:
+            raise InputError(f"{file}: a detector's file ends in {', '.join(FAMILIES)}")
+        weights = existing(self.weights, "Detector > Weights") if suffix == ".cfg" else ""
+        return FAMILIES[suffix].format(file=file, weights=weights)
+
+    @property
+    def full(self) -> str:
+        """The same with its threshold."""
+        joined = "," if self.options.strip() else "@"
+        return self.bare + (f"{joined}conf={self.threshold:.3g}" if self.threshold else "")
+
+
+def existing(path: str, label: str) -> str:
+    """The absolute path of a file that is there; `InputError` names the field otherwise."""
+    if not path:
+        raise InputError(f"{label} is empty: choose a file")
+    found = absolute(path)
+    if not Path(found).is_file():
+        raise InputError(f"{label}: {found} does not exist")
+    return found
+
+
+def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
+    """The detectors to hide from. Raises `InputError` where all others only judge."""
+    specs = tuple(detector.full for detector in settings.detectors if not detector.judges)
+    if settings.detectors and not specs:
+        raise InputError("All detectors only judge: let one be trained against, or add one")
+    return specs or (BUILTIN,)
+
+
+def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
+    """All detectors of the list, those to hide from first."""
+    ordered = sorted(settings.detectors, key=lambda detector: detector.judges)
+    return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
+
+
+def thresholds(settings: bpy.types.PropertyGroup, otherwise: float) -> dict[str, float]:
+    """From which score on each of `judges` counts as reporting."""
+    known = {detector.full: detector.threshold or otherwise for detector in settings.detectors}
+    return {spec: known.get(spec, otherwise) for spec in judges(settings)}
+
+
+def active_detector(settings: bpy.types.PropertyGroup) -> CloakDetector | None:
+    """The one that is chosen in the list."""
+    index = settings.detector_index
+    return settings.detectors[index] if 0 <= index < len(settings.detectors) else None
+
+
+def add_file(settings: bpy.types.PropertyGroup, path: Path) -> CloakDetector:
+    """A new entry for a file; of Darknet's two files the other is looked for beside it."""
+    suffix, weights = path.suffix.lower(), ""
+    if suffix == ".weights":
+        path, weights = path.with_suffix(".cfg"), str(path)
+        suffix = ".cfg"
+        if not path.is_file():
+            raise InputError(f"{weights}: its .cfg is not beside it; choose that")
+    elif suffix == ".cfg":
+        found = sorted(path.parent.glob(f"{path.stem}*.weights"))
+        weights = str(found[0]) if found else ""
+    if suffix not in FAMILIES:
+        raise InputError(f"{path}: a detector's file ends in {', '.join(FAMILIES)}")
+    folder, added = blend_folder(), settings.detectors.add()
+    added.file, added.weights = portable(str(path), folder), portable(weights, folder)
+    settings.detector_index = len(settings.detectors) - 1
+    return added
+
+
+@persistent
+def take_over(*_: object) -> None:
+    """The detector of a file that was saved before there was a list goes into it."""
+    for scene in bpy.data.scenes:
+        old = scene.cloak
+        if scene.library is not None or old.detectors or old.detector == "BUILTIN":
+            continue
+        added = old.detectors.add()
+        if old.detector == "DARKNET":
+            added.file, added.weights = old.darknet_cfg, old.darknet_weights
+        elif old.detector == "PYTHON" and old.python_function == "load":
+            added.file = old.python_file
+        elif old.detector == "PYTHON":
+            added.spec = f"python:{absolute(old.python_file)}:{old.python_function}"
+        else:
+            checkpoint = f":{absolute(old.torchvision_checkpoint)}" if old.torchvision_checkpoint else ""
+            added.spec = f"torchvision:{old.torchvision_name}{checkpoint}"
+        old.detector = "BUILTIN"
+
+
+# --- operators -------------------------------------------------------------------------------------------------------
+
+
+class CLOAK_OT_detector_add(CloakOperator, ImportHelper):
+    """Add a detector by its file: ONNX, ultralytics, OpenVINO, TFLite, Darknet, or Python. It is checked at once"""
+
+    bl_label = "Add Detector"
+
+    filter_glob: StringProperty(default=";".join(f"*{s}" for s in (*FAMILIES, ".weights")), options={"HIDDEN"})
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+
+    def run(self, context: bpy.types.Context) -> str:
+        names = [entry.name for entry in self.files if entry.name]
+        paths = [Path(self.directory, name) for name in names] or [Path(self.filepath)]
+        for path in paths:
+            if not path.is_file():
+                raise InputError(f"{path} does not exist")
+            check(add_file(context.scene.cloak, path))
+        return f"Checking {', '.join(path.name for path in paths)}"
+
+
+class CLOAK_OT_detector_add_named(CloakOperator):
+    """Add a detector that has no file: the built-in one, or another that the command line names"""
+
+    bl_label = "Add by Name"
+
+    spec: StringProperty(name="Name", description="As the command line names it", default=BUILTIN)
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings = context.scene.cloak
+        settings.detectors.add().spec = self.spec.strip() or BUILTIN
+        settings.detector_index = len(settings.detectors) - 1
+        check(settings.detectors[-1])
+        return f"Checking {self.spec}"
+
+
+class CLOAK_OT_detector_remove(CloakOperator):
+    """Take the chosen detector out of the list; an empty list is the built-in detector"""
+
+    bl_label = "Remove Detector"
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return "" if active_detector(context.scene.cloak) else "Choose a detector in the list first"
+
+    def run(self, context: bpy.types.Context) -> str:
+        settings = context.scene.cloak
+        title = active_detector(settings).title
+        settings.detectors.remove(settings.detector_index)
+        settings.detector_index = max(0, settings.detector_index - 1)
+        return f"{title} is not used any more"
+
+
+class CLOAK_OT_detector_check(CloakOperator):
+    """Let the trainer load the chosen detector, compare it with its own runtime and say what it reports from"""
+
+    bl_label = "Check"
+
+    needs = CLOAK_OT_detector_remove.needs
+
+    def run(self, context: bpy.types.Context) -> str:
+        detector = active_detector(context.scene.cloak)
+        return f"Checking {detector.title}" + waits(check(detector))
+
+
+def check(detector: CloakDetector) -> Job:
+    """Ask the trainer about a detector; its answer comes into the list."""
+    spec, folder = detector.bare, user_folder("detectors")
+    detector.checked, detector.answer, detector.works = spec, "", False
+    job = Job(
+        CHECK, [verify_command(chosen_python(), spec)], folder, f"check {len(spec)}", lambda job: _told(job, spec)
+    )
+    return launch(job)
+
+
+def _told(job: Job, spec: str) -> str | None:
+    """Write the answer to every entry that it is about."""
+    try:
+        record = json.loads(job.outputs[-1]) if job.outputs else {}
+    except ValueError:
+        record = {}
+    failed = [str(name) for name in record.get("failed", [])] if isinstance(record, dict) else []
+    works = job.state == "done" and not failed
+    point = record.get("operating_point") if isinstance(record, dict) else None
+    answer = _answer(record, point) if works else f"fails: {', '.join(failed)}" if failed else job.message
+    if works or failed:
+        job.state = "done"
+    job.is_bad_news = not works
+    found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
+    for detector in found:
+        detector.answer, detector.works = answer, works
+        if works and isinstance(point, (int, float)) and not detector.threshold:
+            detector.threshold = float(point)
+    return f"{found[0].title} {answer}" if found else None
+
+
+def _answer(record: dict, point: object) -> str:
+    parts = [f"reports from {point:g}"] if isinstance(point, (int, float)) else []
+    if record.get("person_class") not in (None, 0):
+        parts.append(f"person is class {record['person_class']}")
+    if isinstance(record.get("parity_scores"), (int, float)):
+        parts.append(f"scores within {record['parity_scores']:.0e} of its own runtime")
+    return "works" + (f": {', '.join(parts)}" if parts else "")

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators of step 4: start, extend, cancel and resume a training, and what happens while it runs."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..blender.blend_paths import blend_folder, portable
+from ..blender.faces import logo_names
+from ..body.objects import active_body
+from ..body.reasons import refusal
+from ..exchange.face_lists import read_face_list
+from ..files.errors import InputError
+from ..logo.operators import active_logo
+from ..poses.export import export, read_export
+from ..properties import output_folder, pose_choice, settings_of, train_request
+from ..session import session
+from ..trainer.command_lines import train_command
+from ..trainer.jobs import Job, TrainingJob, launch, waits
+from ..trainer.preferences import chosen_python
+from ..ui.operator import CloakOperator, push_undo
+from . import run_list, runs
+from .reasons import cancel_reason, extend_reason, kept_reason, resume_reason, selected_run, train_reason
+from .run_states import RunState
+
+
+class CLOAK_OT_train_start(CloakOperator):
+    """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
+
+    bl_label = "Start"
+    needs = staticmethod(train_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        return start(context)
+
+
+class CLOAK_OT_train_extend(CloakOperator):
+    """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
+detector or other angles. The run itself stays as it is"""
+
+    bl_label = "Extend"
+    needs = staticmethod(extend_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        return start(context, selected_run(context))
+
+
+def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
+    """Export and train in a new run; from the colours of another run where one is given."""
+    obj, settings = active_body(context), settings_of(context)
+    logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
+    options, python = train_request(settings).options(), chosen_python()
+    options += [f"--init={begun.path}"] if begun else []
+    if obj.mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    _remove_failed_start()
+    run = runs.new_run(output_folder(settings), obj.name, logo)
+    done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run))
+    made_from, _, faces = obj.cloak.made_from.partition("|")
+    options += [f"--made-from={made_from}"] if made_from and faces == read_face_list(done.face_list).topology else []
+    runs.remember_options(run, options)
+    begin(obj, run, train_command(python, options, done.scene, done.face_list, run))
+    begins = f", from the colours of {begun.title}" if begun else ""
+    return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}{waits(session.jobs[-1])}"
+
+
+def _remove_failed_start() -> None:
+    """What the last Start left when its training never began: the panel has told why, the next one takes its place."""
+    for job in session.jobs:
+        ended = isinstance(job, TrainingJob) and not job.active
+        if ended and not job.run.exists() and runs.input_folder(job.run).is_dir():
+            runs.remove(job.run)
+
+
+class CLOAK_OT_train_cancel(CloakOperator):
+    """End the job; a training ends after the current step and can be resumed"""
+
+    bl_label = "Cancel"
+    needs = staticmethod(cancel_reason)
+
+    number: bpy.props.IntProperty(name="Job", description="Its place in the queue; -1: the one that runs", default=-1)
+
+    def run(self, context: bpy.types.Context) -> str:
+        job = session.jobs[self.number] if 0 <= self.number < len(session.jobs) else session.job
+        if job is None or not job.active:
+            raise InputError("Nothing is running")
+        job.cancel()
+        return f"Stopping: {job.label}"
+
+
+class CLOAK_OT_train_resume(CloakOperator):
+    """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
+
+    bl_label = "Resume"
+    needs = staticmethod(resume_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, state = active_body(context), selected_run(context)
+        done = read_export(runs.input_folder(state.path))
+        runs.require_same_topology(obj, done.topology)
+        kept = kept_reason(context)
+        command = train_command(chosen_python(), list(state.options), done.scene, done.face_list, state.path)
+        begin(obj, state.path, [*command, "--resume"])
+        return kept or f"Resuming {state.path}"
+
+
+def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
+    """Launch the training and wire its live colours."""
+    folder = runs.input_folder(run)
+    done = read_export(folder)
+    watch = Watch(obj, run, read_face_list(done.face_list).ids, done.topology)
+    follow(obj, TrainingJob(command, run, folder, watch.finish), watch)
+
+
+def follow(obj: bpy.types.Object, job: TrainingJob, watch: Watch) -> None:
+    """Make a training a job, and its run the body's as soon as it runs."""
+    job.on_tick = watch.tick
+    if launch(job).running:
+        watch.wear(obj)
+    run_list.refresh(bpy.context)
+
+
+class Watch:
+    """Looks after one training on the main thread: shows live colours, imports the last ones.
+
+    The body is found again by what it is, should the file have been reverted, opened again, or changed.
+    """
+
+    def __init__(self, obj: bpy.types.Object, run: Path, face_ids: np.ndarray, topology: str) -> None:
+        self._live = runs.LiveColors(obj, run, topology, face_ids)
+        self._run, self._name = run, obj.name
+        self._trained = face_ids, topology
+        self._worn = False
+        self._looked = -1
+        self._refused = ""
+        self._last = time.monotonic()
+
+    def wear(self, obj: bpy.types.Object) -> None:
+        """Let the body wear this run from now on."""
+        obj.cloak.run, obj.cloak.verdict = portable(str(self._run), blend_folder()), ""
+        self._worn = True
+
+    def body(self) -> bpy.types.Object | None:
+        """The body, found anew where it is not the one that was there at the start; None where there is none."""
+        obj = self._live.object
+        if obj is not None and obj.users_scene:
+            return obj
+        if self._looked == session.mesh_changes:
+            return None
+        self._looked = session.mesh_changes
+        face_ids, topology = self._trained
+        found = runs.body_of(self._run, topology)
+        if found is not None:
+            self._live = runs.LiveColors(found, self._run, topology, face_ids)
+            self.wear(found)
+        return found
+
+    def tick(self, job: Job) -> None:
+        """Called by the timer."""
+        if not job.running:
+            return
+        obj = self.body()
+        if obj is None:
+            job.notice = f"'{self._name}' was deleted: its training goes on in {self._run.name}. Ctrl Z brings it back"
+            return
+        if not self._worn:
+            self.wear(obj)
+        if runs.run_of(obj) != self._run:
+            job.notice = f"'{obj.name}' wears another run: choose {self._run.name} in the list to see its colours"
+            return
+        settings = settings_of(bpy.context)
+        if settings.live and time.monotonic() - self._last >= settings.live_seconds:
+            self._refused = refusal(self._live.update, bpy.context)
+            self._last = time.monotonic()
+        job.notice = self._refused
+
+    def finish(self, job: Job) -> str | None:
+        """Called at the end: the list of runs knows it, and whatever colours there are come onto the model."""
+        run_list.refresh(bpy.context)
+        if not (self._run / "colors.npy").exists():
+            return None
+        self._looked = -1
+        obj = self.body()
+        try:
+            if obj is None:
+                raise InputError("the object is gone; open its file and press Load Colours")
+            if runs.run_of(obj) != self._run:
+                raise InputError(f"'{obj.name}' wears another run; choose {self._run.name} in the list")
+            if obj.mode == "EDIT":
+                raise InputError("leave Edit Mode (Tab) and press Load Colours")
+            runs.import_colors(bpy.context, obj, self._run)
+            push_undo("Cloak Colours")
+        except InputError as error:
+            return f"{job.message}; no colours imported: {error}"
+        return None

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel's list of runs: those in the output folder, those beside the .blend file, and those that objects wear.
+
+The list is a view of the disk. It lives on the window manager, which undo leaves alone, and is read again every other
+second while the panel is being looked at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.props import CollectionProperty, IntProperty, PointerProperty, StringProperty
+
+from ..blender.blend_paths import blend_folder, portable
+from ..body.garments import is_dressed
+from ..body.objects import active_body
+from ..files.errors import InputError
+from ..properties import output_folder, settings_of
+from ..session import session
+from ..trainer import jobs
+from ..ui.redrawing import redraw
+from .run_states import RunState, find_runs, read_state
+from .runs import import_colors, input_folder, run_of
+
+REFRESH_SECONDS = 2.0
+WATCHED_SECONDS = 5.0
+"""The list is not read any more when it was not drawn for so long."""
+
+
+def places(context: bpy.types.Context) -> list[Path]:
+    """Folders in which runs are looked for."""
+    found = [blend_folder()]
+    with contextlib.suppress(InputError):  # the output folder cannot be used now: Start says why
+        found.append(output_folder(settings_of(context)))
+    return [place for place in dict.fromkeys(found) if place is not None]
+
+
+def named_runs() -> list[Path]:
+    """Runs that objects of this file wear, and the one of the current job, wherever they lie."""
+    found = [run_of(obj) for obj in bpy.data.objects if obj.type == "MESH" and obj.cloak.run]
+    if isinstance(session.job, jobs.TrainingJob):
+        found.append(session.job.run)
+    return [run for run in found if run.is_dir() or input_folder(run).is_dir()]
+
+
+def refresh(context: bpy.types.Context) -> bool:
+    """Read the disk again; True when something changed. Must not be called while a panel is drawn."""
+    runs = dict.fromkeys([*named_runs(), *(run for place in places(context) for run in find_runs(place))])
+    found = sorted(map(read_state, runs), key=lambda state: state.begun, reverse=True)
+    fresh = {str(state.path): state for state in found}
+    items = context.window_manager.cloak.runs
+    if [item.path for item in items] != list(fresh):
+        items.clear()
+        for path in fresh:
+            items.add().path = path
+    changed = fresh != session.runs
+    session.runs = fresh
+    return changed
+
+
+def selected(context: bpy.types.Context) -> RunState | None:
+    """The run that is chosen in the list: the active object's, or the one that was clicked while none was active."""
+    return session.runs.get(selected_path(context))
+
+
+def selected_path(context: bpy.types.Context) -> str:
+    """Its folder; "" for none."""
+    obj = _active(context)
+    return session.clicked_run if obj is None else str(run_of(obj) or "")
+
+
+def _active(context: bpy.types.Context) -> bpy.types.Object | None:
+    try:
+        return active_body(context)
+    except InputError:
+        return None
+
+
+def select(context: bpy.types.Context, run: Path | None) -> None:
+    """Choose a run, which the active object wears, or will wear, from now on; None for none."""
+    session.clicked_run = str(run or "")
+    obj = _active(context)
+    if obj is None:
+        return
+    obj.cloak.run = portable(session.clicked_run, blend_folder())
+    if run is not None and is_dressed(obj) and obj.mode == "OBJECT" and (run / "colors.npy").is_file():
+        with contextlib.suppress(InputError):  # what is chosen is worn; where it does not fit, judging says why
+            import_colors(context, obj, run)
+
+
+def _index(self: CloakWindow) -> int:
+    path = selected_path(bpy.context)
+    return next((index for index, item in enumerate(self.runs) if item.path == path), -1)
+
+
+def _set_index(self: CloakWindow, index: int) -> None:
+    if 0 <= index < len(self.runs):
+        select(bpy.context, Path(self.runs[index].path))
+
+
+class CloakRun(bpy.types.PropertyGroup):
+    """A line of the list."""
+
+    path: StringProperty(name="Path", description="Folder of the run", options={"SKIP_SAVE"})
+
+
+class CloakWindow(bpy.types.PropertyGroup):
+    """What Cloak keeps for this session, out of reach of undo."""
+
+    runs: CollectionProperty(name="Runs", description="The runs that were found", type=CloakRun, options={"SKIP_SAVE"})
+    run_index: IntProperty(
+        name="Run",
+        description="The run whose colours the active body wears, or will wear",
+        get=_index,
+        set=_set_index,
+    )
+
+
+# --- keeping it fresh -------------------------------------------------------------------------------------------------
+
+
+def is_drawn() -> None:
+    """Somebody looks at the list: it is worth reading."""
+    session.runs_drawn = time.monotonic()
+
+
+def _watch() -> float:
+    """The timer's function."""
+    if time.monotonic() - session.runs_drawn < WATCHED_SECONDS and refresh(bpy.context):
+        redraw(panels_alone=True)
+    return REFRESH_SECONDS
+
+
+@persistent
+def _forget_click(*_: object) -> None:
+    """Another file is open: what was clicked in the last one counts no more, nor how its jobs ended."""
+    session.clicked_run = ""
+    session.given_runs.clear()
+    session.jobs = [job for job in session.jobs if job.active]
+
+
+CLASSES = (CloakRun, CloakWindow)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.WindowManager.cloak = PointerProperty(type=CloakWindow)
+    bpy.app.handlers.load_post.append(_forget_click)
+    if not bpy.app.background:
+        bpy.app.timers.register(_watch, first_interval=REFRESH_SECONDS, persistent=True)
+
+
+def unregister() -> None:
+    if bpy.app.timers.is_registered(_watch):
+        bpy.app.timers.unregister(_watch)
+    bpy.app.handlers.load_post.remove(_forget_click)
+    del bpy.types.WindowManager.cloak
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Run folders: where a training's input and output lie, and how its colours come back onto the model.
+
+A run RUN has its input beside it, in RUN.input: the export (scene, face list, record), the command and the log. So a
+run can be resumed after Blender was closed, and its colours are checked against the mesh they were made for. A run that
+the command line made has none.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..blender import colors
+from ..blender.blend_paths import absolute, blend_folder
+from ..body.garments import WornColors, read_garments
+from ..body.objects import object_of, require_body, topology
+from ..exchange.colors import read_colors
+from ..exchange.face_lists import read_face_list
+from ..files.errors import InputError
+from ..files.reading import read_json
+from ..files.writing import write_json
+from ..poses.export import RECORD, read_export
+
+
+def run_of(obj: bpy.types.Object) -> Path | None:
+    """The run folder of an object; where that is not there (an appended object), the place it once had."""
+    if not obj.cloak.run:
+        return None
+    run = Path(absolute(obj.cloak.run))
+    kept = Path(obj.cloak.run_place) if obj.cloak.run_place else run
+    return run if run.is_dir() or not kept.is_dir() else kept
+
+
+def body_of(run: Path, expected: str) -> bpy.types.Object | None:
+    """The body of this file that a run belongs to: one that was given it, else one with its name, else with its faces.
+
+    expected: the topology of the faces that are trained. None where no body has those.
+    """
+    record = input_folder(run) / RECORD
+    name = read_export(input_folder(run)).object if record.is_file() else ""
+    active = bpy.context.view_layer.objects.active
+    meshes = [obj for obj in bpy.context.view_layer.objects if obj.type == "MESH" and len(obj.data.polygons)]
+    meshes.sort(key=lambda obj: (run_of(obj) != run, obj.name != name, obj != active, obj.name))
+    return next((obj for obj in meshes if topology(obj) == expected), None)
+
+
+COMMAND = "command.json"
+PROJECT = "{project}"
+"""In remembered options: the folder of the .blend file, when the run lies there or below."""
+
+
+def input_folder(run: Path) -> Path:
+    """Where a run's input lies."""
+    return run.with_name(run.name + ".input")
+
+
+def new_run(output: Path, obj: str, logo: str) -> Path:
+    """A run folder in `output` that does not exist yet, named after object and logo."""
+    name = re.sub(r'[\\/:*?"<>|\x00-\x1f]+', "_", f"{obj} {logo}").strip(" .") or "run"
+    number = 1
+    while True:
+        run = output / (name if number == 1 else f"{name} {number}")
+        if not run.exists() and not input_folder(run).exists():
+            return run
+        number += 1
+
+
+def side_folder(run: Path) -> Path:
+    """Where what is made from a run keeps its logs: with the run's input, or in the run where that has none."""
+    return input_folder(run) if input_folder(run).is_dir() else run
+
+
+def remember_options(run: Path, options: list[str]) -> None:
+    """Keep the options a run was started with, for Resume; what lies in the project stays found when that moves."""
+    folder, project = input_folder(run), blend_folder()
+    record: dict[str, object] = {"options": options}
+    if project is not None and folder.is_relative_to(project):
+        record["project"] = Path(os.path.relpath(project, folder)).as_posix()
+        record["options"] = [word.replace(f"{project}{os.sep}", f"{PROJECT}/") for word in options]
+    write_json(folder / COMMAND, record)
+
+
+def remembered_options(run: Path) -> list[str]:
+    """The options a run was started with."""
+    record = read_json(input_folder(run) / COMMAND)
+    options, project = record.get("options"), record.get("project", "")
+    if not isinstance(options, list) or not all(isinstance(word, str) for word in (*options, project)):
+        raise InputError(f"{input_folder(run) / COMMAND}: not the options of a run")
+    if not project:
+        return options
+    folder = os.path.normpath(input_folder(run) / project)
+    return [word.replace(PROJECT, folder) for word in options]
+
+
+def remove(run: Path) -> None:
+    """Delete a run and its input. Raises `InputError` where either is something else, and deletes nothing then."""
+    folders = [folder for folder in (run, input_folder(run)) if folder.exists() or folder.is_symlink()]
+    for folder in folders:
+        known = (folder / "config.json").is_file() or (folder / RECORD).is_file()
+        if folder.is_symlink() or not known:
+            raise InputError(f"{folder}: not a run that Cloak made, and is left alone")
+    for folder in folders:
+        try:
+            shutil.rmtree(folder)
+        except OSError as error:
+            raise InputError(f"{error.filename or folder}: cannot be deleted ({error.strerror})") from None
+
+
+@dataclass(frozen=True)
+class RunColors:
+    """What a run gives back: face ids [L], colours [L, 3] sRGB, and the hash of the body's topology."""
+
+    face_ids: np.ndarray
+    colors: np.ndarray
+    topology: str
+
+
+def read_run(run: Path) -> RunColors:
+    """Colours of a run folder, made here or by the command line on an exported scene."""
+    face_ids, expected = trained_faces(run)
+    if not (run / "colors.npy").exists():
+        raise InputError(f"{run}: no colours yet; wait for the first step")
+    return RunColors(face_ids, read_colors(run / "colors.npy", count=len(face_ids)), expected)
+
+
+def trained_faces(run: Path) -> tuple[np.ndarray, str]:
+    """Ids [L] of the faces a run trains, and the topology of the body they belong to."""
+    if not run.is_dir():
+        raise InputError(f"{run}: no such run folder")
+    face_list = read_face_list(run / "logo.npy")
+    expected = face_list.topology
+    if (input_folder(run) / RECORD).exists():
+        expected = read_export(input_folder(run)).topology
+    if expected is None:
+        raise InputError(f"{run / 'logo.json'}: names no topology, so the colours cannot be matched to a mesh")
+    return face_list.ids, expected
+
+
+def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
+    """Raise `InputError` when the object's faces are not those that were exported."""
+    now = topology(obj)
+    if now != expected:
+        raise InputError(
+            f"'{obj.name}' changed since export: its faces are {now[:12]}..., the colours are for {expected[:12]}...; "
+            "undo the change, or export and train again"
+        )
+
+
+def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> RunColors:
+    """Bring a run's colours onto the object as colour attribute and material; all or nothing."""
+    require_body(obj)
+    if obj.mode == "EDIT":
+        raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
+    result = read_run(run)
+    require_same_topology(obj, result.topology)
+    worn = WornColors(read_garments(input_folder(run) / RECORD), result.face_ids)
+    mine = worn.on_body(len(obj.data.polygons))
+    ids = result.face_ids[mine]
+    if len(ids) and ids[-1] >= len(obj.data.polygons):
+        raise InputError(f"{run}: face {ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
+    worn.write(result.colors, dress=True)
+    colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, ids, result.colors[mine]))
+    colors.dress(obj, ids)
+    colors.show_attribute(context, obj, colors.CLOAK)
+    obj.cloak.worn = str(run)
+    return result
+
+
+class LiveColors:
+    """Shows a growing run's colours on its object. What can be prepared is, so that an update only writes."""
+
+    def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
+        self._run, self._topology, self._uid = run, body_topology, obj.session_uid
+        self._worn = WornColors(read_garments(input_folder(run) / RECORD), face_ids)
+        self._mine = self._worn.on_body(len(obj.data.polygons))
+        self._ids = face_ids[self._mine]
+        self._seen = 0
+        self._base = colors.own_face_colors(obj)
+
+    @property
+    def object(self) -> bpy.types.Object | None:
+        """The object, found by its identity: it may have been renamed."""
+        return object_of(self._uid)
+
+    def update(self, context: bpy.types.Context) -> bool:
+        """Write new colours if there are any; False when there is nothing new or the object cannot take them now.
+
+        What undo took off the object comes back. Raises `InputError` when the object changed since export.
+        """
+        obj, path = self.object, self._run / "colors.npy"
+        if obj is None or obj.mode == "EDIT" or not path.exists():
+            return False
+        stamp = path.stat().st_mtime_ns
+        naked = not self._seen or colors.lost_its_cloak(obj)
+        if stamp == self._seen and not naked:
+            return False
+        require_same_topology(obj, self._topology)
+        values = read_colors(path, count=len(self._mine))
+        self._worn.write(values, dress=naked)
+        self._base[self._ids] = values[self._mine]
+        colors.write_face_colors(obj, colors.CLOAK, self._base)
+        if naked:
+            colors.dress(obj, self._ids)
+            colors.show_attribute(context, obj, colors.CLOAK)
+        obj.cloak.worn = str(self._run)
+        self._seen = stamp
+        return True

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all operators share: `InputError` becomes a message in the status bar, and nothing else has happened."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..body.objects import active_body
+from ..files.errors import InputError
+from ..translations import said
+
+PLAIN = {"REGISTER"}
+WITH_UNDO = {"REGISTER", "UNDO"}
+"""Of operators that change the mesh and have ended when they return."""
+
+
+class CloakOperator(bpy.types.Operator):
+    """Base: `run` does the work and returns what to say, "" for nothing. CLOAK_OT_name is `bpy.ops.cloak.name`."""
+
+    bl_options = PLAIN
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        """Why the operator cannot run now, "" when it can: what a greyed button says. Quick: asked on every redraw."""
+        return ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        reason = cls.needs(context)
+        if reason:
+            cls.poll_message_set(said(reason))
+        return not reason
+
+    def __init_subclass__(cls) -> None:
+        cls.bl_idname = "cloak." + cls.__name__.removeprefix("CLOAK_OT_")
+
+    def run(self, context: bpy.types.Context) -> str:
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            message = self.run(context)
+        except InputError as error:
+            self.report({"ERROR"}, said(str(error)))
+            return {"CANCELLED"}
+        if message:
+            self.report({"INFO"}, said(message))
+        return {"FINISHED"}
+
+
+class BodyOperator(CloakOperator):
+    """Base of operators that change the active body: `change` does the work and returns what to say."""
+
+    bl_options = WITH_UNDO
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        try:
+            active_body(context)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        raise NotImplementedError
+
+    def run(self, context: bpy.types.Context) -> str:
+        return self.change(context, active_body(context))
+
+
+def push_undo(message: str) -> None:
+    """An undo step for what a timer changed, so that the next Ctrl Z does not take it along."""
+    windows = bpy.context.window_manager.windows
+    if not bpy.app.background and len(windows):
+        with bpy.context.temp_override(window=windows[0]):
+            bpy.ops.ed.undo_push(message=message)

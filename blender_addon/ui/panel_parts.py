@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels are drawn with."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+
+from ..body.reasons import NO_BODY, body_reason
+from ..session import session
+from ..trainer import jobs
+from ..translations import said
+
+CLOSED = {"DEFAULT_CLOSED"}
+FIGURES = (
+    "Loss: what training makes small, of the last step. Success: the share of the last training images in which the "
+    "detector does not report the body, a running mean"
+)
+
+
+def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
+    """A message over as many lines as the sidebar's width asks for."""
+    scale = context.preferences.system.ui_scale
+    width = max(20, int((context.region.width / scale - 60) / 6.2)) if context.region else 48
+    column = layout.column(align=True)
+    column.scale_y = 0.85
+    for index, line in enumerate(textwrap.wrap(said(text), width) or [""]):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1")
+
+
+def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A column of settings: names on the left, values on the right."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    return column
+
+
+def figure(layout: bpy.types.UILayout, text: str, tip: str, icon: str = "BLANK1") -> None:
+    """A figure, and what it means when the mouse rests on it."""
+    row = layout.row(align=True)
+    row.alignment = "LEFT"
+    row.operator("cloak.explain", text=said(text), icon=icon, emboss=False).tip = tip
+
+
+class CloakPanel:
+    """Base of the panels."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Cloak"
+
+    @staticmethod
+    def is_done(context: bpy.types.Context) -> bool:
+        """Whether this step has what the next ones need: its header gets a tick."""
+        return False
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        if self.is_done(context):
+            self.layout.label(icon="CHECKMARK")
+
+    def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
+        """A column to draw into, greyed out below its reason when there is one."""
+        if reason:
+            self.say(context, reason)
+        column = settings_column(self.layout)
+        column.enabled = not reason
+        return column
+
+    def say(self, context: bpy.types.Context, reason: str) -> None:
+        """Why a step cannot run; what is wrong with the body stands in step 1."""
+        wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
+
+    def progress(self, context: bpy.types.Context, *labels: str) -> None:
+        """The jobs that were started from this panel: how far they are, what they wait for, or how the last ended."""
+        mine = [(number, job) for number, job in enumerate(session.jobs) if job.label in labels]
+        for number, job in mine:
+            if job.active:
+                self._active(context, number, job)
+        if mine and not mine[-1][1].active and mine[-1][1].message:
+            job = mine[-1][1]
+            bad = job.state == "failed" or job.is_bad_news
+            wrapped(self.layout, context, job.message, icon="ERROR" if bad else "CHECKMARK")
+
+    def _active(self, context: bpy.types.Context, number: int, job: jobs.Job) -> None:
+        row = self.layout.row(align=True)
+        row.progress(factor=job.fraction, text=said(job.describe()))
+        row.operator("cloak.train_cancel", text="", icon="X").number = number
+        if isinstance(job, jobs.TrainingJob) and job.progress.figures():
+            figure(self.layout, job.progress.figures().capitalize(), FIGURES)
+        if job.notice:
+            wrapped(self.layout, context, job.notice, icon="ERROR")

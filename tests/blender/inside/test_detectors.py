@@ -1,0 +1,119 @@
+"""Detectors by their files: several, each with its threshold, checked once, used by every button."""
+
+import json
+import os
+from pathlib import Path
+
+import bpy
+import pytest
+from cloak.files.errors import InputError
+from cloak.properties import train_request
+from cloak.result import eye
+from cloak.session import session
+from cloak.training import detectors
+from conftest import folder_of, run_job
+from made import add_camera
+from test_eye import watch
+
+
+@pytest.fixture
+def files(tmp_path) -> dict[str, str]:
+    names = ("net v8.onnx", "net.pt", "shop.xml", "pose.tflite", "lite.cfg", "lite_final.weights", "own.py", "a.txt")
+    for name in names:
+        (tmp_path / name).touch()
+    return {Path(name).suffix: str(tmp_path / name) for name in names}
+
+
+def add(*paths: str) -> None:
+    """Through the browser's operator, as a click on its button does."""
+    folder = os.path.dirname(paths[0])
+    bpy.ops.cloak.detector_add(directory=folder, files=[{"name": os.path.basename(path)} for path in paths])
+
+
+def test_every_family_is_known_by_its_suffix(ready, files):
+    settings = bpy.context.scene.cloak
+    assert detectors.trained_against(settings) == detectors.judges(settings) == ("builtin",)
+    add(*(files[suffix] for suffix in (".onnx", ".pt", ".xml", ".tflite", ".py")))
+    add(files[".cfg"])
+    assert [d.bare for d in settings.detectors] == [
+        f"onnx:{files['.onnx']}",
+        f"ultralytics:{files['.pt']}",
+        f"openvino:{files['.xml']}",
+        f"tflite:{files['.tflite']}",
+        f"python:{files['.py']}:load",
+        f"darknet:{files['.cfg']}:{files['.weights']}",
+    ]
+    for path, words in ((files[".txt"], "ends in .onnx"), ("/none.onnx", "does not exist")):
+        with pytest.raises(RuntimeError, match=words):
+            add(path)
+    os.remove(files[".onnx"])
+    with pytest.raises(InputError, match=r"Detector > File: .*net v8.onnx does not exist"):
+        train_request(settings)
+
+
+def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
+    settings = bpy.context.scene.cloak
+    add(files[".onnx"])
+    job = run_job()
+    onnx = settings.detectors[0]
+    assert job.state == "done" and not job.is_bad_news and onnx.works
+    assert onnx.answer == "works: reports from 0.25, scores within 3e-06 of its own runtime"
+    assert onnx.threshold == pytest.approx(0.25) and onnx.full == f"onnx:{files['.onnx']}@conf=0.25"
+    onnx.options = "640,person=1"
+    assert not onnx.checked, "another size is another detector"
+    assert onnx.full == f"onnx:{files['.onnx']}@640,person=1,conf=0.25"
+    monkeypatch.setenv("CLOAK_STUB", "bad-detector")
+    bpy.ops.cloak.detector_check()
+    job = run_job()
+    assert job.is_bad_news and not onnx.works and onnx.answer == "fails: gradient, batch"
+    monkeypatch.setenv("CLOAK_STUB", "refuse")
+    bpy.ops.cloak.detector_check()
+    assert run_job().state == "failed" and "no such thing here" in onnx.answer
+
+
+def test_every_button_uses_the_list(dressed, files):
+    settings = bpy.context.scene.cloak
+    add(files[".onnx"], files[".pt"])
+    run_job()
+    onnx, ultra = settings.detectors
+    ultra.judges, ultra.threshold = True, 0.4
+    both = [f"--detector=onnx:{files['.onnx']}@conf=0.25", f"--detector=ultralytics:{files['.pt']}@conf=0.4"]
+    assert [w for w in train_request(settings).options() if "detector" in w] == both[:1]
+    bpy.ops.cloak.evaluate()
+    run_job()
+    words = json.loads((folder_of(dressed) / "evaluation/asked.json").read_text())
+    assert [word for word in words if word.startswith("--detector")] == both
+    assert list(detectors.thresholds(settings, 0.6).values()) == pytest.approx([0.25, 0.4])
+    onnx.judges = True
+    with pytest.raises(InputError, match="All detectors only judge"):
+        train_request(settings)
+
+
+def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):
+    settings = bpy.context.scene.cloak
+    settings.judging.eye_from = "CAMERA"
+    add_camera((0, -3, 0.9))
+    add(files[".onnx"])
+    run_job()
+    bpy.ops.cloak.eye()
+    try:
+        watch(lambda: session.eye.seen is not None)
+        assert list(session.eye.seen.glances) == [f"onnx:{files['.onnx']}@conf=0.25"]
+        settings.detectors[0].threshold = 0.5
+        add(files[".pt"])
+        watch(lambda: session.eye.seen is not None and len(session.eye.seen.glances) == 2)
+        assert next(iter(session.eye.seen.glances)) == f"onnx:{files['.onnx']}@conf=0.5"
+    finally:
+        eye.close_eye()
+
+
+def test_a_file_of_version_0_1_keeps_its_detector(files):
+    settings = bpy.context.scene.cloak
+    settings.detector, settings.darknet_cfg, settings.darknet_weights = "DARKNET", files[".cfg"], files[".weights"]
+    detectors.take_over()
+    detectors.take_over()
+    assert detectors.judges(settings) == (f"darknet:{files['.cfg']}:{files['.weights']}",)
+    settings.detectors.clear()
+    settings.detector = "TORCHVISION"
+    detectors.take_over()
+    assert detectors.judges(settings) == ("torchvision:fasterrcnn_mobilenet_v3_large_fpn",)

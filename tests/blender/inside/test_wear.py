@@ -1,0 +1,33 @@
+"""Wear: the cloak on people in photographs, from the panel."""
+
+import json
+
+import bpy
+import pytest
+from cloak.result import wear
+from conftest import folder_of, run_job
+
+
+def test_people_wear_the_run_and_the_panel_tells_before_and_after(dressed, tmp_path):
+    judging = bpy.context.scene.cloak.judging
+    with pytest.raises(RuntimeError, match="People is empty"):
+        bpy.ops.cloak.wear()
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    judging.people = str(photographs)
+    with pytest.raises(RuntimeError, match=r"no people.json in it"):
+        bpy.ops.cloak.wear()
+    (photographs / "people.json").write_text(json.dumps({"images": [1, 2, 3, 4], "annotations": []}))
+    bpy.ops.cloak.wear()
+    job = run_job()
+    assert (job.state, job.message) == ("done", "2 people wear it")
+    worn = wear.last_worn(folder_of(dressed))
+    assert (worn.people, worn.left_out, len(worn.pictures)) == (2, 1, 8)
+    assert worn.rates == {"builtin": {"run": 0.5, "clothing": 0.0, "grey": 0.05, "random": 0.1}}
+    assert [path.stem for path in worn.pictures[:2]] == ["before", "after run"]
+    bpy.ops.cloak.wear_page(step=1)
+    bpy.ops.cloak.wear_page(step=-5)
+    assert judging.people_page == 0
+    bpy.ops.cloak.wear()
+    run_job()
+    assert wear.last_worn(folder_of(dressed)).folder.name == "worn by people 2"

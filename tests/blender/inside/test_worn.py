@@ -1,0 +1,107 @@
+"""What the camera sees: one answer for figures, export, judging and renders."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+from cloak.blender import faces
+from cloak.body import garments
+from cloak.files.errors import InputError
+from cloak.logo import overlay
+from cloak.poses import export as scene_export
+from cloak.poses.poses import PoseChoice
+from cloak.poses.reasons import export_summary, poses_reason
+from cloak.result.reasons import check_reason, judged_reason
+from cloak.result.worn_scenes import export_worn
+from cloak.training import runs
+from conftest import folder_of, run_job
+from made import centers, make_egg
+
+
+@pytest.fixture
+def chest(stub, tmp_path) -> bpy.types.Object:
+    """A body whose logo lies in front, at half its height."""
+    obj = make_egg()
+    places = centers(obj)
+    faces.new_logo(obj, "chest", (places[:, 1] < -0.1) & (abs(places[:, 2] - 0.9) < 0.3))
+    bpy.context.scene.cloak.output, bpy.context.scene.cloak.steps = str(tmp_path / "runs"), 4
+    return obj
+
+
+def add_shirt(obj: bpy.types.Object, tied: bool = True, name: str = "Shirt") -> bpy.types.Object:
+    """A garment around the middle of the body."""
+    shirt = make_egg(16, 1.1, name)
+    shirt.scale, shirt.location.z = (1.2, 1.2, 1), 0.35
+    shirt.parent = obj if tied else None
+    bpy.context.view_layer.objects.active = obj
+    bpy.context.view_layer.update()
+    return shirt
+
+
+def test_what_lies_on_the_body_is_seen_and_what_stands_beside_it_is_not(chest):
+    shirt, hat = add_shirt(chest), add_shirt(chest, tied=False, name="Hat")
+    bpy.ops.mesh.primitive_cube_add(size=2, location=(0, 0, 1))
+    other = make_egg(12, name="Neighbour")
+    other.location.x = 2
+    bpy.ops.mesh.primitive_plane_add(size=10)
+    bpy.context.view_layer.objects.active = chest
+    bpy.context.view_layer.update()
+    assert garments.worn_by(chest) == [hat, shirt]
+    assert "with Hat, Shirt" in export_summary(bpy.context)
+    hat.hide_set(True)
+    assert garments.worn_by(chest) == [shirt]
+    bpy.ops.cloak.leave_out(garment="Shirt")
+    assert garments.worn_by(chest) == [] and garments.wearable(chest) == [shirt]
+
+
+def test_figures_say_what_covers_the_logo_and_count_only_what_is_seen(chest):
+    bare = overlay.active_stats(chest)
+    assert bare.covered == () and bare.projected_area > 0.1
+    assert math.isclose(bare.whole_projected_area, math.pi * 0.35 * 0.9, rel_tol=0.02)
+    shirt = add_shirt(chest)
+    ((name, share),) = overlay.active_stats(chest).covered
+    assert name == "Shirt" and share > 0.9
+    assert overlay.active_stats(chest).projected_area < 0.1 * bare.projected_area
+    bpy.ops.cloak.logo_onto(garment="Shirt")
+    worn = overlay.active_stats(chest)
+    assert worn.covered == () and worn.projected_area > 0.8 * bare.projected_area
+    assert faces.logo_names(shirt.data) == ["chest"]
+    over = centers(shirt)[faces.read_faces(shirt, "chest")]
+    assert (over[:, 1] < 0).all(), "the back stays plain"
+    faces.remove_logo(shirt, "chest")
+    bpy.ops.cloak.leave_out(garment="Shirt")
+    assert overlay.active_stats(chest) == bare
+
+
+def test_training_and_judging_see_the_same_pieces_or_say_which_differs(chest):
+    shirt = add_shirt(chest)
+    bpy.ops.cloak.train_start()
+    assert run_job().state == "done"
+    run = folder_of(chest)
+    bodies = export_worn(bpy.context, chest, run, PoseChoice(), run.parent / "seen")
+    assert bodies.face_count == len(chest.data.polygons) + len(shirt.data.polygons)
+    assert judged_reason(bpy.context) == check_reason(bpy.context) == ""
+    shirt.hide_set(True)
+    assert "was trained with 'Shirt': show it again, or train again" in judged_reason(bpy.context)
+    assert judged_reason(bpy.context) == check_reason(bpy.context)
+    shirt.hide_set(False)
+    add_shirt(chest, name="Coat")
+    assert "was trained without 'Coat': leave it out" in judged_reason(bpy.context)
+    with pytest.raises(InputError, match="without 'Coat'"):
+        export_worn(bpy.context, chest, run, PoseChoice(), run.parent / "seen")
+    bpy.ops.cloak.leave_out(garment="Coat")
+    assert judged_reason(bpy.context) == ""
+    assert scene_export.read_export(runs.input_folder(run)).faces == bodies.face_count
+
+
+def test_a_mask_that_leaves_nothing_and_a_vertex_nowhere_are_said_in_step_3(chest):
+    group = chest.vertex_groups.new(name="Nothing")
+    mask = chest.modifiers.new("Hide", "MASK")
+    mask.vertex_group = group.name
+    bpy.context.view_layer.update()
+    assert "No face of 'Body' is left by its modifiers ('Hide')" in poses_reason(bpy.context)
+    chest.modifiers.remove(mask)
+    chest.data.vertices[5].co.x = np.nan
+    bpy.context.view_layer.update()
+    assert "'Body' has 1 vertices without a place (NaN)" in poses_reason(bpy.context)
