@@ -1,12 +1,14 @@
 # Two commands do all set-up: `make demo` and `make test`.
 BIN := .venv/bin
+# This checkout's code, also where another one shares the environment.
+export PYTHONPATH := $(CURDIR)$(if $(PYTHONPATH),:$(PYTHONPATH))
 # A process for every core (up to eight: each takes a gigabyte), each with one thread.
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal
 
 .PHONY: demo check test test-all lint extension dist docs
 
 demo: .venv/.installed
-	$(BIN)/cloak demo --out runs/demo
+	$(BIN)/python -m cloak_core demo --out runs/demo
 
 # The inner loop: what takes under half a second.
 check: .venv/.installed-test

@@ -15,15 +15,16 @@ if TYPE_CHECKING:
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.protocol import Detections, Detector
     from cloak_core.evaluation.film.settings import FilmSettings
-    from cloak_core.evaluation.report.page import make_report
+    from cloak_core.evaluation.report.run_report import make_report
     from cloak_core.evaluation.settings import EvaluateSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
-    from cloak_core.library import evaluate, film, train
+    from cloak_core.library import evaluate, film, train, wear
     from cloak_core.output.printing import print_logo
     from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
     from cloak_core.scene.logos.logo import Logo, load_logo, make_logo
     from cloak_core.scene.opening import load_scene
+    from cloak_core.scene.photographs.people import People, load_people
 
 __version__ = "0.1.0"
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "FilmSettings",
     "InputError",
     "Logo",
+    "People",
     "RunResult",
     "TrainSettings",
     "evaluate",
@@ -42,12 +44,14 @@ __all__ = [
     "load_backgrounds",
     "load_detector",
     "load_logo",
+    "load_people",
     "load_scene",
     "make_logo",
     "make_report",
     "make_settings",
     "print_logo",
     "train",
+    "wear",
 ]
 
 _PLACES = {
@@ -59,6 +63,7 @@ _PLACES = {
     "FilmSettings": "evaluation.film.settings:FilmSettings",
     "InputError": "files.errors:InputError",
     "Logo": "scene.logos.logo:Logo",
+    "People": "scene.photographs.people:People",
     "RunResult": "attack.loop:RunResult",
     "TrainSettings": "attack.settings:TrainSettings",
     "evaluate": "library:evaluate",
@@ -66,12 +71,14 @@ _PLACES = {
     "load_backgrounds": "scene.backdrops.backgrounds:load_backgrounds",
     "load_detector": "detectors.loading:load_detector",
     "load_logo": "scene.logos.logo:load_logo",
+    "load_people": "scene.photographs.people:load_people",
     "load_scene": "scene.opening:load_scene",
     "make_logo": "scene.logos.logo:make_logo",
-    "make_report": "evaluation.report.page:make_report",
+    "make_report": "evaluation.report.run_report:make_report",
     "make_settings": "attack.settings:make_settings",
     "print_logo": "output.printing:print_logo",
     "train": "library:train",
+    "wear": "library:wear",
 }
 """Public name -> MODULE:NAME."""
 

@@ -5,19 +5,16 @@ Exit codes: 0 done, 1 a defect (with its traceback), 2 bad input (one line that 
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import io
 import json
-import logging
 import os
 import sys
-import warnings
-from collections.abc import Iterator
 
 from cloak_core import __version__
 from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
-from cloak_core.files.errors import InputError, one_line
+from cloak_core.commands.failures import in_words
+from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
+from cloak_core.files.errors import InputError
 
 COMMANDS: dict[str, str] = {
     "train": "train:Train",
@@ -26,6 +23,7 @@ COMMANDS: dict[str, str] = {
     "film": "film:Film",
     "look": "look:Look",
     "judge": "judge:Judge",
+    "wear": "wear:Wear",
     "demo": "demo:Demo",
     "scene import": "scene:Import",
     "scene import-smpl": "scene:ImportSmpl",
@@ -61,6 +59,7 @@ COMMANDS: dict[str, str] = {
     "bench step": "bench:Step",
     "bench ranks": "bench:Ranks",
     "bench jobs": "bench:Jobs",
+    "bench intervals": "bench:Intervals",
     "bench printing": "bench:Printing",
     "bench detectors": "bench:Detectors",
 }
@@ -72,58 +71,43 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     prepare_streams()
     try:
-        command, code = None, 0
+        command, code, name, options = None, 0, "", []
         with saying():
             try:
-                command = parse(*find(arguments))
+                name, options = find(arguments)
+                command = parse(name, options)
             except SystemExit as end:  # help or the version was asked for, and is printed
                 code = end.code or 0
-        sys.exit(run(command) if command else code)
-    except InputError as error:
-        err.print(f"cloak: {error}", style="red")
-        sys.exit(2)
+        sys.exit(run_or_say_usage(command, name, options) if command else code)
     except (Stopped, KeyboardInterrupt) as stop:
         warn(str(stop) or "stopped")
         sys.exit(3)
+    except Exception as error:
+        words = in_words(error)
+        if words is None:
+            raise
+        complain(words)
+        sys.exit(2)
 
 
-def prepare_streams() -> None:
-    """Characters that a terminal lacks are written as escapes; what libraries log or warn of is one line each."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(OneLine("cloak: %(message)s"))
-    logging.basicConfig(level=logging.WARNING, handlers=[handler])
-    logging.captureWarnings(True)
-    warnings.formatwarning = _warning_words
-
-
-class OneLine(logging.Formatter):
-    """Writes line breaks in messages out: a path may hold some."""
-
-    def formatMessage(self, record: logging.LogRecord) -> str:
-        return one_line(super().formatMessage(record))
-
-
-def _warning_words(message: Warning | str, category: type[Warning], *_: object) -> str:
-    return f"{message}" if category is UserWarning else f"{category.__name__}: {message}"
-
-
-@contextlib.contextmanager
-def saying() -> Iterator[None]:
-    """A block that writes on standard output. A reader who has had enough (`| head`) is no error; anything else that
-    the system has against it (a full disk) is an InputError."""
+def complain(words: str) -> None:
+    """One line on standard error; also where no memory is left to make it pretty."""
     try:
-        try:
-            yield
-        finally:
-            sys.stdout.flush()
-    except OSError as error:
-        # What is still held back must not be tried again when the process ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            raise InputError(f"standard output: cannot be written ({error.strerror or error})") from None
+        err.print(f"cloak: {words}", style="red")
+    except (MemoryError, ImportError):
+        os.write(2, f"cloak: {words}\n".encode(errors="backslashreplace"))
+
+
+def run_or_say_usage(command: Command, name: str, options: list[str]) -> int:
+    """As `run`; who gave no options at all, and some were needed, is told which there are."""
+    try:
+        return run(command)
+    except InputError as error:
+        if set(options) <= {"--json"}:
+            from cloak_core.commands.usage import usage
+
+            raise InputError(f"{error}; usage: {usage(type(command), name)} (cloak {name} --help)") from None
+        raise
 
 
 def run(command: Command) -> int:
@@ -133,8 +117,7 @@ def run(command: Command) -> int:
         with saying():
             command.show(result)
         return _verdict(command, result)
-    # Whatever libraries print must not end up inside the JSON.
-    with contextlib.redirect_stdout(sys.stderr):
+    with kept_for_json():  # whatever libraries print
         out.file = sys.stderr
         try:
             result = command.run()

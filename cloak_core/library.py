@@ -6,6 +6,7 @@ may be called twice, and from any thread.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -29,21 +30,25 @@ from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
 from cloak_core.scene.opening import load_scene
+from cloak_core.scene.photographs.people import People, load_people
 from cloak_core.zoo.shelf import run_path
 
 if TYPE_CHECKING:
     from cloak_core.evaluation.film.settings import FilmSettings
-    from cloak_core.evaluation.inference import OnProgress
+    from cloak_core.evaluation.measure import OnProgress
+    from cloak_core.evaluation.wearing.settings import WearSettings
+    from cloak_core.render.photographs.fitting import Fit
 
 T = TypeVar("T")
+_log = logging.getLogger("cloak")
 Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
 
 
 def train(
-    scene: Bodies | Named,
+    scene: Bodies | Named | None,
     logo: Logo | Named,
-    detectors: Sequence[Detector | str] = ("builtin",),
+    detectors: Detector | str | Sequence[Detector | str] = ("builtin",),
     backgrounds: Backgrounds | Named = "procedural:train",
     *,
     out: Named,
@@ -51,36 +56,47 @@ def train(
     resume: bool = False,
     on_event: OnEvent | None = None,
     inputs: Mapping[str, str] | None = None,
-    query_prior: Sequence[Detector | str] = (),
+    query_prior: Detector | str | Sequence[Detector | str] = (),
+    people: People | Named | None = None,
     **changes: object,
 ) -> RunResult:
     """Train the logo's colours against the detectors, into the run folder `out`.
 
-    scene, logo, detectors and backgrounds are given as they are or by name; names are recorded in the run's
-    config.json, and `inputs` beside them. How to train: `settings`, or `changes` of a preset by the names of `cloak
-    train`'s options (`preset="best", steps=100, angles="-10:10:5"`). `query_prior`: detectors whose gradients lead a
-    search by questions. `on_event` hears every event that goes to
-    events.jsonl, in the calling thread. SIGINT (in the main thread), a file `cancel` in `out` or the time budget end it
-    after the current step with a checkpoint; `resume` goes on from there to the bit-identical result.
+    scene, logo, detectors and backgrounds are given as they are or by name (one detector may stand for a list of one);
+    names are recorded in the run's config.json, and `inputs` beside them. people: in photographs (`load_people`, or a
+    COCO file), shown beside the scene's renders, or alone where `scene` is None (the logo is then one of the sample
+    bodies). How to train: `settings`, or `changes` of a preset by the names of `cloak train`'s options
+    (`preset="best", steps=100, angles="-10:10:5"`). `query_prior`: detectors whose gradients lead a search by
+    questions. `on_event` hears every event that goes to events.jsonl, in the calling thread. SIGINT (in the main
+    thread), a file `cancel` in `out` or the time budget end it after the current step with a checkpoint; `resume` goes
+    on from there to the bit-identical result.
 
     Returns how the run ended; its `colors` [L, 3] are sRGB in [0, 1], in the order of `logo.face_ids`. Raises
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
     folder that exists and is not resumed is refused.
     """
+    if people is not None and settings is None:
+        changes.setdefault("preset", "photographs")
     settings = _either(settings, changes, make_settings)
-    named = {"scene": scene, "logo": logo, "backgrounds": backgrounds}
+    if people is None and scene is None:
+        raise InputError("--scene: none given, and no --people")
+    named = {"scene": scene, "logo": logo, "backgrounds": backgrounds, "people": people}
+    fits = _fitted(people)
+    if scene is None:
+        scene, settings = "sample:train", settings.changed(people_share=1.0)
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene)
     return train_logo(
         settings,
         bodies,
         logo if isinstance(logo, Logo) else load_logo(bodies, logo),
-        [_detector(detector, settings.compute.device) for detector in detectors],
+        [_detector(detector, settings.compute.device) for detector in _several(detectors)],
         backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
         out,
         resume=resume,
         on_event=on_event,
         inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
-        query_prior=[_detector(detector, settings.compute.device) for detector in query_prior],
+        query_prior=[_detector(detector, settings.compute.device) for detector in _several(query_prior)],
+        people=fits,
     )
 
 
@@ -88,12 +104,13 @@ def evaluate(
     run: RunResult | Named,
     scene: Bodies | Named | None = None,
     backgrounds: Backgrounds | Named | None = None,
-    detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
+    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str] | None = None,
     *,
     colors: Named | None = None,
     profile: Named | None = None,
     out: Named | None = None,
     over_time: bool = False,
+    people: People | Named | None = None,
     angles: Sequence[float] | str = "-10:10:1",
     settings: EvaluateSettings | None = None,
     device: str = "cpu",
@@ -109,8 +126,10 @@ def evaluate(
     judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png).
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
-    loaded on `device`; None takes those that the run was trained against. angles: azimuths in degrees. How to evaluate:
-    `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
+    loaded on `device`; None takes those that the run was trained against. people: in photographs (`load_people`, or a
+    COCO file): judge on these instead of renders, into RUN/evaluation-people; `settings` then decide threshold, size
+    and batch alone. angles: azimuths in degrees. How to evaluate: `settings`, or `changes` of the defaults by the names
+    of `cloak evaluate`'s options (`images_per_view=2`).
     `on_progress` hears (images done, images in all), in the calling thread.
 
     Returns what `cloak evaluate --json` prints: success under the logo and each control, in [0, 1], per detector and by
@@ -124,6 +143,12 @@ def evaluate(
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
+    if people is not None:
+        if (scene, colors, profile) != (None, None, None) or over_time:
+            raise InputError("--people: judges the run's own colours: without --scene, --colors and the like")
+        specs = [trained["spec"] for trained in config["detectors"]] if detectors is None else detectors
+        place = folder / "evaluation-people" if out is None else Path(out)
+        return _on_people(folder, config, people, _by_name(specs, device), backgrounds, place, settings, on_progress)
     bodies, backgrounds = _unseen(scene, backgrounds, config)
     logo = load_logo(bodies, folder / "logo.npy")
     worn, trained, name = _worn(folder, config, logo, bodies, colors)
@@ -139,12 +164,15 @@ def evaluate(
         place = f"{place}-{settings.cycles}"
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
     angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
+    target = folder / place if out is None else Path(out)
+    if (target / "summary.json").exists():
+        _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", target)
     asked = (logo, bodies, backgrounds, judges, angles, settings)
     summary = evaluate_logo(
         worn,
         *asked,
         training=trained,
-        out=folder / place if out is None else Path(out),
+        out=target,
         on_progress=on_progress,
     )
     if over_time:
@@ -152,12 +180,32 @@ def evaluate(
     return summary
 
 
+def _on_people(
+    folder: Path,
+    config: dict,
+    people: People | Named,
+    detectors: dict[str, Detector],
+    backgrounds: Backgrounds | Named | None,
+    out: Path,
+    settings: EvaluateSettings,
+    on_progress: OnProgress | None,
+) -> dict:
+    from cloak_core.evaluation.wearing.evaluating import evaluate_on_people
+    from cloak_core.evaluation.wearing.settings import WearSettings
+
+    chosen = WearSettings(size=settings.size, threshold=settings.threshold, bare=settings.bare, batch=settings.batch)
+    people = people if isinstance(people, People) else load_people(people)
+    if not isinstance(backgrounds, Backgrounds):
+        backgrounds = load_backgrounds(backgrounds or "procedural:test")
+    return evaluate_on_people(folder, config, people, detectors, backgrounds, out, chosen, on_progress)
+
+
 def film(
     run: RunResult | Named,
     out: Named,
     scene: Bodies | Named | None = None,
     backgrounds: Backgrounds | Named | None = None,
-    detectors: Mapping[str, Detector] | Sequence[Detector | str] | None = None,
+    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str] | None = None,
     *,
     colors: Named | None = None,
     settings: FilmSettings | None = None,
@@ -170,7 +218,7 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
-    from cloak_core.evaluation.film.making import make_film
+    from cloak_core.evaluation.film.film import make_film
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
@@ -181,13 +229,52 @@ def film(
     return make_film(worn, logo, bodies, backgrounds, judges, Path(out), settings, on_progress)
 
 
+def wear(
+    colors: Named | Sequence[Named],
+    people: People | Named,
+    detectors: Mapping[str, Detector] | Sequence[Detector | str],
+    backgrounds: Backgrounds | Named = "procedural:test",
+    *,
+    images: Named | None = None,
+    out: Named | None = None,
+    settings: WearSettings | None = None,
+    device: str = "cpu",
+    on_progress: OnProgress | None = None,
+    **changes: object,
+) -> dict:
+    """Dress people in photographs in trained colours or pictures, and judge them beside controls.
+
+    colors: each a run folder, zoo:NAME, FILE.png@tile=METRES or FILE.png@patch=METRES. people: what `load_people` gave,
+    or a COCO file (its photographs in `images`). backgrounds: without people, for false alarms. out: a new folder for
+    pictures and tables. How to judge: `settings`, or `changes` of the defaults by the names of `cloak wear`'s options.
+    `on_progress` hears (images done, images in all).
+
+    Returns what `cloak wear --json` prints: for each detector success of every colours and control with intervals over
+    people and photographs, how many people, who was left out and why. InputError names what cannot be read or worn.
+    """
+    from cloak_core.evaluation.wearing.settings import WearSettings
+    from cloak_core.evaluation.wearing.wearing import wear_and_judge
+
+    settings = _either(settings, changes, WearSettings)
+    given = [colors] if isinstance(colors, str | os.PathLike) else list(colors)
+    return wear_and_judge(
+        [os.fspath(color) for color in given],
+        people if isinstance(people, People) else load_people(people, images),
+        _by_name(detectors, device),
+        backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
+        None if out is None else Path(out),
+        settings,
+        on_progress,
+    )
+
+
 def _worn(
     folder: Path, config: dict, logo: Logo, bodies: Bodies, colors: Named | None
 ) -> tuple[np.ndarray, dict | None, str]:
     """Colours for the logo's faces, what is known of their training, and their name; "" for the run's own."""
     if colors is None:
         return read_colors(folder / "colors.npy", len(logo)), config, ""
-    from cloak_core.evaluation.foreign import colors_of
+    from cloak_core.evaluation.foreign_colors import colors_of
 
     return colors_of(colors, logo, bodies)
 
@@ -202,6 +289,15 @@ def _unseen(
     return bodies, backgrounds
 
 
+def _fitted(people: People | Named | None) -> list[Fit]:
+    """Bodies fitted to the people, from the cache where they were fitted before."""
+    if people is None:
+        return []
+    from cloak_core.render.photographs.fits import fit_people
+
+    return fit_people(people if isinstance(people, People) else load_people(people))
+
+
 def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:
     """The settings, or those made by the changes. TypeError: both are given."""
     if settings is not None and changes:
@@ -213,7 +309,14 @@ def _detector(detector: Detector | str, device: str) -> Detector:
     return load_detector(detector, device=device) if isinstance(detector, str) else detector
 
 
-def _by_name(detectors: Mapping[str, Detector] | Sequence[Detector | str], device: str) -> dict[str, Detector]:
+def _several(detectors: Detector | str | Sequence[Detector | str]) -> Sequence[Detector | str]:
+    """One detector, or one spec, is a list of one."""
+    return [detectors] if isinstance(detectors, (Detector, str)) else detectors
+
+
+def _by_name(
+    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str], device: str
+) -> dict[str, Detector]:
     if isinstance(detectors, Mapping):
         return dict(detectors)
-    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in detectors}
+    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in _several(detectors)}

@@ -27,6 +27,7 @@ ROOMS = (
     "detectors",
     "evaluation",
     "exchange",
+    "experiments",
     "files",
     "output",
     "pretrain",

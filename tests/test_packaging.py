@@ -149,3 +149,43 @@ def test_setting_up_takes_a_torch_that_is_there(versions: dict[str, str], found:
     command = [sys.executable, "-S", str(ROOT / "tools" / "find_torch.py")]
     done = subprocess.run(command, env={"PYTHONPATH": str(folder)}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == ((0, str(folder)) if found else (1, "")), done.stderr
+
+
+FAKE_PYTHON = """#!/bin/sh
+case "$1" in
+    tools/editable_elsewhere.py) printf '%s' "$OTHER" ;;
+    tools/list_requirements.py) exec PYTHON "$@" ;;
+    -m) echo "$@" >>"$LOG" ;;
+esac
+"""
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_second_checkout_leaves_a_shared_environment_to_the_first(shared: bool, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    fake = tmp_path / ".venv" / "bin" / "python"
+    fake.parent.mkdir(parents=True)
+    fake.write_text(FAKE_PYTHON.replace("PYTHON", sys.executable))
+    fake.chmod(0o755)
+    log = tmp_path / "pip.log"
+    environment = os.environ | {"OTHER": "/elsewhere" if shared else "", "LOG": str(log), "PYTHON": sys.executable}
+    run("sh", "tools/setup.sh", "docs", cwd=tmp_path, env=environment)
+    said = log.read_text()
+    assert "install" in said and ("-e .[docs]" in said) == (not shared) and (" -r " in said) == shared
+
+
+def test_whose_editable_installation_it_is(tmp_path: Path) -> None:
+    def told(folder: Path) -> str:
+        installed = tmp_path / "site" / "cloak_core-1.dist-info"
+        installed.mkdir(parents=True, exist_ok=True)
+        (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: cloak-core\nVersion: 1\n")
+        (installed / "direct_url.json").write_text(json.dumps({"url": folder.as_uri(), "dir_info": {"editable": True}}))
+        environment = {"PYTHONPATH": str(tmp_path / "site")}
+        return run(sys.executable, "-S", ROOT / "tools" / "editable_elsewhere.py", env=environment).stdout
+
+    (tmp_path / "other one").mkdir()
+    assert told(tmp_path / "other one") == ""  # nothing is left there
+    (tmp_path / "other one" / "pyproject.toml").write_text("")
+    assert told(tmp_path / "other one") == str((tmp_path / "other one").resolve())
+    assert told(ROOT) == ""

@@ -19,8 +19,10 @@ MAY_IMPORT = {
     "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
     "output": {"files", "exchange", "scene", "render", "detectors"},
     "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
+    "experiments": {"files", "exchange", "scene", "render", "detectors", "attack", "evaluation"},
 }
-"""Nobody imports `bench` and `pretrain` but the commands; `commands` are imported by the command line alone."""
+"""Nobody imports `experiments`, `bench` and `pretrain` but the commands; `commands` are imported by the command line
+alone."""
 TOP = {"commands", "cli", "library", "bench", "pretrain", "__main__", "__init__"}
 
 
@@ -30,9 +32,13 @@ def room_of(path: Path) -> str:
 
 def imported(path: Path) -> set[str]:
     """Modules that a file imports anywhere, also inside functions; relative ones resolved."""
+    return names_imported(ast.parse(path.read_text("utf-8")), path)
+
+
+def names_imported(tree: ast.AST, path: Path) -> set[str]:
     package = ["cloak_core", *path.relative_to(CORE).parts[:-1]]
     found = set()
-    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -58,11 +64,43 @@ def test_a_room_imports_only_the_rooms_below_it(path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("room", ["bench", "pretrain", "commands"])
+@pytest.mark.parametrize("room", ["experiments", "bench", "pretrain", "commands"])
 def test_nobody_below_imports_what_stands_above(room):
     for path in CORE.rglob("*.py"):
         if room_of(path) not in (room, "commands", "cli"):
             assert room not in rooms_imported(path), path
+
+
+def loaded_by(path: Path) -> set[str]:
+    """Modules that a file loads at run time: at its top or inside functions, but not for type checkers alone."""
+    tree = ast.parse(path.read_text("utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            node.body = []
+    return names_imported(tree, path)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    """An import inside a function counts, too: it only hides the circle. `__init__` files count as themselves."""
+    name_of = lambda path: ".".join(("cloak_core", *path.relative_to(CORE).with_suffix("").parts)).removesuffix(
+        ".__init__"
+    )
+    paths = {name_of(path): path for path in CORE.rglob("*.py")}
+    graph = {name: (loaded_by(path) & paths.keys()) - {"cloak_core"} for name, path in paths.items()}
+    for name in paths:
+        # `from package import module` names both; the package alone is meant where the name is no module.
+        graph[name] -= {other for other in graph[name] if any(o.startswith(f"{other}.") for o in graph[name])}
+    circles = set()
+    for start in graph:
+        seen, todo = set(), list(graph[start])
+        while todo:
+            name = todo.pop()
+            if name not in seen:
+                seen.add(name)
+                todo += graph[name]
+        if start in seen:
+            circles.add(start)
+    assert not circles
 
 
 @pytest.mark.parametrize("room", ["files", "exchange"])

@@ -19,7 +19,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ("files", "exchange")
 """Rooms of cloak_core that the add-on uses; links in the checkout, which some systems check out as text files."""
-LEFT_OUT = ("caching.py", "likeness.py", "torch_pickles.py", "unpickling.py", "__pycache__")
+UNPICKLING = ("torch_pickles.py", "unpickling.py", "pickle_machine.py", "pickle_values.py")
+LEFT_OUT = ("caching.py", "likeness.py", *UNPICKLING, "__pycache__")
 """Of those rooms, what the add-on does not use."""
 BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"
 
@@ -42,7 +43,6 @@ def main() -> int:
         source = Path(temporary) / "cloak"
         stage(source)
         if options.trainer:
-            (source / "trainer").mkdir()
             shutil.copy(options.trainer, source / "trainer")
         package = options.out / package_name()
         options.out.mkdir(parents=True, exist_ok=True)

@@ -36,9 +36,19 @@ fi
 # What OpenCV is linked against, which ultralytics brings.
 [ "${1:-}" != test ] || need "the tests of ultralytics" libgl1 libglib2.0-0
 extras=${1:+"[$1]"}
-echo "installing cloak$extras into .venv" >&2
 # Progress where somebody looks on, silence in a log.
 quiet=-q; [ ! -t 1 ] || quiet=
-.venv/bin/python -m pip install $quiet --disable-pip-version-check -e ".$extras"
+other=$(.venv/bin/python tools/editable_elsewhere.py)
+if [ -n "$other" ]; then
+    # Another checkout shares this environment: its commands must go on running its own code.
+    echo "installing what cloak$extras needs into .venv, and leaving cloak itself to $other" >&2
+    needs=$(mktemp)
+    .venv/bin/python tools/list_requirements.py ${1:-} >"$needs"
+    .venv/bin/python -m pip install $quiet --disable-pip-version-check -r "$needs"
+    rm -f "$needs"
+else
+    echo "installing cloak$extras into .venv" >&2
+    .venv/bin/python -m pip install $quiet --disable-pip-version-check -e ".$extras"
+fi
 # The public SMPL code, to check ours against; its own list of needs would bring chumpy and more, none of it needed.
 [ "${1:-}" != test ] || .venv/bin/python -m pip install -q --disable-pip-version-check --no-deps smplx

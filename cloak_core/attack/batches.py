@@ -10,17 +10,17 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window, occluded
+from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.values import Range
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
-from cloak_core.render.images.backdrop import lay_backdrop
-from cloak_core.render.images.compositing import Canvas, Photometric, blank, true_boxes
-from cloak_core.render.images.dressing import DressedView
+from cloak_core.render.compositing import Canvas, blank, lay_backdrop, true_boxes
 from cloak_core.render.threads import own_threads_kept, spread, workers
-from cloak_core.render.views import ViewBank
+from cloak_core.render.types import BakedView, Photometric
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_centres
@@ -41,6 +41,10 @@ class Batch:
     distortion: Distortion
     hidden: Bool[Tensor, "B L"] | None = None
     """Faces of the logo that are grey in an image; None: none."""
+    bodies: Float[Tensor, "B 4"] | None = None
+    """Each image's true box of the body, xyxy, pixels, as `images` shows it; None where there is no image."""
+    company: "Company | None" = None
+    """Who else is in the images; None: nobody in any of them."""
 
     def __len__(self) -> int:
         return self.canvas.shape[0] if self.canvas else 0
@@ -56,6 +60,20 @@ class Batch:
         return self.distortion(self.canvas.paint(shown))
 
 
+@dataclass(frozen=True)
+class Company:
+    """The other people in B images, of which photographs have some."""
+
+    others: Float[Tensor, "B K 4"]
+    """Their boxes as the images show them; zeros where there are fewer."""
+    anywhere: Bool[Tensor, " B"]
+    """Renders: nobody else can be in them, so that every box counts."""
+
+    def part(self, first: int, last: int) -> "Company":
+        """Of some of the images."""
+        return Company(self.others[first:last], self.anywhere[first:last])
+
+
 class Batcher:
     """Builds the batch of any step."""
 
@@ -63,11 +81,13 @@ class Batcher:
         self,
         settings: TrainSettings,
         sampler: Sampler,
-        bank: ViewBank,
+        bank: ViewCache,
         logo_faces: np.ndarray,
         backgrounds: Backgrounds,
         device: torch.device,
+        people: PeopleViews | None = None,
     ) -> None:
+        self.people = people
         self.views, self.augmentation, self.sampler, self.bank = settings.views, settings.augmentation, sampler, bank
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
@@ -81,28 +101,51 @@ class Batcher:
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortion())
-        wanted = zip(draws.pose.tolist(), cameras(draws, self.views), draws.outfit.tolist(), strict=True)
+        places = draws.pose.tolist(), cameras(draws, self.views), draws.outfit.tolist()
+        wanted = zip(*places, draws.person.tolist(), draws.seed.tolist(), strict=True)
 
-        def dress(one: tuple[int, Camera, int]) -> DressedView:
-            pose, camera, outfit = one
-            return self.bank.dress(pose, camera, self.logo_faces, outfit)
+        def bake(one: tuple[int, Camera, int, int, int]) -> BakedView:
+            pose, camera, outfit, person, seed = one
+            if person >= 0:
+                return self.people.view(person, seed)
+            return self.bank.bake(pose, camera, self.logo_faces, outfit)
 
-        views = spread(dress, list(wanted), workers(self.device) if self._fresh else 1)
+        views = spread(bake, list(wanted), workers(self.device) if self._fresh else 1)
         changes = is_photometric(settings)
         on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)
         lay_backdrop(
             rows, [self._backdrop(*one) for one in zip(draws.background.tolist(), draws.seed.tolist(), strict=True)]
         )
-        shifts = torch.from_numpy(draws.shift).to(self.device, non_blocking=True)
+        # A photograph is moved by the part of it that is shown.
+        shifts = torch.from_numpy(np.where(draws.person[:, None] >= 0, 0, draws.shift)).to(
+            self.device, non_blocking=True
+        )
         on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
+        distorted = distortion(draws, settings, self.device)
         return Batch(
             empty,
             self._occlude(Canvas.of(views, rows, shifts, on_render), views, draws),
             LogoChange.draw(draws, settings, len(self.logo_faces), self.device) if changes and on_logo else None,
-            distortion(draws, settings, self.device),
+            distorted,
             None if self._centres is None else self._cutout(draws),
+            distorted.boxes(true_boxes(views, shifts), size, size),
+            self._company(views, draws, distorted),
         )
+
+    def _company(self, views: list[BakedView], draws: Draws, distorted: Distortion) -> Company | None:
+        if self.people is None:
+            return None
+        boxes = [
+            view.provenance.get("others", []) if p >= 0 else [] for view, p in zip(views, draws.person, strict=True)
+        ]
+        others = torch.zeros(len(views), max(map(len, boxes)), 4)
+        size = self.views.size
+        for k, of_image in enumerate(boxes):
+            others[k, : len(of_image)] = torch.tensor(of_image, dtype=torch.float32).reshape(-1, 4)
+        moved = [distorted.boxes(others[:, k], size, size) for k in range(others.shape[1])]
+        others = torch.stack(moved, dim=1) if moved else others
+        return Company(others.to(self.device), torch.from_numpy(draws.person < 0).to(self.device))
 
     def _backdrop(self, index: int, seed: int) -> UInt8[Tensor, "3 H W"]:
         """A background, with a share of another one in it where the settings say so."""
@@ -124,7 +167,7 @@ class Batcher:
             row[np.argsort(apart, kind="stable")[:count]] = True
         return torch.from_numpy(hidden).to(self.device)
 
-    def _occlude(self, canvas: Canvas, views: list[DressedView], draws: Draws) -> Canvas:
+    def _occlude(self, canvas: Canvas, views: list[BakedView], draws: Draws) -> Canvas:
         if not self.augmentation.occluders:
             return canvas
         size, boxes, pictures = self.views.size, [], []
@@ -249,12 +292,12 @@ def _on(device: torch.device, values: np.ndarray) -> Tensor:
     return torch.from_numpy(values).float().to(device, non_blocking=True)
 
 
-def require_visible_logo(bank: ViewBank, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings) -> None:
+def require_visible_logo(bank: ViewCache, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings) -> None:
     """InputError when no training view (any pose at any training angle) shows any part of the logo."""
     for azimuth in settings.angles.centers:
         camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
         for pose in range(pose_count):
-            if len(bank.dress(pose, camera, logo_faces).logo_rows):
+            if len(bank.bake(pose, camera, logo_faces).logo_rows):
                 return
     raise InputError(
         f"the logo: none of its {len(logo_faces)} faces is seen from the training angles {settings.angles}"

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from cloak_core.detectors.filters import TO_YCC, blurred, through_jpeg, windowed
-from cloak_core.render.images.compositing import Canvas, pixels_of
+from cloak_core.render.compositing import Canvas, pixels_of
 
 OCCLUDER_SIDES = (0.15, 0.45)
 """Sides of an occluder as shares of the body's box."""
@@ -44,6 +44,16 @@ class Distortion:
         if self.quality is not None:
             images = through_jpeg(images, self.quality)
         return images
+
+    def boxes(self, boxes: Float[Tensor, "B 4"], height: int, width: int) -> Float[Tensor, "B 4"]:
+        """Move boxes (xyxy, pixels) with the images of this size, and clip them to what is still shown."""
+        size = boxes.new_tensor([width, height] * 2)
+        at = 2 * boxes / size - 1
+        if self.zoom is not None:
+            at = at * self.zoom[:, None]
+        if self.window is not None:
+            at = (at - self.window[:, [1, 2, 1, 2]]) / self.window[:, :1]
+        return torch.minimum(((at + 1) * size / 2).clamp(min=0), size)
 
 
 def zoomed(images: Float[Tensor, "B 3 H W"], factor: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:

@@ -10,8 +10,9 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.images.compositing import compose
-from cloak_core.render.views import ViewBank
+from cloak_core.render.compositing import compose
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 
@@ -39,14 +40,14 @@ def heatmap(
     if not detector.differentiable:
         raise InputError(f"--detector {detector.spec}: gives no gradients, so no heat map")
     device = torch.device(device)
-    bank = ViewBank(bodies, device=device)
+    bank = ViewCache(bodies, RenderSettings(device=device))
     faces = np.arange(bodies.face_count)
     total = torch.zeros(bodies.face_count, device=device)
     per_view = min(backgrounds_per_view, len(backgrounds))
     views = [(pose, float(azimuth)) for pose in range(bodies.pose_count) for azimuth in angles]
     for done, (pose, azimuth) in enumerate(views):
         outfit = done % bodies.outfit_count
-        view = bank.dress(pose, Camera(azimuth=azimuth, width=size, height=size), faces, outfit)
+        view = bank.bake(pose, Camera(azimuth=azimuth, width=size, height=size), faces, outfit)
         worn = torch.tensor(bodies.face_colors[outfit], device=device)
         for first in range(0, per_view, IMAGES):
             count = done * per_view + first

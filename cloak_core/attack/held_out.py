@@ -22,6 +22,7 @@ from cloak_core.attack.settings.run import RunSettings
 from cloak_core.attack.world import World
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 IMAGES = 64
@@ -33,10 +34,11 @@ _STATE = "held_out."
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Bodies and backgrounds of which images are made."""
+    """Bodies, backgrounds, and people in photographs of which images are made."""
 
     bodies: Bodies
     backgrounds: Backgrounds
+    people: tuple[Fit, ...] = ()
 
 
 def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
@@ -53,9 +55,13 @@ def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingDa
         raise InputError(f"--held-out {settings.held_out:g}: a single background cannot be split")
     image, held_image = _split(random, len(backgrounds), settings.held_out)
     pose, held_pose = _split(random, bodies.pose_count, settings.held_out) if bodies.pose_count > 1 else ([0], [0])
+    photographs = list(dict.fromkeys(fit.person.photograph for fit in material.people))
+    apart = {photographs[k] for k in _split(random, len(photographs), settings.held_out)[1]} if photographs else set()
+    kept = tuple(fit for fit in material.people if fit.person.photograph not in apart)
+    held = tuple(fit for fit in material.people if fit.person.photograph in apart)
     return (
-        TrainingData(bodies.select_poses(pose), backgrounds.subset(image)),
-        TrainingData(bodies.select_poses(held_pose), backgrounds.subset(held_image)),
+        TrainingData(bodies.select_poses(pose), backgrounds.subset(image), kept),
+        TrainingData(bodies.select_poses(held_pose), backgrounds.subset(held_image), held),
     )
 
 
@@ -134,7 +140,7 @@ class HeldOut:
         for step in range(sampler.steps):
             batch = self.batcher.batch(step, self.world.rank, self.world.size)
             if len(batch):
-                said = self.objective.ask(batch.images(colors))
+                said = self.objective.ask(batch.images(colors), bodies=batch.bodies)
                 total += len(batch) * torch.stack([said.disappearance, said.success]).double()
         seen, success = (self.world.sum(total) / sampler.images).tolist()
         return seen, success

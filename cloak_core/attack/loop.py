@@ -65,6 +65,8 @@ class RunResult:
     """The step they are of."""
     enough: str = ""
     """Why it was complete before its last step: nothing better on what was held out."""
+    closeness: tuple[float, float] | None = None
+    """Mean and 95th percentile of CIEDE2000 from the garment that the colours were kept close to."""
 
     def record(self) -> dict:
         """As the command line prints it."""
@@ -78,6 +80,9 @@ class RunResult:
             "distinct_colors": len(np.unique(self.colors, axis=0)),
         }
         record |= {"enough": self.enough} if self.enough else {}
+        record |= (
+            {} if self.closeness is None else dict(zip(("de2000_mean", "de2000_p95"), self.closeness, strict=True))
+        )
         return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
 
 
@@ -125,6 +130,7 @@ class TrainingLoop:
             colors=colors,
             colors_step=colors_step,
             enough=self._enough(),
+            closeness=None if self.optimizer.near is None else self.optimizer.near.closeness(colors),
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
@@ -214,7 +220,8 @@ class TrainingLoop:
             found[self.world.rank :: self.world.size] = torch.stack(scores).mean(0).double()
         draws = self.sampler.draw(self.step)
         found = self.world.sum(found).cpu().numpy()
-        self.sampler.hard_views.observe(self.step, draws.pose, draws.sector, found)
+        seen = draws.person < 0  # photographs show no pose of the scene
+        self.sampler.hard_views.observe(self.step, draws.pose[seen], draws.sector[seen], found[seen])
 
     def _watch_detectors(self, step: Step) -> None:
         ensemble, device = self.objective.ensemble, self.batcher.device

@@ -8,13 +8,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.batches import Batch
+from cloak_core.attack.batches import Batch, Company
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.losses import evidence, non_printability, proposal_evidence, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.self_ensemble import SelfEnsemble
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
+from cloak_core.detectors.company import only_hers
+from cloak_core.detectors.outcomes import as_anything
 from cloak_core.detectors.protocol import Detections, Detector, join_detections
 from cloak_core.detectors.scoring import is_detected
 from cloak_core.files.errors import InputError
@@ -28,11 +30,11 @@ class Answer:
     disappearance: Float[Tensor, ""]
     """Mean over the images of the ensemble's loss."""
     success: Float[Tensor, ""]
-    """Share of images in which no person was found, mean over the detectors that were asked."""
+    """Share of images in which nothing was found that is to be hidden, mean over the detectors that were asked."""
     gradient: Float[Tensor, "B 3 H W"] | None
     """Of `disappearance`, with respect to the images; None under `torch.no_grad`, and where there are no images."""
     detections: dict[int, Detections]
-    """By the number of the detector, those that were asked."""
+    """By the number of the detector, those that were asked; see `Objective.heard`."""
 
 
 class Objective:
@@ -63,8 +65,17 @@ class Objective:
         """How restless the colours are."""
         return total_variation(colors, self.edges, self.edge_lengths)
 
-    def ask(self, images: Float[Tensor, "B 3 H W"], step: int | None = None) -> Answer:
+    def ask(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        step: int | None = None,
+        bodies: Float[Tensor, "B 4"] | None = None,
+        company: Company | None = None,
+    ) -> Answer:
         """Show the images to the detectors of `step` (None: to all), `microbatch` at a time.
+
+        bodies: the true box of each image's body, needed where everything on it is to be hidden, and with `company`:
+        who else is in the images, and does not count.
 
         Each detector's activations are gone before the next one starts (but for the maximum, which needs all). Under
         `torch.no_grad` there are none.
@@ -77,8 +88,10 @@ class Objective:
         size = self.run.microbatch or max(len(images), 1)
         for first in range(0, len(images), size):
             part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
+            near = None if bodies is None else bodies[first : first + size]
+            among = None if company is None else company.part(first, first + size)
             for group in groups:
-                heard = {number: self.heard(number, part, step) for number in group}
+                heard = {number: self.heard(number, part, step, near, among) for number in group}
                 losses = {number: self.loss(detections, number) for number, detections in heard.items()}
                 loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
                 if part.requires_grad:
@@ -93,10 +106,27 @@ class Objective:
         gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
         return Answer(disappearance, 1 - found, gradient, detections)
 
-    def heard(self, number: int, images: Float[Tensor, "B 3 H W"], step: int | None) -> Detections:
-        """What detector `number` says of images, its network shaken where settings say so and `step` is not None."""
+    def heard(
+        self,
+        number: int,
+        images: Float[Tensor, "B 3 H W"],
+        step: int | None,
+        bodies: Float[Tensor, "B 4"] | None = None,
+        company: Company | None = None,
+    ) -> Detections:
+        """Ask detector `number` about images, its network shaken where settings say so and `step` is not None.
+
+        Its scores are of what is to be hidden: of persons, or (`hide` everything) of any class on the bodies.
+        """
         with self.surrogates.shaken(number, step):
-            return self.detectors[number](images)
+            detections = self.detectors[number](images)
+        if company is not None:
+            detections = only_hers(detections, bodies, company.others, company.anywhere)
+        if self.settings.hide == "person":
+            return detections
+        if bodies is None:
+            raise ValueError("to hide everything on a body, its box must be known")
+        return as_anything(detections, bodies)
 
     def loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
         """What detector `number` adds to each image's loss."""
@@ -124,7 +154,7 @@ class StepFigures:
     nps: float
     """Non-printability: how far the colours are from the palette's, in the mean; 0 without a palette."""
     success: float
-    """Share of the batch (over all detectors) in which no person was found."""
+    """Share of the batch (over all detectors) in which nothing was found that is to be hidden."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +199,7 @@ def _gradient(
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
-    answer = objective.ask(images, step)
+    answer = objective.ask(images, step, batch.bodies, batch.company)
     variation, unprintable = objective.total_variation(colors), objective.printability(colors)
     weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
     restless = (weight * variation + print_weight * unprintable) / world.size

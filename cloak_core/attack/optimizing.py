@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.attack.near import Near
 from cloak_core.attack.pattern import Pattern
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 
@@ -45,10 +46,18 @@ class ColorOptimizer:
     """
 
     def __init__(
-        self, settings: OptimizerSettings, initial: Float[Tensor, "N 3"], pattern: Pattern | None = None
+        self,
+        settings: OptimizerSettings,
+        initial: Float[Tensor, "N 3"],
+        pattern: Pattern | None = None,
+        near: Near | None = None,
     ) -> None:
-        """`pattern` makes colours of the N parameters, which begin as `initial`; None: they are the colours."""
+        """`pattern` makes colours of the N parameters, which begin as `initial`; None: they are the colours.
+
+        `near`: the garment that the colours stay close to.
+        """
         self._sigmoid, self._pattern, self.settings = settings.gamut == "sigmoid", pattern, settings
+        self.near = near
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
         self._parameter = start.requires_grad_()
@@ -57,6 +66,7 @@ class ColorOptimizer:
         self._names = {"exp_avg", "exp_avg_sq"} if settings.optimizer == "adam" else set()
         self._names |= {"momentum_buffer"} if settings.momentum or settings.optimizer == "mi" else set()
         self._state: dict[str, Tensor] = {}
+        self._project()
 
     @torch.no_grad()
     def reach(self, step: int, steps: int) -> None:
@@ -68,12 +78,30 @@ class ColorOptimizer:
 
     def colors(self) -> Float[Tensor, "L 3"]:
         """The colours, in [0, 1], as part of the graph."""
-        return self._values() if self._pattern is None else self._pattern(self._values())
+        return self._kept_near(self._values() if self._pattern is None else self._pattern(self._values()))
 
     @torch.no_grad()
     def finished(self) -> Float[Tensor, "L 3"]:
         """The colours if the run ended here: with an ink for each patch, where it is to end so."""
-        return (self._values() if self._pattern is None else self._pattern.finished(self._values())).detach()
+        return self._kept_near(
+            self._values() if self._pattern is None else self._pattern.finished(self._values())
+        ).detach()
+
+    def _kept_near(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:
+        """The colours close to the garment; parameters that are colours are kept so themselves."""
+        if self.near is None or self._direct:
+            return colors
+        # Straight through, as for inks: what is cut off may still come back.
+        return self.near.project(colors) + (colors - colors.detach())
+
+    @property
+    def _direct(self) -> bool:
+        return self._pattern is None and not self._sigmoid
+
+    @torch.no_grad()
+    def _project(self) -> None:
+        if self.near is not None and self._direct:
+            self._parameter.copy_(self.near.project(self._parameter))
 
     def _values(self) -> Float[Tensor, "N 3"]:
         return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
@@ -115,6 +143,7 @@ class ColorOptimizer:
         self._move(self._parameter, self._parameter.grad, self._state, lr)
         if not self._sigmoid:
             self._parameter.clamp_(0, 1)
+        self._project()
 
     def state(self) -> dict[str, Tensor]:
         """Everything that later updates depend on, for a checkpoint."""

@@ -15,12 +15,22 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays
+from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays, sha256_record
 from cloak_core.files.likeness import pose_shape
+from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
-FREE_SETTINGS = ("checkpoint_every", "preview_every", "snapshot_every", "max_seconds", "palette", "init", "profile")
+FREE_SETTINGS = (
+    "checkpoint_every",
+    "preview_every",
+    "snapshot_every",
+    "max_seconds",
+    "palette",
+    "init",
+    "profile",
+    "near",
+)
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
 DECISIVE = {
     "topology": (),
@@ -29,9 +39,11 @@ DECISIVE = {
     "logo": (),
     "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
+    "people": ("sha256",),
     "palette": (),
     "profile": (),
     "start": (),
+    "near": (),
     "query_prior": ("sha256", "precision", "compiled", "source"),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
@@ -52,6 +64,8 @@ def run_config(
     start: np.ndarray | None = None,
     profile: Profile | None = None,
     query_prior: Sequence[Detector] = (),
+    people: Sequence[Fit] = (),
+    near: np.ndarray | None = None,
 ) -> dict:
     """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
@@ -65,9 +79,11 @@ def run_config(
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [_detector(detector) for detector in detectors],
         "backgrounds": _backgrounds(backgrounds),
+        "people": _people(people),
         "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
         "profile": None if profile is None else {"sha256": sha256_arrays(profile.table)},
         "start": None if start is None else {"sha256": sha256_arrays(start)},
+        "near": None if near is None else {"sha256": sha256_arrays(near)},
         "query_prior": [_detector(detector) for detector in query_prior] or None,
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
@@ -103,6 +119,19 @@ def _backgrounds(backgrounds: Backgrounds) -> dict:
         "identities": backgrounds.identities(),
         "files": [picture.file for picture in backgrounds.pictures],
         "looks": [picture.look for picture in backgrounds.pictures],
+    }
+
+
+def _people(fits: Sequence[Fit]) -> dict | None:
+    """Who was trained on: photographs by name, so that evaluation can tell them from unseen ones."""
+    if not fits:
+        return None
+    licences = {fit.person.photograph: fit.person.licence for fit in fits}
+    return {
+        "count": len(fits),
+        "photographs": list(licences),
+        "licences": list(licences.values()),
+        "sha256": sha256_record({"fits": [fit.identity for fit in fits]}),
     }
 
 

@@ -50,17 +50,17 @@ class RunFolder:
         write_colors(self.snapshots / f"step-{step:08d}.npy", colors)
 
 
-def read_start(path: Path, logo: Logo) -> Float32[np.ndarray, "L 3"]:
+def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:
     """Colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. Raises `InputError`."""
     path = run_path(path)
     if not path.is_dir():
         return read_colors(path, len(logo.face_ids))
     run = RunFolder(path)
     if not run.config.exists():
-        raise InputError(f"--init {path}: not a run folder (no config.json in it)")
+        raise InputError(f"{option} {path}: not a run folder (no config.json in it)")
     trained = read_face_list(run.logo)
     if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
-        raise InputError(f"--init {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
+        raise InputError(f"{option} {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
     return read_colors(run.colors, len(logo.face_ids))
 
 

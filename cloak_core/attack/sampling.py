@@ -14,7 +14,7 @@ from cloak_core.attack.settings.values import Range
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.scene.cameras import Camera
 
-_EPOCH, _STEP = 0, 1
+_EPOCH, _STEP, _PEOPLE = 0, 1, 4
 """Streams of random numbers, kept apart."""
 
 
@@ -50,6 +50,8 @@ class Draws:
     """float64, standard deviations in pixels."""
     quality: np.ndarray
     """float64, of JPEG."""
+    person: np.ndarray
+    """int64, index of the person in a photograph who is shown instead of a body; -1: none, it is a render."""
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -66,8 +68,10 @@ class Sampler:
     any other, plus or minus one), in random order. Batches run on across epochs; the run's last one may be shorter.
     """
 
-    def __init__(self, settings: TrainSettings, pose_count: int, outfit_count: int, background_count: int) -> None:
-        self.settings = settings
+    def __init__(
+        self, settings: TrainSettings, pose_count: int, outfit_count: int, background_count: int, people_count: int = 0
+    ) -> None:
+        self.settings, self.people_count = settings, people_count
         self.pose_count, self.background_count = pose_count, background_count
         views = settings.views
         self.outfit_count = outfit_count if views.outfits == "random" else 1
@@ -118,8 +122,20 @@ class Sampler:
             zoom=spread(augmentation.zoom),
             blur=random.uniform(0, augmentation.blur, count),
             quality=spread(augmentation.jpeg or Range(100.0, 100.0)),
+            person=self._people(step, images),
         )
         return draws if self.hard_views is None else self._harden(draws, step, random)
+
+    def _people(self, step: int, images: np.ndarray) -> np.ndarray:
+        """Who is shown in each image: everybody equally often, in random order; -1 in the share of renders."""
+        if not self.people_count:
+            return np.full(len(images), -1)
+        random = np.random.default_rng([self.settings.run.seed, _PEOPLE, step])
+        rounds, places = np.divmod(images, self.people_count)
+        orders = {r: np.random.default_rng([self.settings.run.seed, _PEOPLE, 0, r]) for r in np.unique(rounds).tolist()}
+        orders = {r: order.permutation(self.people_count) for r, order in orders.items()}
+        person = np.array([orders[r][p] for r, p in zip(rounds.tolist(), places.tolist(), strict=True)], np.int64)
+        return np.where(random.random(len(images)) < self.settings.photographs.people_share, person, -1)
 
     def _harden(self, draws: Draws, step: int, random: np.random.Generator) -> Draws:
         """Give some images other poses and angles: those in which a person is still found."""
@@ -150,7 +166,7 @@ class Sampler:
 
 
 def cameras(draws: Draws, settings: ViewSettings) -> list[Camera]:
-    """The B cameras of some draws. Equal draws give equal cameras, so that views are found again in the ViewBank."""
+    """The B cameras of some draws. Equal draws give equal cameras, so that views are found again in the ViewCache."""
     places = zip(draws.azimuth.tolist(), draws.elevation.tolist(), draws.distance.tolist(), strict=True)
     return [settings.camera(*place) for place in places]
 

@@ -19,14 +19,17 @@ from cloak_core.attack.events import OnEvent
 from cloak_core.attack.first_colors import first_colors
 from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
 from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
+from cloak_core.attack.near import Near
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.pattern import Inks, Pattern
+from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.query_prior import QueryPrior
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.pattern import PatternSettings
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.attack.smoothing import Smoothing
 from cloak_core.attack.stopping import stop_request
@@ -35,10 +38,14 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.errors import InputError
+from cloak_core.render.photographs.fitting import Fit
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
-from cloak_core.render.views import ViewBank
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.geometry import face_centres
+from cloak_core.scene.logos.cloth import tile_of_face
+from cloak_core.scene.logos.garment_colors import garment_colors
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 from cloak_core.scene.logos.patches import patch_of_face
@@ -64,12 +71,14 @@ def train(
     inputs: Mapping[str, str] | None = None,
     alone: bool = False,
     query_prior: Sequence[Detector] = (),
+    people: Sequence[Fit] = (),
 ) -> RunResult:
     """Train the logo's colours into the run folder `out`.
 
     The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
     weighted total variation and printability. A search by questions (`black_box_queries`) looks where the gradients of
-    the detectors of `query_prior` point. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
+    the detectors of `query_prior` point. `people`: fitted people in photographs, shown in the share of the images that
+    the settings say. `on_event` hears every event that goes to events.jsonl. `inputs` (paths
     and specs, as the user gave them) are recorded.
     Under torchrun its processes train together, unless this one is to train `alone`.
     Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
@@ -98,38 +107,41 @@ def train(
     try:
         with join_world(device, alone) as world:
             parties = (detectors, query_prior)
-            return _train(settings, bodies, logo, parties, backgrounds, Path(out), resume, on_event, inputs, world)
+            material = TrainingData(bodies, backgrounds, tuple(people))
+            return _train(settings, material, logo, parties, Path(out), resume, on_event, inputs, world)
     except LostProcess as lost:
         raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
 
 
 def _train(
     settings: TrainSettings,
-    bodies: Bodies,
+    material: TrainingData,
     logo: Logo,
     parties: tuple[Sequence[Detector], Sequence[Detector]],
-    backgrounds: Backgrounds,
     out: Path,
     resume: bool,
     on_event: OnEvent | None,
     inputs: Mapping[str, str] | None,
     world: World,
 ) -> RunResult:
-    device = local_device(settings.compute.device)
+    device, bodies = local_device(settings.compute.device), material.bodies
     detectors, surrogates = ([detector.to(device) for detector in group] for group in parties)
     palette_file, profile_file, init = settings.objective.palette, settings.pattern.profile, settings.optimization.init
     palette = None if palette_file is None else read_palette(palette_file)
     profile = None if profile_file is None else read_profile(profile_file)
     start = None if init is None else read_start(Path(init), logo)
-    trained, held = set_aside(settings.run, TrainingData(bodies, backgrounds))
+    near = None if settings.pattern.near is None else make_near(settings.pattern, bodies, logo)
+    trained, held = set_aside(settings.run, material)
     is_search = settings.queries.black_box_queries is not None
     if is_search:
         _require_plain(settings, held, world)
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
-    require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
-    given = (world.size, palette, held, start, profile, surrogates)
-    config = run_config(settings, bodies, logo, detectors, backgrounds, inputs or {}, *given)
+    if not material.people or settings.photographs.people_share < 1:
+        require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
+    given = (world.size, palette, held, start, profile, surrogates, material.people)
+    garment, seen = None if near is None else near.garment, material.backgrounds
+    config = run_config(settings, bodies, logo, detectors, seen, inputs or {}, *given, near=garment)
     if start is None:
         first = first_colors(settings.optimization, bodies, logo, settings.run.seed, device)
     else:
@@ -146,7 +158,7 @@ def _train(
             held_out = None if held is None else _held_out(settings, held, logo, objective, world)
             pattern = make_pattern(settings, bodies, logo, palette, profile, device)
             begun = first if pattern is None else pattern.begin(first)
-            optimizer = ColorOptimizer(settings.optimization, begun, pattern)
+            optimizer = ColorOptimizer(settings.optimization, begun, pattern, near)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
@@ -159,7 +171,9 @@ def _require_plain(settings: TrainSettings, held: TrainingData | None, world: Wo
     if held is not None or world.size > 1:
         raise InputError("--black-box-queries: searches in one process, without --held-out")
     if settings.pattern.on:
-        raise InputError("--black-box-queries: free colours alone, without --colors-at-most, --pattern and --profile")
+        raise InputError(
+            "--black-box-queries: free colours alone, without --colors-at-most, --pattern, --profile and --near"
+        )
 
 
 def make_pattern(
@@ -177,12 +191,28 @@ def make_pattern(
         patch = patch_of_face(bodies, logo, wanted.feature_cm / 100)
         edges, count = patch[edges], int(patch.max()) + 1
         edges = edges[edges[:, 0] != edges[:, 1]]
+    if wanted.pattern == "tile":
+        patch = tile_of_face(bodies, logo, wanted.tile_cm / 100, wanted.feature_cm / 100)
+        count, edges = int(patch.max()) + 1, np.unique(np.sort(patch[edges], axis=1), axis=0)
+        edges = edges[edges[:, 0] != edges[:, 1]]
     if wanted.colors_at_most is not None:
         given = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
         inks = Inks(wanted.colors_at_most, given)
     smoothing = Smoothing(edges, count, rounds, device) if rounds else None
     is_free = smoothing is patch is profile is inks is None
+    if wanted.near is not None and inks is not None and inks.given is not None:
+        raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
     return None if is_free else Pattern(smoothing, patch, profile, inks, device)
+
+
+def make_near(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Near:
+    """The garment that the colours stay close to, and how close. InputError: no such garment; one of several colours
+    where faces are to share colours; inks that are given."""
+    garment = garment_colors(wanted.near, bodies, logo)
+    garment = read_start(Path(wanted.near), logo, "--near") if garment is None else garment
+    if wanted.recolored and len(np.unique(garment, axis=0)) > 1:
+        raise InputError("--near: with --colors-at-most or --pattern camouflage the garment must have one colour")
+    return Near(garment, wanted.within, wanted.within_most or 2 * wanted.within)
 
 
 def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective: Objective, world: World) -> HeldOut:
@@ -190,12 +220,12 @@ def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective
     return HeldOut(settings.run, batcher, objective, world)
 
 
-def make_bank(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewBank:
+def make_view_cache(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewCache:
     """The views of a run, kept for the next one. Where each image has a camera of its own, keeping gains nothing."""
     if is_fresh(settings):
-        samples = settings.samples or FRESH_SAMPLES
-        return ViewBank(bodies, device=device, samples=samples, memory_bytes=FRESH_VIEWS_BYTES)
-    return ViewBank(bodies, device=device, samples=settings.samples, files=view_files())
+        fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
+        return ViewCache(bodies, RenderSettings.of(settings, device=device, **fresh))
+    return ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
 
 
 def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, device: torch.device) -> Batcher:
@@ -203,6 +233,7 @@ def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, de
     bodies, backgrounds, folds = material.bodies, material.backgrounds, settings.augmentation
     if folds.wrinkles:
         bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)
-    sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-    bank = make_bank(bodies, settings.views, device)
-    return Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device)
+    sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds), len(material.people))
+    people = PeopleViews(material.people, logo, settings.photographs, settings.views.size) if material.people else None
+    bank = make_view_cache(bodies, settings.views, device)
+    return Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device, people)

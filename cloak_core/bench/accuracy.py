@@ -9,12 +9,11 @@ coverage_rms: the same of the coverage; gradient_smooth, gradient_white: relativ
 a smooth and for a white-noise upstream gradient; starved: share of the faces with more than 0.02 px^2 visible that
 receive no gradient. From visibility alone, with the same light on both sides, none but the surface's own colour:
 image_visibility and gradient_visibility (smooth), and hidden: the share of all weight that goes to faces of which
-nothing is seen in that pixel. given_up: pixels that show too many pieces to be exact.
+nothing is seen in that pixel. given_up: pixels of too many pieces to be exact, which are sampled 64 x 64.
 """
 
 from __future__ import annotations
 
-import inspect
 import logging
 import os
 import time
@@ -26,17 +25,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from cloak_core.bench.accuracy_report import write_report
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
-from cloak_core.bench.peers.bank import PeerBank, available, usable
+from cloak_core.bench.peers.view_cache import PeerViewCache, available, usable
 from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, clock, machine, timed, torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.handing_out import Tell
-from cloak_core.render.views import GRIDS, ViewBank
-from cloak_core.render.visibility.areas import CrowdedPixels
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.settings import GRIDS, Light, RenderSettings
+from cloak_core.render.types import CrowdedPixels
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 _log = logging.getLogger(__name__)
@@ -45,27 +45,12 @@ VISIBLE = 0.02
 """Pixels of visible area from which a face counts as starved without a gradient."""
 PEER_SAMPLES = (1, 4, 16)
 """Samples per pixel at which peers are measured."""
-COLUMNS = {
-    "visibility_ms": "visibility, ms",
-    "new_view_ms": "new view, ms",
-    "cached_ms": "cached + gradient, ms",
-    "pose_ms": "set-up of a pose, ms",
-    "image_rms": "image RMS",
-    "coverage_rms": "coverage RMS",
-    "gradient_smooth": "gradient, smooth",
-    "gradient_white": "gradient, white",
-    "starved": "starved",
-    "image_visibility": "image RMS, visibility alone",
-    "gradient_visibility": "gradient, visibility alone",
-    "hidden": "hidden weight",
-    "given_up": "given up, pixels",
-}
 FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 
 
 def default_name() -> str:
-    """The point that `ViewBank` is at unless told otherwise."""
-    return _name(inspect.signature(ViewBank).parameters["samples"].default)
+    """The point of the default `RenderSettings`."""
+    return _name(RenderSettings().samples)
 
 
 def _name(samples: int | None) -> str:
@@ -98,8 +83,6 @@ def run_bench_accuracy(
             begun = time.monotonic()
             result["scenes"][name] = measure(make_scene(name, bodies), repeats, threads, measured["peers"]) | measured
             if out is not None:
-                from cloak_core.bench.accuracy_report import write_report
-
                 result = write_report(result, Path(out))
             tell(f"{name}: {time.monotonic() - begun:.0f} s")
     return result
@@ -111,41 +94,41 @@ def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> 
     exact = reference(scene.bodies, scene.camera, light)
     judge = Judge(scene, exact)
     points = []
-    for name, banks, times in _banks(scene, light, repeats, threads, peers):
-        points.append({"name": name} | times() | judge.errors(*banks))
+    for name, caches, times in _points(scene, light, repeats, threads, peers):
+        points.append({"name": name} | times() | judge.errors(*caches))
     record = {"triangles": scene.bodies.triangle_count, "reference": exact.how}
     return record | {"pixels": int((exact.matrix.coverage > 0).sum()), "points": points}
 
 
-def _banks(
+def _points(
     scene: Scene, light: Light, repeats: int, threads: int, peers: dict[str, str]
-) -> Iterator[tuple[str, tuple[ViewBank, ViewBank], Callable[[], dict]]]:
+) -> Iterator[tuple[str, tuple[ViewCache, ViewCache], Callable[[], dict]]]:
     """Everything to measure: its name, its views, in the light and in none, and what times it."""
     for samples in (*GRIDS, None):
-        banks = tuple(ViewBank(scene.bodies, kind, samples) for kind in (light, FLAT))
-        yield _name(samples), banks, lambda b=banks[0]: _times(b, scene.camera, repeats)
+        caches = tuple(ViewCache(scene.bodies, RenderSettings(light=kind, samples=samples)) for kind in (light, FLAT))
+        yield _name(samples), caches, lambda b=caches[0]: _times(b, scene.camera, repeats)
     for kind in usable(peers):
         peer = kind(scene.bodies.triangles.astype(np.int64), threads)
         for samples in PEER_SAMPLES:
-            banks = tuple(PeerBank(scene.bodies, shine, samples, peer) for shine in (light, FLAT))
-            yield f"{kind.module}-{samples}", banks, lambda b=banks[0]: _peer_times(b, scene.camera, repeats)
+            caches = tuple(PeerViewCache(scene.bodies, shine, samples, peer) for shine in (light, FLAT))
+            yield f"{kind.module}-{samples}", caches, lambda b=caches[0]: _peer_times(b, scene.camera, repeats)
 
 
-def _times(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float | None]:
+def _times(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float | None]:
     key = [(0, camera)]
     return {
-        "visibility_ms": _median(lambda: bank.visible(key), repeats),
-        "new_view_ms": _median(lambda: bank.build(key), repeats),
-        "cached_ms": _median(cached_render(bank, camera), repeats),
+        "visibility_ms": _median(lambda: cache.visible(key), repeats),
+        "new_view_ms": _median(lambda: cache.build(key), repeats),
+        "cached_ms": _median(cached_render(cache, camera), repeats),
         "pose_ms": None,
     }
 
 
-def _peer_times(bank: PeerBank, camera: Camera, repeats: int) -> dict[str, float | None]:
+def _peer_times(cache: PeerViewCache, camera: Camera, repeats: int) -> dict[str, float | None]:
     key = [(0, camera)]
-    pose = timed(bank.pose, min(repeats, 5), warm_up=1)["median"]
-    bank.peer.aim(bank.target(camera))
-    look, new = _median(bank.peer.look, repeats), _median(lambda: bank.build(key), repeats)
+    pose = timed(cache.pose, min(repeats, 5), warm_up=1)["median"]
+    cache.peer.aim(cache.target(camera))
+    look, new = _median(cache.peer.look, repeats), _median(lambda: cache.build(key), repeats)
     return {"visibility_ms": look, "new_view_ms": new, "cached_ms": None, "pose_ms": pose}
 
 
@@ -171,11 +154,11 @@ class Judge:
         self.smooth = smooth[0].permute(1, 2, 0).reshape(-1, 3)
         self.visible = exact.visible > VISIBLE
 
-    def errors(self, bank: ViewBank, flat: ViewBank) -> dict[str, float]:
+    def errors(self, cache: ViewCache, flat: ViewCache) -> dict[str, float]:
         """flat: the same without light."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", CrowdedPixels)
-            ours = matrix_of(bank.build([(0, self.camera)])[0], self.exact.face_count)
+            ours = matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count)
         given_up = sum(warning.message.pixels for warning in caught if warning.category is CrowdedPixels)
         areas = matrix_of(flat.build([(0, self.camera)])[0], self.exact.face_count)
         seen = torch.zeros(ours.face_count).double().index_add_(0, ours.face, ours.weight.double()) > 0

@@ -4,10 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cloak_core.bench.accuracy import COLUMNS, SCENES
+from cloak_core.bench.accuracy_scenes import SCENES
 from cloak_core.bench.records import circumstances, table, with_earlier
 from cloak_core.files.writing import write_json
 
+COLUMNS = {
+    "visibility_ms": "visibility, ms",
+    "new_view_ms": "new view, ms",
+    "cached_ms": "cached + gradient, ms",
+    "pose_ms": "set-up of a pose, ms",
+    "image_rms": "image RMS",
+    "coverage_rms": "coverage RMS",
+    "gradient_smooth": "gradient, smooth",
+    "gradient_white": "gradient, white",
+    "starved": "starved",
+    "image_visibility": "image RMS, visibility alone",
+    "gradient_visibility": "gradient, visibility alone",
+    "hidden": "hidden weight",
+    "given_up": "sampled, pixels",
+}
 _COLORS = {
     "ours": "tab:red", "embreex": "tab:blue", "mitsuba": "tab:green", "moderngl": "tab:purple", "open3d": "tab:orange"
 }  # fmt: skip

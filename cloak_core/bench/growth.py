@@ -31,7 +31,7 @@ from cloak_core.jobs.handing_out import Tell
 from cloak_core.scene.cameras import Camera
 
 if TYPE_CHECKING:
-    from cloak_core.render.views import ViewBank
+    from cloak_core.render.view_cache import ViewCache
 
 _log = logging.getLogger(__name__)
 
@@ -160,29 +160,30 @@ def _run(work: Work, threads: int, memory: int) -> dict:
     bodies = sphere(work.triangles)
     keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
     _build(_ready(sphere(1000), work, keys[:1], memory), keys[:1])  # what is done once for each process
-    bank = _ready(bodies, work, keys, memory)
+    cache = _ready(bodies, work, keys, memory)
     before = _memory("VmRSS")
     _forget_peak()
-    times = [_build(bank, keys)]
+    times = [_build(cache, keys)]
     peak = _memory("VmHWM")
     for _ in range(2 if work.views < 64 else 0):
         times.append(_build(_ready(bodies, work, keys, memory), keys))
     return {"seconds": float(np.median(times)), "working_mib": max(peak - before, 1.0), "peak_mib": peak}
 
 
-def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewBank:
-    from cloak_core.render.views import ViewBank
+def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewCache:
+    from cloak_core.render.settings import RenderSettings
+    from cloak_core.render.view_cache import ViewCache
 
-    bank = ViewBank(bodies, samples=work.samples, memory_bytes=memory)
-    bank.screen(keys[:1])  # what is done once for each pose
-    return bank
+    cache = ViewCache(bodies, RenderSettings(samples=work.samples, memory_bytes=memory))
+    cache.screen(keys[:1])  # what is done once for each pose
+    return cache
 
 
-def _build(bank: ViewBank, keys: list) -> float:
+def _build(cache: ViewCache, keys: list) -> float:
     """Seconds to build and keep all views, part by part."""
     start = time.perf_counter()
     for part in range(0, len(keys), 16):
-        bank.views(keys[part : part + 16])
+        cache.views(keys[part : part + 16])
     return time.perf_counter() - start
 
 

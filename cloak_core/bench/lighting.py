@@ -1,4 +1,4 @@
-"""The light's plain twin: the formula of `render.weights.shading`, in float64, ray by ray in world space."""
+"""The light's plain twin: the formula of `render.torch.shading`, in float64, ray by ray in world space."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.settings import Light
 from cloak_core.scene.cameras import Camera
 
 Reals = Float64[np.ndarray, " N"]

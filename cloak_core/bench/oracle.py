@@ -2,7 +2,7 @@
 
 Slow and obviously right; the tests and `cloak bench stability` hold the rasterizer against it. Edge functions of
 snapped coordinates stay below 2^62, so int64 is exact. The depth of a covered sample is worked out in Python floats,
-one operation after the other, by the formula that `render.visibility.rasterizer` documents.
+one operation after the other, by the formula that `render.packing` documents.
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.render.visibility.clipping import clip
-from cloak_core.render.visibility.keys import DEPTH_BITS
-from cloak_core.render.visibility.projection import GRID, Screen
+from cloak_core.render.clipping import clip
+from cloak_core.render.packing import DEPTH_BITS
+from cloak_core.render.screen import GRID
+from cloak_core.render.types import Screen
 
 
 @dataclass(frozen=True)
 class Corner:
-    """A snapped corner: x and y in grid units, nearness as the rasterizer sees it."""
+    """A snapped corner: x and y in grid units, inverse_depth as the rasterizer sees it."""
 
     x: int
     y: int
-    nearness: float
+    inverse_depth: float
 
 
 @dataclass
@@ -45,18 +46,18 @@ class Piece:
 
 def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
     """All triangles [3, T] of all views, cut where they must be."""
-    x, y, nearness = (t.tolist() for t in (screen.x, screen.y, screen.nearness))
-    safe = screen.safe.tolist() if screen.safe is not None else None
+    x, y, inverse_depth = (t.tolist() for t in (screen.x, screen.y, screen.inverse_depth))
+    safe = screen.in_guard_band.tolist() if screen.in_guard_band is not None else None
     result = []
     for view in range(len(x)):
         for triangle, vertices in enumerate(triangles.T.tolist()):
             if safe is None or all(safe[view][v] for v in vertices):
-                corners = tuple(Corner(x[view][v], y[view][v], nearness[view][v]) for v in vertices)
+                corners = tuple(Corner(x[view][v], y[view][v], inverse_depth[view][v]) for v in vertices)
                 result.append(Piece(view, triangle, corners))
                 continue
             view_space = torch.stack([axis[view, vertices] for axis in screen.view], -1).unsqueeze(-1)
             soup, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
-            near = soup.nearness[soup.corner]
+            near = soup.inverse_depth[soup.corner]
             for part in zip(*(t.T.tolist() for t in (soup.x, soup.y, near)), strict=True):
                 result.append(Piece(view, triangle, tuple(Corner(*c) for c in zip(*part, strict=True))))
     return result
@@ -84,18 +85,18 @@ def depth(piece: Piece, x: int, y: int) -> int:
     area = float(abs(piece.area))
     e1 = (c2.y - c0.y) * (x - c0.x) - (c2.x - c0.x) * (y - c0.y)
     e2 = (c1.x - c0.x) * (y - c0.y) - (c1.y - c0.y) * (x - c0.x)
-    slope1, slope2 = (c1.nearness - c0.nearness) / area, (c2.nearness - c0.nearness) / area
-    nearness = (float(e1) * slope1 + float(e2) * slope2) + c0.nearness
+    slope1, slope2 = (c1.inverse_depth - c0.inverse_depth) / area, (c2.inverse_depth - c0.inverse_depth) / area
+    inverse_depth = (float(e1) * slope1 + float(e2) * slope2) + c0.inverse_depth
     limit = (1 << DEPTH_BITS) - 1
-    return limit - min(max(int(nearness * (1 << DEPTH_BITS)), 0), limit)
+    return limit - min(max(int(inverse_depth * (1 << DEPTH_BITS)), 0), limit)
 
 
-def exact_nearness(piece: Piece, x: int, y: int) -> Fraction:
-    """Nearness at a position on the snapped triangle, without any rounding."""
+def exact_inverse_depth(piece: Piece, x: int, y: int) -> Fraction:
+    """Inverse depth at a position on the snapped triangle, without any rounding."""
     a, b, c = piece.corners
     weight_b = Fraction((c.y - a.y) * (x - a.x) - (c.x - a.x) * (y - a.y), piece.area)
     weight_c = Fraction((b.x - a.x) * (y - a.y) - (b.y - a.y) * (x - a.x), piece.area)
-    near = [Fraction(corner.nearness) for corner in piece.corners]
+    near = [Fraction(corner.inverse_depth) for corner in piece.corners]
     return near[0] + weight_b * (near[1] - near[0]) + weight_c * (near[2] - near[0])
 
 
@@ -136,16 +137,18 @@ def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = Fa
     return count
 
 
-def screen_of(x: np.ndarray, y: np.ndarray, nearness: np.ndarray, width: int, height: int, near: float = 1.0) -> Screen:
+def screen_of(
+    x: np.ndarray, y: np.ndarray, inverse_depth: np.ndarray, width: int, height: int, near: float = 1.0
+) -> Screen:
     """A one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
 
     def row(values: np.ndarray, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(dtype).reshape(1, -1)
 
-    z = near / row(nearness, torch.float64)
+    z = near / row(inverse_depth, torch.float64)
     focal = torch.full((1, 1), float(height), dtype=torch.float64)
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
     view = ((snapped_x / GRID - width / 2) * z / focal, (height / 2 - snapped_y / GRID) * z / focal, z)
     ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
-    nearness, near_plane = row(nearness, torch.float64), torch.full_like(focal, near)
-    return Screen(width, height, view, snapped_x, snapped_y, nearness, None, tuple(ends), focal, near_plane)
+    inverse_depth, near_plane = row(inverse_depth, torch.float64), torch.full_like(focal, near)
+    return Screen(width, height, view, snapped_x, snapped_y, inverse_depth, None, tuple(ends), focal, near_plane)

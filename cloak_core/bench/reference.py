@@ -1,14 +1,11 @@
-"""The reference that views are judged by, with its light and without.
+"""The reference that views are judged by: the torch renderer's exact areas, with the light integrated over them.
 
-Exact areas wherever they are in reach: what is seen of each triangle in each pixel, hidden parts clipped away in
-float64 (`bench.exact`), with the light over it, integrated by the light's float64 twin (`bench.lighting`). Where too
-many triangles overlap for that, 64 x 64 samples per pixel: the view rendered 8 times as large with 64 samples per
-pixel, blocks of 8 x 8 pixels averaged.
+Areas come from the torch backend (held against exact fractions by `bench stability`), light from its float64 twin
+(`bench.lighting`).
 """
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,22 +13,17 @@ import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
-from cloak_core.bench.exact import OutOfReach, Seen, seen_areas
 from cloak_core.bench.lighting import TwinLight
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.views import ViewBank
-from cloak_core.render.visibility.projection import Screen, project
-from cloak_core.render.weights.shading import Light
-from cloak_core.render.weights.view import View
+from cloak_core.render.clipping import flatten
+from cloak_core.render.settings import Light
+from cloak_core.render.torch.areas import Parts, visible_parts
+from cloak_core.render.types import View, Window
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import is_closed, is_outward
 
-EXACT, SAMPLED = "exact areas, clipped in float64", "64 x 64 samples per pixel"
-_CHUNK = 1 << 18
-FACTOR = 8
-"""Times as large, and samples along a pixel's side, where samples have to do."""
-FINER = (1, 4)
-"""Into how many parts the sides of pixels are cut until exact areas come into reach."""
+EXACT = "exact areas by torch"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,97 +67,61 @@ class Reference:
     areas: Matrix
     """Without light: weights are shares of pixels, and there is no highlight."""
     visible: Float64[Tensor, " F"]
-    """Pixels of each face that are seen."""
+    """Pixels of each face that are visible."""
     how: str
-    """`EXACT` or `SAMPLED`."""
+    """`EXACT`, and how many crowded pixels it leaves out if any."""
 
 
 def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
-    """By exact areas where they are in reach, else by samples. Takes seconds to minutes."""
-    for parts in FINER:
-        with contextlib.suppress(OutOfReach):
-            return exact(bodies, camera, light, pose, parts)
-    return sampled(bodies, camera, light, pose)
-
-
-def exact(bodies: Bodies, camera: Camera, light: Light, pose: int = 0, parts: int = 1) -> Reference:
-    """By clipping. Raises `OutOfReach` where too many triangles overlap.
-
-    parts: pixels are cut into parts x parts small ones first, which leaves fewer triangles in each.
-    """
-    fine = replace(camera, width=camera.width * parts, height=camera.height * parts)
-    screen = screen_of_pose(bodies, fine, pose)
-    triangles = torch.from_numpy(bodies.triangles.T.astype(np.int64))
+    """Integrate coverage and light over what is visible of one view. Takes seconds to minutes."""
+    screen, twin = ViewCache(bodies).screen([(pose, camera)]), TwinLight(bodies, camera, light, pose)
     cull = closed_outward(bodies, pose) and bool((screen.view[2] >= screen.near).all())
-    seen = seen_areas(screen, triangles, cull)
-    share = 1 / parts**2
-    weight, highlight = (t * share for t in _lit(seen, bodies, fine, light, pose))
-    face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[seen.triangle]
-    pixel, area = _coarse(fine, parts)[seen.pixel], seen.area * share
+    flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, torch.tensor([cull]))
+    found, crowded = [], 0
+    for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
+        triangle = parts.triangles.ids[parts.pieces.owner]
+        found.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
+        crowded += len(parts.pieces.place[parts.crowded].unique())
+    nothing = torch.zeros(0, dtype=torch.int64)
+    pixel, triangle, sums = (
+        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *found, strict=True)
+    )
+    some = (sums[0] > 0).nonzero().view(-1)
+    pixel, triangle, (area, weight, highlight) = pixel[some], triangle[some], sums[:, some]
+    face = torch.from_numpy(bodies.triangle_face.astype(np.int64))[triangle]
     coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
     matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
     areas = replace(matrix, weight=area, specular=torch.zeros_like(coverage))
-    return Reference(matrix, areas, _sums(face, area, bodies.face_count), EXACT)
+    how = EXACT + (f", without {crowded} crowded pixels" if crowded else "")
+    return Reference(matrix, areas, _sums(face, area, bodies.face_count), how)
 
 
-def _coarse(large: Camera, factor: int) -> Int64[Tensor, " pixels"]:
-    """The pixel of an image `factor` times smaller that each pixel lies in."""
-    index = torch.arange(large.height * large.width)
-    row = torch.div(index, large.width * factor, rounding_mode="floor")
-    return row * (large.width // factor) + torch.div(index % large.width, factor, rounding_mode="floor")
+def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, width: int) -> Float64[Tensor, "3 P"]:
+    """Area, weight and highlight of every piece, with three points for each triangle of its parts' fans.
+
+    The points integrate quadratic functions exactly.
+    """
+    sums, shape = torch.zeros(3, len(triangle), dtype=torch.float64), parts.shape
+    for k in range(1, len(shape) - 1):
+        corners = torch.stack([shape[0], shape[k], shape[k + 1]])
+        (ax, ay), (bx, by), (cx, cy) = corners
+        area = ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)).abs() / 2
+        some = (area > 0).nonzero().view(-1)
+        owner, area, middle = parts.owner[some], area[some], corners.mean(0) / 2
+        place = parts.pieces.place[owner]
+        for corner in corners:
+            x, y = (corner / 2 + middle)[:, some]
+            y = y + torch.div(place, width, rounding_mode="floor")
+            values = twin(triangle[owner].numpy(), (x + place % width).numpy(), y.numpy())
+            for total, value in zip(sums, (1.0, *map(torch.from_numpy, values)), strict=True):
+                total.index_add_(0, owner, value * area / 3)
+    return sums
 
 
 def _sums(index: Tensor, values: Tensor, count: int) -> Float64[Tensor, " count"]:
     return torch.zeros(count, dtype=torch.float64).index_add_(0, index, values.double())
 
 
-def _lit(seen: Seen, bodies: Bodies, camera: Camera, light: Light, pose: int) -> tuple[Tensor, Tensor]:
-    """Weight and highlight of each part: the light's integral over it."""
-    twin = TwinLight(bodies, camera, light, pose)
-    sums = torch.zeros(2, len(seen.pixel), dtype=torch.float64)
-    part, x, y, area = seen.shape.quadrature()
-    for chunk in (slice(i, i + _CHUNK) for i in range(0, len(part), _CHUNK)):
-        own = part[chunk]
-        pixel = seen.pixel[own]
-        column = pixel % camera.width
-        place = (x[chunk] + column, y[chunk] + (pixel - column) / camera.width)
-        values = twin(*(t.numpy() for t in (seen.triangle[own], *place)))
-        for total, value in zip(sums, values, strict=True):
-            total.index_add_(0, own, torch.from_numpy(value) * area[chunk])
-    return sums[0], sums[1]
-
-
-def screen_of_pose(bodies: Bodies, camera: Camera, pose: int = 0) -> Screen:
-    """The pose's vertices on the camera's screen."""
-    vertices = bodies.vertices[pose].astype(np.float64)
-    pivot = camera.pivot or tuple(((vertices.min(0) + vertices.max(0)) / 2).tolist())
-    return project(torch.from_numpy(vertices.T.copy()).unsqueeze(0), [camera], [pivot])
-
-
 def closed_outward(bodies: Bodies, pose: int = 0) -> bool:
     """Whether triangles that show their back can be left out, unless the near plane cuts the body open."""
     return is_closed(bodies.triangles) and bool(np.asarray(is_outward(bodies))[pose])
-
-
-def sampled(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
-    """By 64 x 64 samples per pixel, each lit on its own small piece of surface: off by less than 1/64 of a pixel's
-    edge length for every edge that crosses it."""
-    matrix = _sampled(bodies, camera, light, pose)
-    areas = _sampled(bodies, camera, Light(ambient=1.0, diffuse=0.0, specular=0.0), pose)
-    return Reference(matrix, areas, _sums(areas.face, areas.weight, bodies.face_count), SAMPLED)
-
-
-def _sampled(bodies: Bodies, camera: Camera, light: Light, pose: int) -> Matrix:
-    bank = ViewBank(bodies, light, samples=64, memory_bytes=1)
-    large = replace(camera, width=camera.width * FACTOR, height=camera.height * FACTOR)
-    fine = matrix_of(bank.build([(pose, large)])[0], bodies.face_count)
-    coarse = _coarse(large, FACTOR)
-    share = 1 / FACTOR**2
-    key, entry = torch.unique(coarse[fine.pixel] * bodies.face_count + fine.face, return_inverse=True)
-    weight = _sums(entry, fine.weight.double() * share, len(key))
-    coverage, specular = (
-        _sums(coarse, values.double() * share, camera.height * camera.width)
-        for values in (fine.coverage, fine.specular)
-    )
-    pixel = torch.div(key, bodies.face_count, rounding_mode="floor")
-    return Matrix(pixel, key - pixel * bodies.face_count, weight, coverage, specular, bodies.face_count)

@@ -11,7 +11,9 @@ import trimesh
 from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.visibility.projection import GRID, GUARD, Screen, project
+from cloak_core.render.projection import project
+from cloak_core.render.screen import GRID, GUARD
+from cloak_core.render.types import Screen
 from cloak_core.scene.cameras import Camera
 
 HALF = GRID // 2
@@ -37,8 +39,10 @@ def rows(array: object) -> Tensor:
     return torch.as_tensor(np.asarray(array, np.int64).reshape(-1, 3)).T.contiguous()
 
 
-def _snapped(x: object, y: object, nearness: object, triangles: object, size: tuple[int, int] = (8, 8), **more) -> Case:
-    return Case(screen_of(np.asarray(x), np.asarray(y), np.asarray(nearness), *size), rows(triangles), **more)
+def _snapped(
+    x: object, y: object, inverse_depth: object, triangles: object, size: tuple[int, int] = (8, 8), **more
+) -> Case:
+    return Case(screen_of(np.asarray(x), np.asarray(y), np.asarray(inverse_depth), *size), rows(triangles), **more)
 
 
 def _random(rng: np.random.Generator, size: tuple[int, int] = (9, 7), unit: int = 1) -> Case:

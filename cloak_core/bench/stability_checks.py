@@ -20,11 +20,12 @@ from cloak_core.bench.views import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.views import ViewBank
-from cloak_core.render.visibility.projection import GRID, project
-from cloak_core.render.visibility.rasterizer import rasterize
-from cloak_core.render.weights.shading import Light
-from cloak_core.render.weights.view import View
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.screen import GRID
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.types import View
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 IMAGE = 1e-6
@@ -82,9 +83,9 @@ def images() -> tuple[int, str]:
     wrong = 0
     for samples in (None, 4):
         with torch_threads(4):
-            together = ViewBank(_ball(), samples=samples).views(_KEYS)
+            together = ViewCache(_ball(), RenderSettings(samples=samples)).views(_KEYS)
         with torch_threads(1):
-            apart = [ViewBank(_ball(), samples=samples).view(*key) for key in _KEYS]
+            apart = [ViewCache(_ball(), RenderSettings(samples=samples)).view(*key) for key in _KEYS]
         wrong += sum(_differ(a, b) for a, b in zip(together, apart, strict=True))
     return wrong, ""
 
@@ -93,7 +94,9 @@ def precision() -> tuple[int, str]:
     """Light in float32 against its twin in float64, at every visible sample: weights and highlights."""
     bodies, wrong, worst, ulp = _ball(), 0, 0.0, 0.0
     for pose, camera in _KEYS:
-        view = matrix_of(ViewBank(bodies, _LIGHT, samples=1).view(pose, camera), bodies.face_count)
+        view = matrix_of(
+            ViewCache(bodies, RenderSettings(light=_LIGHT, samples=1)).view(pose, camera), bodies.face_count
+        )
         y, x = (t.numpy() + 0.5 for t in (view.pixel // camera.width, view.pixel % camera.width))
         exact = TwinLight(bodies, camera, _LIGHT)(view.face.numpy(), x.astype(np.float64), y.astype(np.float64))
         for ours, twin in zip((view.weight, view.specular[view.pixel]), exact, strict=True):
@@ -107,7 +110,7 @@ def float32_input() -> tuple[int, str]:
     """The same numbers handed over in float32 and in float64."""
     bodies = _ball()
     double = replace(bodies, vertices=bodies.vertices.astype(np.float64))
-    return _differ(*(ViewBank(b).view(*_KEYS[0]) for b in (bodies, double))), ""
+    return _differ(*(ViewCache(b).view(*_KEYS[0]) for b in (bodies, double))), ""
 
 
 def cuda() -> tuple[int, str] | None:
@@ -118,7 +121,10 @@ def cuda() -> tuple[int, str] | None:
     cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
     wrong = int((_ids(vertices, triangles, cameras) != _ids(vertices.cuda(), triangles.cuda(), cameras)).sum())
     for samples in (None, 4):
-        here, there = (ViewBank(_ball(), samples=samples, device=device).views(_KEYS) for device in ("cpu", "cuda"))
+        here, there = (
+            ViewCache(_ball(), RenderSettings(samples=samples, device=device)).views(_KEYS)
+            for device in ("cpu", "cuda")
+        )
         wrong += sum(_differ(a, b) for a, b in zip(here, there, strict=True))
     return wrong, torch.cuda.get_device_name()
 
@@ -127,11 +133,14 @@ def loops() -> tuple[int, str]:
     """Face ids and images from compiled loops, and from the torch operations that other devices run."""
     vertices, triangles = _body()
     cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
-    ours, views = _ids(vertices, triangles, cameras), [ViewBank(_ball(), samples=s).views(_KEYS) for s in (None, 4)]
+    ours, views = (
+        _ids(vertices, triangles, cameras),
+        [ViewCache(_ball(), RenderSettings(samples=s)).views(_KEYS) for s in (None, 4)],
+    )
     with torch_alone():
         wrong = int((ours != _ids(vertices, triangles, cameras)).sum())
         for samples, mine in zip((None, 4), views, strict=True):
-            theirs = ViewBank(_ball(), samples=samples).views(_KEYS)
+            theirs = ViewCache(_ball(), RenderSettings(samples=samples)).views(_KEYS)
             wrong += sum(_differ(a, b) for a, b in zip(mine, theirs, strict=True))
     return wrong, ""
 

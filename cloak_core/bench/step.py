@@ -21,7 +21,7 @@ from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
-from cloak_core.attack.training import make_bank
+from cloak_core.attack.training import make_view_cache
 from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine, torch_threads
 from cloak_core.detectors.protocol import Detector
@@ -92,8 +92,8 @@ class _Bench:
         faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
         self.logo = make_logo(bodies, faces)
         self.sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-        bank = make_bank(bodies, settings.views, self.device)
-        self.batcher = Batcher(settings, self.sampler, bank, self.logo.face_ids, backgrounds, self.device)
+        cache = make_view_cache(bodies, settings.views, self.device)
+        self.batcher = Batcher(settings, self.sampler, cache, self.logo.face_ids, backgrounds, self.device)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)

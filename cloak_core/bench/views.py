@@ -20,9 +20,10 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
-from cloak_core.render.images.compositing import compose
+from cloak_core.render.compositing import compose
+from cloak_core.render.settings import GRIDS, RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import StoredViews
-from cloak_core.render.views import GRIDS, ViewBank
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_centres, face_normals
 
@@ -51,14 +52,14 @@ def run_bench_views(
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
     with torch_threads(threads):
-        bank, key = _bank(bodies, samples or 1, device), [(0, camera)]
+        cache, key = _cache(bodies, samples or 1, device), [(0, camera)]
         result = {
-            "visibility_ms": timed(lambda: bank.visible(key), repeats, device),
-            "new_view_ms": timed(lambda: bank.build(key), repeats, device),
-            "stored_ms": _reading(bank, camera, repeats),
-            "cached_ms": timed(cached_render(bank, camera), repeats, device),
+            "visibility_ms": timed(lambda: cache.visible(key), repeats, device),
+            "new_view_ms": timed(lambda: cache.build(key), repeats, device),
+            "stored_ms": _reading(cache, camera, repeats),
+            "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
-                str(way): _one_and_many(_bank(bodies, way, device), camera, repeats)
+                str(way): _one_and_many(_cache(bodies, way, device), camera, repeats)
                 for way in ((*GRIDS, "area") if samples is None else (samples,))
             },
         }
@@ -66,43 +67,43 @@ def run_bench_views(
     return result | {"samples": samples or 1} | measured
 
 
-def _bank(bodies: Bodies, way: int | Literal["area"], device: str) -> ViewBank:
-    return ViewBank(bodies, samples=None if way == "area" else way, device=device)
+def _cache(bodies: Bodies, way: int | Literal["area"], device: str) -> ViewCache:
+    return ViewCache(bodies, RenderSettings(samples=None if way == "area" else way, device=device))
 
 
-def _one_and_many(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
+def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
     keys = [(0, replace(camera, azimuth=camera.azimuth + i)) for i in range(BATCH)]
     result = {}
-    for name, work in (("visibility", bank.visible), ("new_view", bank.build)):
+    for name, work in (("visibility", cache.visible), ("new_view", cache.build)):
         one, many = (
-            timed(partial(work, some), max(3, repeats // 4), bank.device.type, warm_up=2)["median"]
+            timed(partial(work, some), max(3, repeats // 4), cache.device.type, warm_up=2)["median"]
             for some in (keys[:1], keys)
         )
         result |= {f"{name}_ms": one, f"{name}_batch_ratio": many / one}
     return result
 
 
-def _reading(bank: ViewBank, camera: Camera, repeats: int) -> dict[str, float]:
+def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        view, files = bank.view(0, camera), DiskCache(Path(folder), ".view", 1 << 30, "views")
-        stored = StoredViews(files, bank.bodies, bank.samples, view.uv is not None, bank.device)
+        view, files = cache.view(0, camera), DiskCache(Path(folder), ".view", 1 << 30, "views")
+        stored = StoredViews(files, cache.bodies, cache.settings.recipe, view.uv is not None, cache.device)
         stored.put(0, camera, view)
-        return timed(lambda: stored.get(0, camera), repeats, bank.device.type)
+        return timed(lambda: stored.get(0, camera), repeats, cache.device.type)
 
 
-def cached_render(bank: ViewBank, camera: Camera) -> Callable[[], None]:
+def cached_render(cache: ViewCache, camera: Camera) -> Callable[[], None]:
     """One render of the logo onto a ready background with its gradient, ready to be called again and again.
 
     Ready as training has it: background and incoming gradient lie channels-last in memory, as images do here.
     """
-    faces = chest_and_thighs(bank.bodies)
-    view = bank.dress(0, camera, faces)
+    faces = chest_and_thighs(cache.bodies)
+    view = cache.bake(0, camera, faces)
     generator = torch.Generator().manual_seed(0)
     shape = (1, 3, camera.height, camera.width)
     background, upstream = (
-        torch.rand(shape, generator=generator).to(bank.device, memory_format=torch.channels_last) for _ in range(2)
+        torch.rand(shape, generator=generator).to(cache.device, memory_format=torch.channels_last) for _ in range(2)
     )
-    colors = torch.full((len(faces), 3), 0.5, device=bank.device, requires_grad=True)
+    colors = torch.full((len(faces), 3), 0.5, device=cache.device, requires_grad=True)
 
     def render() -> None:
         colors.grad = None

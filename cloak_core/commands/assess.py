@@ -21,7 +21,7 @@ from cloak_core.files.errors import InputError
 if TYPE_CHECKING:
     from cloak_core.detectors.protocol import Detector
     from cloak_core.evaluation.card.protocol import Budget
-    from cloak_core.evaluation.experiments.lab import Lab
+    from cloak_core.evaluation.store import RunStore
 
 
 @dataclass(kw_only=True)
@@ -65,8 +65,8 @@ class Assess(Command):
     def run(self) -> dict:
         from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
         from cloak_core.evaluation.card.page import write_card, write_comparison
-        from cloak_core.evaluation.experiments.lab import Interrupted
         from cloak_core.evaluation.report.words import short_names
+        from cloak_core.evaluation.store import Interrupted
 
         self._budget()
         try:
@@ -99,7 +99,7 @@ class Assess(Command):
 
     def work(self) -> dict[str, dict]:
         """A card for each detector, by its folder's name."""
-        from cloak_core.evaluation.card.assessing import Assessment
+        from cloak_core.evaluation.card.assess import Assessment
         from cloak_core.evaluation.card.leaderboard import folder_names
 
         prepare_process(self.compute)
@@ -107,31 +107,31 @@ class Assess(Command):
         names, cards = folder_names(specs), {}
         for spec, detector in zip(specs, self.options.load(specs, self.compute.device), strict=True):
             err.print(f"assessing {spec}")
-            lab = self._lab(spec, detector, budget)
+            store = self._store(spec, detector, budget)
             folder, zoo = self.out / names[spec], self.zoo or None
-            cards[names[spec]] = Assessment(lab, budget, folder, zoo, WorkProgress()).run()
+            cards[names[spec]] = Assessment(store, budget, folder, zoo, WorkProgress()).run()
         return cards
 
-    def _lab(self, spec: str, detector: Detector, budget: Budget) -> Lab:
-        from cloak_core.evaluation.experiments.lab import Lab
-        from cloak_core.evaluation.experiments.materials import open_bodies_and_backgrounds
-        from cloak_core.evaluation.experiments.options import Options
+    def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:
+        from cloak_core.evaluation.data_split import open_data_split
+        from cloak_core.evaluation.store import RunStore
+        from cloak_core.evaluation.store_options import StoreOptions
 
-        materials = open_bodies_and_backgrounds(
+        split = open_data_split(
             {spec: detector},
             scene=self.scene,
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
         )
-        amount = Options(
+        options = StoreOptions(
             out=self.out,
             seeds=budget.seeds,
             seed=self.seed,
             device=self.compute.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )
-        return Lab(materials, amount, lambda message: None)
+        return RunStore(split, options, lambda message: None)
 
     def show(self, result: dict) -> None:
         from cloak_core.evaluation.card.words import headline, lede

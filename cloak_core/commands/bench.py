@@ -288,6 +288,28 @@ class Stability(Command):
 
 
 @dataclass(kw_only=True)
+class Intervals(Command):
+    """Simulate evaluations with a known rate and count how often 95 % intervals cover it."""
+
+    repetitions: int = 200
+    """Simulated evaluations of each design."""
+    out: Path | None = None
+    """Markdown file to write the table to."""
+
+    def run(self) -> dict:
+        from cloak_core.bench.intervals import intervals_page, run_bench_intervals
+
+        result = run_bench_intervals(self.repetitions)
+        if self.out is not None:
+            write_text(self.out, intervals_page(result, f"cloak bench intervals --repetitions {self.repetitions}"))
+        return result
+
+    def show(self, result: dict) -> None:
+        for name, value in result["worst"].items():
+            out.print(f"{name:<16} covers at least {100 * value:.0f} % in each of {len(result['rows'])} designs")
+
+
+@dataclass(kw_only=True)
 class Printing(Command):
     """Try `cloak calibrate` on a synthetic printer and camera: chart, photographs, profile, and what it is worth."""
 

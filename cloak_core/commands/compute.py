@@ -14,9 +14,14 @@ _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 
 
 def prepare_process(settings: ComputeSettings) -> None:
-    """From now on torch uses so many threads, and memory that was freed is kept. InputError: no such number."""
+    """From now on torch uses so many threads, and memory that was freed is kept. InputError: no such number, or no
+    such device."""
     check_settings(settings)
     keep_freed_memory()
+    if settings.device != "cpu":
+        from cloak_core.detectors.loading import usable_device
+
+        usable_device(settings.device)
     if settings.threads is not None:
         import torch
 

@@ -16,6 +16,9 @@ from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.errors import InputError
 
+LOW = 0.1
+"""A best score below this is none."""
+
 
 @dataclass(kw_only=True)
 class Check(Command):
@@ -27,6 +30,8 @@ class Check(Command):
     """Photograph to look at."""
     out: Path | None = None
     """With --image: picture with the boxes drawn, to write."""
+    threshold: float = 0.6
+    """With --image: boxes above this score are listed and drawn; lower it where a file's scores are low."""
     scene: str | None = None
     """Bodies to render: scene folder, .npz, or sample:unseen."""
     backgrounds: str | None = None
@@ -47,7 +52,10 @@ class Check(Command):
 
             if self.out is not None:
                 require_new(self.out)
-            return check_image(self.options.load([self.spec], self.compute.device)[0], self.image, out=self.out)
+            if not 0 <= self.threshold < 1:
+                raise InputError(f"--threshold: {self.threshold:g} is not in [0, 1)")
+            detector = self.options.load([self.spec], self.compute.device)[0]
+            return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.evaluation.clean import check_scene
@@ -66,12 +74,25 @@ class Check(Command):
             )
             for x1, y1, x2, y2, score in result["boxes"]:
                 out.print(f"  {score:.3f}  at {x1:.0f},{y1:.0f} to {x2:.0f},{y2:.0f}")
-            for options, score in result.get("pixels", {}).items():
-                out.print(f"  {score:.3f}  with pixels as @{options}")
+            if result["operating_point_assumed"] and LOW < result["max_person"] <= result["operating_point"]:
+                out.print("its scores are low here: say @conf= where you know from which one it reports")
+            self._show_pixels(result)
         else:
             out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f} at 0.6")
             own = f"clean recall {result['clean_recall_own']:.3f}, false alarms {result['false_alarms_own']:.3f}"
             out.print(f"{own} {point}")
+            for alarm in result["alarms"]:
+                out.print(f"  {alarm['score']:.3f}  {alarm['background']}: a person where nobody is")
+
+    @staticmethod
+    def _show_pixels(result: dict) -> None:
+        """How the network may want its pixels, where nobody said."""
+        undecided = result.get("pixels_undecided", [])
+        if len(undecided) > 1:
+            out.print(f"one picture cannot tell how it wants its pixels: the first {len(undecided)} are as plausible")
+        for options, score in result.get("pixels", {}).items():
+            plausible = result["pixels_plausible"][options]
+            out.print(f"  {score:.3f}  with pixels as @{options}, plausible by {plausible:.2f}")
 
 
 def operating_point(report: dict) -> str:
@@ -89,6 +110,9 @@ class Verify(Command):
     """Folder of photographs to ask about, beside the renders."""
     renders: int = 4
     """Renders of the sample bodies to ask about."""
+    against: str | None = None
+    """Detector that they are to agree with, the same network in another form (default: the file's own runtime, or the
+    network as it was trained)."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
@@ -98,10 +122,12 @@ class Verify(Command):
             raise InputError("detectors verify: which detector?")
         if self.renders < 0 or (self.images is None and not self.renders):
             raise InputError("--renders: some images are needed")
-        from cloak_core.evaluation.verifying import verify_specs
+        from cloak_core.evaluation.detector_verification import verify_specs
 
         load = self.options.load
-        reports = verify_specs(self.specs, lambda spec: load([spec], self.compute.device)[0], self.images, self.renders)
+        one = lambda spec: load([spec], self.compute.device)[0]
+        original = None if self.against is None else one(self.against)
+        reports = verify_specs(self.specs, one, self.images, self.renders, original)
         return reports[self.specs[0]] if len(reports) == 1 else reports
 
     def failures(self, result: dict) -> list[str]:

@@ -1,4 +1,4 @@
-"""`cloak evaluate` and `cloak report`: what a run is worth, in numbers and in pictures."""
+"""`cloak evaluate` and `cloak report`: measure a run, in numbers and in pictures."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from cloak_core.commands.base import Command, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import counted
+from cloak_core.commands.wear import show_worn
 from cloak_core.evaluation.settings import EvaluateSettings
 
 
@@ -32,6 +33,10 @@ class Evaluate(Command):
     --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
     out: Path | None = None
     """Folder for the evaluation (default: RUN/evaluation)."""
+    people: str | None = None
+    """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     over_time: bool = False
     """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
     scene: str | None = None
@@ -53,11 +58,13 @@ class Evaluate(Command):
     def run(self) -> dict:
         from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import evaluate
+        from cloak_core.scene.photographs.people import load_people
         from cloak_core.zoo.shelf import run_path
 
         prepare_process(self.compute)
         config = read_run(run_path(self.run_folder))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
+        people = None if self.people is None else load_people(self.people, self.images)
         with counted("evaluating", self.events) as tell:
             return evaluate(
                 self.run_folder,
@@ -68,12 +75,15 @@ class Evaluate(Command):
                 profile=self.profile,
                 out=self.out,
                 over_time=self.over_time,
+                people=people,
                 angles=self.angles,
                 settings=self.settings,
                 on_progress=tell,
             )
 
     def show(self, result: dict) -> None:
+        if "people" in result:
+            return show_worn(result, self.settings.threshold)
         show_success(result)
         for row in result.get("over_time", []):
             rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
@@ -85,45 +95,30 @@ BOXES = {True: "white", False: "black", None: "?"}
 
 
 def show_success(result: dict) -> None:
-    """Success under the logo and under each control, a table per detector; of several, all of them side by side first.
+    """Print success under the logo and each control, a table per detector; before these, one of several detectors.
 
     White box: the colours were trained against this detector; black box: they were not.
     """
     if len(result["detectors"]) > 1:
         out.print(matrix(result))
     for spec, measured in result["detectors"].items():
-        table = Table(title=f"success against {spec}: the rendered person is not reported")
-        own = result.get("operating_points", {}).get(spec, 0)
-        for column in (
-            "",
-            "success",
-            "95 %",
-            f"at its own {own:g}",
-            "IoU ≥ 0.5",
-            "if found clean",
-            "AP50",
-            "images",
-        ):
-            table.add_column(
-                column, justify="left" if not column else "right", min_width=9 if column == "95 %" else None
-            )
-        for name, rates in measured.items():
-            if not isinstance(rates, dict) or "success" not in rates:
-                continue
-            low, high = rates["ci95"]
-            conditional = rates["conditional"]
-            table.add_row(
-                name,
-                f"{rates['success']:.2f}",
-                f"{low:.2f}–{high:.2f}",
-                _share(rates.get("success_own")),
-                f"{rates['success_iou']:.2f}",
-                _share(conditional),
-                _share(rates.get("ap50")),
-                str(rates["n"]),
-            )
-        out.print(table)
+        out.print(success_table(spec, measured, result.get("operating_points", {}).get(spec, 0)))
         out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
+
+
+def success_table(spec: str, measured: dict, own: float) -> Table:
+    """Make the table of one detector; `own`: the detector's own threshold."""
+    table = Table(title=f"success against {spec}: the rendered person is not reported")
+    heads = {"": None, "success": "success", "95 %": None, f"at its own {own:g}": "success_own", "renamed": "renamed"}
+    heads |= {"IoU ≥ 0.5": "success_iou", "if found clean": "conditional", "AP50": "ap50", "images": None}
+    for head in heads:
+        table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
+    for name, rates in measured.items():
+        if isinstance(rates, dict) and "success" in rates:
+            low, high = rates["ci95"]
+            words = {"": name, "95 %": f"{low:.2f}–{high:.2f}", "images": str(rates["n"])}
+            table.add_row(*(_share(rates.get(key)) if key else words[head] for head, key in heads.items()))
+    return table
 
 
 def _share(value: float | None) -> str:
@@ -131,7 +126,7 @@ def _share(value: float | None) -> str:
 
 
 def matrix(result: dict) -> Table:
-    """A row per detector: whether it was trained against, and success under the logo and the controls."""
+    """Make a table with a row per detector: trained against or not, success under the logo and the controls."""
     from cloak_core.evaluation.report.words import short_name
 
     controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
@@ -156,7 +151,7 @@ class Report(Command):
     """Run folder that `cloak train` wrote."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.report.page import make_report
+        from cloak_core.evaluation.report.run_report import make_report
         from cloak_core.evaluation.trained_run import read_run
 
         read_run(self.run_folder)

@@ -16,7 +16,7 @@ from cloak_core.commands.compute import prepare_process
 from cloak_core.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.stage import Stage
+    from cloak_core.evaluation.renderer import BodyRenderer
 
 
 @dataclass(kw_only=True)
@@ -55,19 +55,20 @@ class Coco(Command):
         from cloak_core.evaluation.coco import export_coco
 
         prepare_process(self.compute)
-        stage = self._stage()
+        renderer = self._renderer()
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("rendering", total=None)
             told = lambda done, total: progress.update(task, completed=done, total=total)
-            return export_coco(stage, self.out, self.format, told)
+            return export_coco(renderer, self.out, self.format, told)
 
-    def _stage(self) -> Stage:
-        from cloak_core.evaluation.measurement import draw_trials
-        from cloak_core.evaluation.stage import Stage
+    def _renderer(self) -> BodyRenderer:
+        from cloak_core.evaluation.renderer import BodyRenderer
         from cloak_core.evaluation.trained_run import kept_back, read_run
+        from cloak_core.evaluation.trials import draw_trials
         from cloak_core.exchange.colors import read_colors
+        from cloak_core.render.settings import RenderSettings
+        from cloak_core.render.view_cache import ViewCache
         from cloak_core.render.view_files import view_files
-        from cloak_core.render.views import ViewBank
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.opening import load_scene
@@ -80,8 +81,8 @@ class Coco(Command):
         logo = load_logo(bodies, folder / "logo.npy")
         colors = read_colors(folder / "colors.npy", len(logo))
         trials = draw_trials(bodies.pose_count, self.angles, len(backgrounds), bodies.outfit_count, settings)
-        bank = ViewBank(bodies, device=self.compute.device, files=view_files())
-        return Stage(colors, logo, bodies, backgrounds, trials, settings.camera, bank, self.seed)
+        view_cache = ViewCache(bodies, RenderSettings(device=self.compute.device, files=view_files()))
+        return BodyRenderer(colors, logo, bodies, backgrounds, trials, settings.camera, view_cache, self.seed)
 
     def _settings(self) -> EvaluateSettings:
         names = ("images_per_view", "most_images", "distances", "elevations", "size", "seed")

@@ -46,14 +46,14 @@ class Judge(Command):
     def run(self) -> dict:
         prepare_process(self.compute)
         if self.plan:
-            from cloak_core.evaluation.photographs.planning import RATES, independent, plan
+            from cloak_core.evaluation.statistics_photographs import RATES, independent_pairs, plan
 
-            return {"plan": plan(), "independent": {f"{rate:g}": independent(rate) for rate in RATES}}
+            return {"plan": plan(), "independent": {f"{rate:g}": independent_pairs(rate) for rate in RATES}}
         if self.directory is None:
             raise InputError("judge: which folder?")
         if not self.detector:
             raise InputError("--detector: none given")
-        from cloak_core.evaluation.photographs.judging import judge
+        from cloak_core.evaluation.photographs.judge import judge
 
         specs = tuple(dict.fromkeys(self.detector))
         with Progress(console=err, disable=not err.is_terminal) as progress:
@@ -116,3 +116,13 @@ def show_plan(result: dict) -> None:
     out.print(table)
     said = ", ".join(f"{count} at a rate of {rate}" for rate, count in result["independent"].items())
     out.print(f"±10 points from pairs that have no person and no scene in common: {said}")
+    for words in PLAN_WORDS:
+        out.print(words)
+
+
+PLAN_WORDS = (
+    "An interval speaks of people and scenes that were not photographed, so the number of these decides: a second",
+    "picture of the same person in the same scene says little new. From one person or two it cannot be known how much",
+    "people differ; such an interval is too narrow and speaks of these people alone. So it may widen when the first",
+    "few are added, and the wider one is the honest one. Aim for 8 people in 8 scenes.",
+)

@@ -16,7 +16,7 @@ from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.looking import Looker
+    from cloak_core.evaluation.look import Looker
 
 MAX_LINE = 1 << 16
 """Characters of a request."""
@@ -30,19 +30,17 @@ class Look(Command):
     """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, pose, outfit, azimuth,
     elevation, distance, field_of_view, pivot, width, height, backgrounds, background. A minus sign: one such object a
     line from standard input, until that ends; answers, and what is wrong with a request, go to its OUT/look.json."""
-    detector: UseAppendAction[tuple[str, ...]] = ("builtin",)
-    """Detectors to look with."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors to look with; builtin where none is named."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         prepare_process(self.compute)
-        from cloak_core.evaluation.looking import Look, Looker
+        from cloak_core.evaluation.look import Look, Looker
         from cloak_core.files.reading import read_json
 
-        specs = tuple(dict.fromkeys(self.detector))
-        if not specs:
-            raise InputError("--detector: none given")
+        specs = tuple(dict.fromkeys(self.detector)) or ("builtin",)
         asked = None if self.request == Path("-") else Look.of(read_json(self.request))
         looker = Looker(dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)))
         return {"looks": answer_lines(looker)} if asked is None else looker.look(asked)
@@ -58,7 +56,7 @@ class Look(Command):
 
 def answer_lines(looker: Looker) -> int:
     """Answer the requests of standard input, one a line; how many there were."""
-    from cloak_core.evaluation.looking import Look
+    from cloak_core.evaluation.look import Look
     from cloak_core.files.reading import parse_json
 
     count = 0
@@ -77,7 +75,7 @@ def answer_lines(looker: Looker) -> int:
 
 def tell_error(record: dict, message: str) -> None:
     """Where an answer is waited for, say what was wrong with the request."""
-    from cloak_core.evaluation.looking import ANSWER
+    from cloak_core.evaluation.look import ANSWER
     from cloak_core.files.writing import write_json
 
     place = record.get("out")

@@ -14,6 +14,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from cloak_core.attack.settings.values import Written
 from cloak_core.commands.base import Command
+from cloak_core.commands.usage import FOUR_DEEP, missing, usage
 from cloak_core.files.errors import InputError
 
 REGISTRY = ConstructorRegistry()
@@ -50,7 +51,7 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
             return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **default)
     except SystemExit as end:
         if end.code:
-            raise InputError(f"{name}: {_one_line(said.getvalue())} (cloak {name} --help)") from None
+            raise InputError(f"{name}: {_refusal(cls, name, said.getvalue())} (cloak {name} --help)") from None
         told.seek(0)
         print(_headed(told.read()), end="")
         raise
@@ -59,6 +60,17 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
 def _headed(text: str) -> str:
     """Help with the headings that fields were given: tyro puts "options" behind each."""
     return re.sub(r"^(╭─|\+-)? (\S.*) options (.)", r"\1 \2 \3\3\3\3\3\3\3\3\3", text, flags=re.MULTILINE)
+
+
+def _refusal(cls: type[Command], name: str, boxed: str) -> str:
+    """Why tyro refused, on one line; with the usage where something is missing."""
+    needs = missing(cls, boxed)
+    if not needs:
+        return _one_line(boxed)
+    _, _, unknown = boxed.partition("Unrecognized options:")
+    words = FOUR_DEEP.findall(unknown)
+    strange = f"unknown: {' '.join(word for word in words if not word.startswith('cloak '))}; " if unknown else ""
+    return f"{strange}needs {', '.join(needs)}; usage: {usage(cls, name)}"
 
 
 def _one_line(boxed: str) -> str:

@@ -25,7 +25,7 @@ class Print(Command):
     """The body, in its first pose: scene folder, .npz, or sample (default: what the run was trained on)."""
     dpi: int = 150
     """Pixels per inch of the texture and the sheets."""
-    page: Literal["A4", "A3"] = "A4"
+    page: Literal["A4", "A3", "Letter", "Tabloid"] = "A4"
     """Paper of the sheets."""
     pieces: Literal["cut", "own"] = "cut"
     """Pieces of cloth: cut anew with little stretch, or the mesh's own UV map, as a garment has it."""
@@ -66,6 +66,27 @@ class Print(Command):
 
     def show(self, result: dict) -> None:
         out.print(f"wrote {result['out']}")
-        for key, value in result.items():
-            if isinstance(value, (int, float, str)) and key != "out":
-                out.print(f"{key.replace('_', ' '):<28} {value}")
+        for words in told(result):
+            out.print(words)
+
+
+def told(report: dict) -> list[str]:
+    """A print's report in sentences, with what to do about what will not come out."""
+    width, height = (100 * extent for extent in report["sheet_m"])
+    words = [
+        f"{report['charts']} pieces, together {width:.0f} x {height:.0f} cm, on {report['pages']} pages of "
+        f"{report['page']}; the first is an overview",
+        f"laid flat, lengths are {report['stretch_mean'] - 1:.1%} off in the mean, and at most "
+        f"{report['stretch_99'] - 1:.0%} off on 99 % of the cloth",
+        f"{report['marks']} marks along seams; sizes are those of the pose '{report['pose']}'",
+    ]
+    if not report["unprintable_colors"]:
+        return words
+    share = f"{report['unprintable_colors']:,} of {report['faces']:,} colours"
+    if report["projected"]:
+        return [*words, f"{share} could not come out, and were replaced by the nearest that can"]
+    return [
+        *words,
+        f"{share} cannot be mixed by a four-colour printer and will come out duller: --project replaces them by the "
+        "nearest that can (evaluate those: cloak evaluate --profile, after cloak calibrate), or train with --profile",
+    ]

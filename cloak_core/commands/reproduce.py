@@ -15,20 +15,18 @@ from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out, warn
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.sharing import SharingOptions
-from cloak_core.evaluation.experiments.options import Options
+from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.experiments.lab import Lab
+    from cloak_core.evaluation.store import RunStore
 
 
 @dataclass(kw_only=True)
 class Reproduce(Command):
-    """Run one of the paper's experiments, or `all` of them, and write numbers, figures and words."""
+    """Run one of the paper's experiments, or `all` of them, and write numbers and figures."""
 
-    name: Positional[str]
-    """table1, single-angle, wide-angle, transfer, tv, distance, shape, resolution, ablation, render-gap (needs
-    Blender), cost, white-box, defences, hardened, or all."""
+    name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")]
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
     scene: str = "sample"
@@ -43,7 +41,7 @@ class Reproduce(Command):
     publish: Path | None = None
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     redraw: bool = False
-    """Train and evaluate nothing: draw figures and write words again from the numbers in --out."""
+    """Train and evaluate nothing: draw figures again from the numbers in --out."""
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
     sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
@@ -51,8 +49,7 @@ class Reproduce(Command):
     )
 
     def run(self) -> dict:
-        from cloak_core.evaluation.experiments.index_page import make_page
-        from cloak_core.evaluation.experiments.markdown import publish
+        from cloak_core.experiments.publish import make_page, publish
 
         done, skipped = self._redraw() if self.redraw else self._measure()
         published = {"published": str(publish(self.amount.out, self.publish))} if self.publish else {}
@@ -61,19 +58,19 @@ class Reproduce(Command):
     def _measure(self) -> tuple[dict, dict]:
         """Records by name, and why others were left out."""
         from cloak_core.evaluation.cycles import NoBlender
-        from cloak_core.evaluation.experiments.lab import Interrupted
-        from cloak_core.evaluation.experiments.registry import EXPERIMENTS, run_experiment
+        from cloak_core.evaluation.store import Interrupted
+        from cloak_core.experiments.runner import run_experiment
 
         try:
             self.sharing.spread(self._parts(), self.compute)
         except Interrupted as stop:
             raise Stopped(str(stop)) from None
         prepare_process(self.compute)
-        lab = self._lab()
+        store = self._store()
         done, skipped = {}, {}
-        for name in EXPERIMENTS if self.name == "all" else [self.name]:
+        for name in self._names():
             try:
-                done[name] = run_experiment(name, lab)
+                done[name] = run_experiment(name, store)
             except Interrupted as stop:
                 raise Stopped(str(stop)) from None
             except NoBlender as missing:
@@ -85,12 +82,12 @@ class Reproduce(Command):
 
     def _parts(self) -> list[tuple[str, Reproduce]]:
         """The same command for one experiment and, where their trainings are their own, one detector."""
-        from cloak_core.evaluation.experiments.registry import BY_DETECTOR, EXPERIMENTS
+        from cloak_core.experiments.runner import experiments
 
         alone, specs = replace(self, sharing=SharingOptions(), publish=None), self.detector or ("builtin",)
         parts, steps = [], self.amount.steps
-        for name in EXPERIMENTS if self.name == "all" else [self.name]:
-            if name not in BY_DETECTOR:
+        for name in self._names():
+            if name not in experiments() or not experiments()[name].by_detector:
                 parts.append((name, replace(alone, name=name)))
                 continue
             for place, spec in enumerate(specs):
@@ -102,15 +99,15 @@ class Reproduce(Command):
     def work(self) -> None:
         """Make the trainings and evaluations of one experiment that are missing; write nothing of it."""
         from cloak_core.evaluation.cycles import NoBlender
-        from cloak_core.evaluation.experiments.registry import prepare_experiment
+        from cloak_core.experiments.runner import prepare_experiment
 
         prepare_process(self.compute)
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
-            prepare_experiment(self.name, self._lab())
+            prepare_experiment(self.name, self._store())
 
     def _redraw(self) -> tuple[dict, dict]:
         """The same, from the numbers alone."""
-        from cloak_core.evaluation.experiments.registry import draw_again, finished
+        from cloak_core.experiments.runner import draw_again, finished
 
         if self.name != "all":
             return {self.name: draw_again(self.name, self.amount.out)}, {}
@@ -123,21 +120,26 @@ class Reproduce(Command):
                 skipped[name] = str(earlier)
         return done, skipped
 
-    def _lab(self) -> Lab:
-        from cloak_core.evaluation.experiments.lab import Lab
-        from cloak_core.evaluation.experiments.materials import open_materials
+    def _names(self) -> list[str]:
+        from cloak_core.experiments.runner import experiments
 
-        materials = open_materials(
-            self.detector or ("builtin",),
+        return list(experiments()) if self.name == "all" else [self.name]
+
+    def _store(self) -> RunStore:
+        from cloak_core.detectors.loading import load_detector
+        from cloak_core.evaluation.data_split import open_data_split
+        from cloak_core.evaluation.store import RunStore
+
+        split = open_data_split(
+            {spec: load_detector(spec, device=self.compute.device) for spec in self.detector or ("builtin",)},
             scene=self.scene,
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
-            device=self.compute.device,
         )
         command = shlex.join(["cloak", *sys.argv[1:]])
         options = replace(self.amount, device=self.compute.device, command=command)
-        return Lab(materials, options, lambda message: err.print(message))
+        return RunStore(split, options, lambda message: err.print(message))
 
     def show(self, result: dict) -> None:
         for name, record in result["experiments"].items():

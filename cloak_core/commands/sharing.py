@@ -53,7 +53,7 @@ class SharingOptions:
         A part that fails leaves the others alone; then InputError names the first such. Interrupted: a part was ended
         early.
         """
-        from cloak_core.evaluation.experiments.lab import Interrupted
+        from cloak_core.evaluation.store import Interrupted
         from cloak_core.jobs.handing_out import hand_out
         from cloak_core.jobs.job import Job
 
@@ -75,7 +75,7 @@ class SharingOptions:
 
 def do(part: Part) -> tuple[float, str]:
     """Seconds it took, and why it was ended early, "" where it was not."""
-    from cloak_core.evaluation.experiments.lab import Interrupted
+    from cloak_core.evaluation.store import Interrupted
 
     started, stopped = time.perf_counter(), ""
     try:

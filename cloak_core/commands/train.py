@@ -15,6 +15,7 @@ from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.pattern import PatternSettings
+from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
@@ -36,8 +37,13 @@ class Train(Command):
     (exit code 3); the same command with --resume goes on from there.
     """
 
-    scene: str
-    """Bodies to train on: scene folder, .npz, or sample[:train]."""
+    scene: str | None = None
+    """Bodies to train on: scene folder, .npz, or sample[:train]. May be left out where --people are given."""
+    people: str | None = None
+    """People in photographs to train on, beside the scene or alone: a COCO file with masks and landmarks;
+    PEOPLE.json[0::2] takes some of the photographs."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     logo: Path
     """Face list (.npy), from Blender or `cloak logo`; or regions of the scene by name: chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
@@ -57,12 +63,14 @@ class Train(Command):
     tensorboard: bool = False
     """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
     preset: Preset = "best"
-    """What the settings below start from: the paper's text, its reference code, what was measured to work best, or the
-    recipe for detectors that training never saw (several --detector as surrogates)."""
+    """What the settings below start from: the paper's text, its reference code, what was measured to work best, the
+    recipe for detectors that training never saw (several --detector as surrogates), or the one for people in
+    photographs, which is the default with --people."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]
+    photographs: Annotated[OmitArgPrefixes[PeopleSettings], arg(name="photographs of people")]
     objective: Annotated[OmitArgPrefixes[LossSettings], arg(name="loss")]
     pattern: Annotated[OmitArgPrefixes[PatternSettings], arg(name="colours and pattern")]
     surrogates: Annotated[OmitArgPrefixes[SurrogateSettings], arg(name="surrogates")]
@@ -75,6 +83,8 @@ class Train(Command):
         """What the options default to: the preset, as it was when a resumed run began, then the TOML file; not checked
         before the options replace them."""
         preset, config = _value_of("preset", arguments), _value_of("config", arguments)
+        if preset is None and config is None and _value_of("people", arguments) is not None:
+            preset = "photographs"
         # Any number: the option itself replaces it. Of --steps and --epochs the one that is given counts.
         given: dict = {name: 1 for name in ("steps", "epochs") if _value_of(name, arguments) is not None}
         given |= {"preset": preset} if preset in PRESETS else {}
@@ -85,7 +95,7 @@ class Train(Command):
         except InputError as error:
             raise InputError(f"{config or 'the run'}: {error}") from None
         settings["length"] = settings.pop("run")
-        return cls(**dict.fromkeys(("scene", "logo", "out"), tyro.MISSING), **settings)
+        return cls(**dict.fromkeys(("logo", "out"), tyro.MISSING), **settings)
 
     @classmethod
     def of(cls, settings: TrainSettings, **inputs: object) -> Train:
@@ -101,6 +111,7 @@ class Train(Command):
 
     def run(self) -> dict:
         from cloak_core.library import train
+        from cloak_core.scene.photographs.people import load_people
 
         settings = self.settings
         prepare_process(settings.compute)
@@ -115,7 +126,9 @@ class Train(Command):
                 "--preset transfer: reaches more detectors through several surrogates; name more than one --detector, "
                 "or take colours that were trained on several (cloak zoo list)"
             )
+        people = None if self.people is None else load_people(self.people, self.images)
         detectors = self.options.load(self.detector or ("builtin",), settings.compute.device)
+        noted = {"made_from": self.made_from, "people": self.people}
         with contextlib.ExitStack() as stack:
             for listener in listeners:
                 stack.enter_context(listener)
@@ -128,8 +141,9 @@ class Train(Command):
                 settings=settings,
                 resume=self.resume,
                 on_event=lambda event: [listener(event) for listener in listeners],
-                inputs={"made_from": self.made_from} if self.made_from else None,
+                inputs={key: str(value) for key, value in noted.items() if value},
                 query_prior=self.options.load(self.query_prior, settings.compute.device),
+                people=people,
             )
         return result.record()
 
@@ -162,7 +176,7 @@ def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
 def _value_of(name: str, arguments: list[str]) -> str | None:
     """What the last --NAME in the arguments was given."""
     found = None
-    for argument, following in zip(arguments, [*arguments[1:], None], strict=True):
+    for argument, following in zip(arguments, [*arguments, None][1:], strict=True):
         if argument == f"--{name}":
             found = following
         elif argument.startswith(f"--{name}="):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
+from cloak_core.attack.settings.loss import Hide
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, Stopped, err, out
 from cloak_core.commands.compute import prepare_process
@@ -20,7 +21,7 @@ from cloak_core.commands.sharing import SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.leave_one_out.matrix import Matrix
+    from cloak_core.evaluation.transfer.matrix import Matrix
 
 
 @dataclass(kw_only=True)
@@ -69,6 +70,8 @@ class Transfer(Command):
     """Images per update (default: what the preset says)."""
     detectors_per_step: int | None = None
     """So many of the surrogates, drawn anew, are asked in each update (default: all)."""
+    hide: Hide = "person"
+    """What cloaks are trained to hide: the class person alone, or everything on the body. Each aim needs its --out."""
     size: int = 416
     """Width and height of the images, pixels."""
     images_per_view: int = 4
@@ -88,11 +91,11 @@ class Transfer(Command):
     )
 
     def run(self) -> dict:
-        from cloak_core.evaluation.experiments.lab import Interrupted
-        from cloak_core.evaluation.leave_one_out import rungs
-        from cloak_core.evaluation.leave_one_out.matrix import gather
+        from cloak_core.evaluation.store import Interrupted
+        from cloak_core.evaluation.transfer.matrix import gather
+        from cloak_core.evaluation.transfer.plan import ablation_names
 
-        asked, stopped = rungs.names(self.rungs), ""
+        asked, stopped = ablation_names(self.rungs), ""
         if not self.redraw:
             try:
                 self.sharing.spread(self._parts(asked), self.compute)
@@ -106,10 +109,8 @@ class Transfer(Command):
 
     def work(self) -> None:
         """Fill the cells that are missing."""
-        from cloak_core.evaluation.leave_one_out import rungs
-
         prepare_process(self.compute)
-        self._matrix().fill(rungs.names(self.rungs))
+        self._matrix().fill(self.rungs)
 
     def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
         """The same command for one rung and the judges that share its trainings, by a name."""
@@ -120,30 +121,31 @@ class Transfer(Command):
         alone = replace(self, sharing=SharingOptions(), publish=None)
         groups = self._matrix().groups()
         return [
-            (f"{rung}, judged by {', '.join(map(short_name, group))}", replace(alone, rungs=(rung,), judge=group))
-            for rung in asked
+            (f"{name}, judged by {', '.join(map(short_name, group))}", replace(alone, rungs=(name,), judge=group))
+            for name in asked
             for group in groups
         ]
 
     def _matrix(self) -> Matrix:
-        from cloak_core.evaluation.experiments.materials import open_bodies_and_backgrounds
-        from cloak_core.evaluation.experiments.options import Options
-        from cloak_core.evaluation.leave_one_out.kin import families
-        from cloak_core.evaluation.leave_one_out.matrix import CIRCLE, FRONT, LastingLab, Matrix
+        from cloak_core.evaluation.data_split import open_data_split
+        from cloak_core.evaluation.store import RunStore
+        from cloak_core.evaluation.store_options import StoreOptions
+        from cloak_core.evaluation.transfer.matrix import Matrix
+        from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, families
 
         started = time.monotonic()
         if not self.detector:
             raise InputError("--detector: none given; name several, for each is judged on the training without it")
         specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
         detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
-        materials = open_bodies_and_backgrounds(
+        split = open_data_split(
             detectors,
             scene=self.scene,
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
         )
-        amount = Options(
+        options = StoreOptions(
             out=self.out,
             steps=() if self.steps is None else (self.steps,),
             seeds=self.seeds,
@@ -154,23 +156,28 @@ class Transfer(Command):
             device=self.compute.device,
         )
         most = self.most_images or (240 if self.circle else None)
-        places = CIRCLE if self.circle else FRONT
-        if self.detectors_per_step:
-            places = places.with_training(detectors_per_step=self.detectors_per_step)
+        cameras = CIRCLE if self.circle else FRONT
+        sampled: dict[str, object] = {"hide": self.hide} if self.hide != "person" else {}
+        sampled |= {"detectors_per_step": self.detectors_per_step} if self.detectors_per_step else {}
+        cameras = replace(
+            cameras,
+            training={**cameras.training, **sampled},
+            test=cameras.test if most is None else {**cameras.test, "most_images": most},
+        )
         return Matrix(
-            lab=LastingLab(materials, amount, lambda message: err.print(message)),
-            faces=self._faces(materials.bodies),
+            store=RunStore(split, options, lambda message: err.print(message)),
+            faces=self._faces(split.bodies),
             logo=Path(self.logo).stem,
             surrogates=tuple(dict.fromkeys(self.detector)),
             judges=tuple(dict.fromkeys(self.judge or self.detector)),
             family=families(specs, self.kin),
-            places=places if most is None else places.with_test(most_images=most),
-            strangers_only=self.strangers_only,
+            cameras=cameras,
+            cross_family_only=self.strangers_only,
             deadline=None if self.budget_minutes is None else started + 60 * self.budget_minutes,
         )
 
     def _faces(self, bodies: object) -> object:
-        from cloak_core.evaluation.experiments.logos import chest_thighs, shirt_trousers
+        from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
         from cloak_core.scene.logos.logo import load_logo
 
         known = {"shirt_trousers": shirt_trousers, "chest_thighs": chest_thighs}
@@ -181,20 +188,20 @@ class Transfer(Command):
         return load_logo(bodies, region=self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
-        from cloak_core.evaluation.leave_one_out.matrix import summary
-        from cloak_core.evaluation.leave_one_out.showing import by_rung, show
+        from cloak_core.evaluation.transfer.matrix import summary
+        from cloak_core.evaluation.transfer.page import by_ablation, show
 
         command = shlex.join(["cloak", *sys.argv[1:]])
         files = show(cells, self.out, self.out.name, command)
         if self.publish is not None:
             files = show(cells, self.publish, self.out.name, command)
-        ladder = {rung: summary(own) for rung, own in by_rung(cells).items()}
-        last = next((ladder[rung] for rung in reversed(asked) if rung in ladder), ladder[next(reversed(ladder))])
+        ladder = {name: summary(own) for name, own in by_ablation(cells).items()}
+        last = next((ladder[name] for name in reversed(asked) if name in ladder), ladder[next(reversed(ladder))])
         return last | {"rungs": ladder, "files": [str(path) for path in files]}
 
     def show(self, result: dict) -> None:
-        for rung, told in result["rungs"].items():
-            out.print(_table(rung, told))
+        for name, told in result["rungs"].items():
+            out.print(_table(name, told))
             out.print(f"mean {told['mean']:.2f}, worst {told['worst']:.2f}; at 0.25 mean {told['mean_025']:.2f}")
         for path in result["files"]:
             out.print(f"wrote {path}")
@@ -202,10 +209,10 @@ class Transfer(Command):
             raise Stopped(result["stopped"])
 
 
-def _table(rung: str, told: dict) -> Table:
+def _table(ablation: str, told: dict) -> Table:
     from cloak_core.evaluation.report.words import short_name
 
-    table = Table(title=f"{rung}: success, judged by a detector that training left out")
+    table = Table(title=f"{ablation}: success, judged by a detector that training left out")
     for column in ("judged by", "kin", "at 0.6", "95 %", "at its own", "at 0.25", "random", "clothing", "images"):
         wide = 9 if column in ("kin", "95 %") else None
         table.add_column(column, justify="left" if column in ("judged by", "kin") else "right", min_width=wide)

@@ -24,24 +24,26 @@ class List(Command):
     """List the zoo: zoo:NAME stands for a run folder wherever one is taken (evaluate, print, --init, --colors)."""
 
     def run(self) -> dict:
-        from cloak_core.zoo.entry import success
+        from cloak_core.zoo.entry import success, success_on_people
         from cloak_core.zoo.shelf import entry, shelved
 
         records = [entry(name).record for name in shelved()]
         kept = ("name", "detectors", "logo", "about", "licence", "faces")
-        return {"zoo": [{key: record[key] for key in kept} | {"success": success(record)} for record in records]}
+        rates = lambda record: {"success": success(record), "success_on_people": success_on_people(record)}
+        return {"zoo": [{key: record[key] for key in kept} | rates(record) for record in records]}
 
     def show(self, result: dict) -> None:
         from cloak_core.evaluation.report.words import percent, short_name
 
         table = Table(title="zoo: mean success over the detectors each was evaluated on (cloak zoo show NAME)")
-        for column in ("name", "logo", "trained on", "success", "licence"):
+        for column in ("name", "logo", "trained on", "success", "on people", "licence"):
             # Names are copied: none is cut.
             width = max((len(record[column]) for record in result["zoo"]), default=1) if column == "name" else None
-            table.add_column(column, justify="right" if column == "success" else "left", min_width=width)
+            table.add_column(column, justify="right" if column in ("success", "on people") else "left", min_width=width)
         for record in result["zoo"]:
             trained = ", ".join(short_name(spec) for spec in record["detectors"])
-            table.add_row(record["name"], record["logo"], trained, percent(record["success"]), record["licence"])
+            rates = percent(record["success"]), percent(record["success_on_people"])
+            table.add_row(record["name"], record["logo"], trained, *rates, record["licence"])
         out.print(table)
 
 
@@ -93,7 +95,7 @@ class Reproduce(Command):
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        from cloak_core.evaluation.zoo_again import Files, judge_again
+        from cloak_core.evaluation.zoo_reproduction import Files, evaluate_again
         from cloak_core.zoo.shelf import entry, shelved
 
         prepare_process(self.compute)
@@ -102,7 +104,7 @@ class Reproduce(Command):
             name = found.record["name"]
             try:
                 with counted(f"zoo:{name}") as tell:
-                    judged = judge_again(found, files, self.most_images, self.compute.device, tell)
+                    judged = evaluate_again(found, files, self.most_images, self.compute.device, tell)
             except InputError as error:
                 if self.names:
                     raise

@@ -26,6 +26,8 @@ from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 FORMAT = "cloak hardening 1"
+EARLIER = {"decoys": 0}
+"""What settings that came later were in folders that do not have them, where that is not their default."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
 
@@ -96,7 +98,9 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
 def _check(recorded: dict, config: dict, path: Path) -> None:
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
-    usual = asdict(HardenSettings())  # what a setting that is younger than the folder was before there was a choice
+    usual = (
+        asdict(HardenSettings()) | EARLIER
+    )  # what a setting that is younger than the folder was before there was a choice
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in (usual | c["settings"]).items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}

@@ -1,8 +1,9 @@
 """Hardening: the detector learns to say of people in cloaks what it said of them without.
 
 A turn: a cloak is attacked further against the detector as it stands (never against a copy that is out of date), then
-the detector learns from new images of it, from the same images without it, and from pictures, all by distillation from
-what it was (`distillation`). So no labels are needed, and what nobody attacked is to stay as it was.
+the detector learns from new images of it, from the same images without it, from pictures, and from pictures with cloth
+that nobody wears (`decoys`), all by distillation from what it was (`distillation`). So no labels are needed, and what
+nobody attacked is to stay as it was.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from cloak_core.attack.events import EventLog, OnEvent, rewind_events
 from cloak_core.attack.loop import TrainingError
 from cloak_core.attack.stopping import StopRequest, stop_request
 from cloak_core.defend.folder import HardenFolder, harden_config, open_folder
-from cloak_core.defend.pool import Given, Pool
+from cloak_core.defend.pool import Decoys, Given, Pool
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.defend.student import Student
 from cloak_core.exchange.bodies import Bodies
@@ -67,7 +68,7 @@ def harden(
     are there already. SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step;
     `resume` goes on from there. InputError: `out` exists without `resume`, or was begun with something else.
     """
-    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs)
+    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs, student.teacher)
     config = harden_config(settings, student, bodies, backgrounds, photographs, given)
     with (
         open_folder(Path(out), config, resume) as folder,
@@ -112,7 +113,8 @@ class Hardening:
                 if self.step % self.settings.checkpoint_every == 0 or reason or self.step == steps:
                     self._save()
             reason = "" if self.step >= steps else reason
-            shown = self.settings.batch + min(self.settings.clean, self.settings.batch) + self.settings.pictures
+            learned = self.settings.batch + min(self.settings.clean, self.settings.batch)
+            shown = learned + self.settings.pictures + self.settings.decoys
             spec = self.student.write(self.averaged, self.folder.path, self.step * shown)
             self._tell("end", outcome="stopped" if reason else "done", reason=reason, spec=spec)
         finally:
@@ -123,19 +125,20 @@ class Hardening:
         self.student.detector.requires_grad_(False)
         attack = self.pool.attack(self.step)
         pair, pictures = self.pool.pair(self.step), self.pool.pictures(self.step)
-        parts = self._learn(pair.cloaked, pair.clean, pictures)
+        parts = self._learn(pair.cloaked, pair.clean, pictures, self.pool.decoys(self.step))
         self.step += 1
         self._average()
         figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}
         self._tell("step", **parts, **figures)
 
-    def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor) -> dict[str, float]:
+    def _learn(self, cloaked: Tensor, clean: Tensor, pictures: Tensor, decoys: Decoys) -> dict[str, float]:
         """One update; returns the loss and its parts, each a mean over its own images."""
         student, count, kept = self.student, len(cloaked), min(self.settings.clean, len(cloaked))
-        shown = torch.arange(count + len(pictures), device=clean.device)
-        wanted = student.wanted(torch.cat([clean, pictures]), torch.cat([shown[:count], shown[:kept], shown[count:]]))
-        images = torch.cat([cloaked, clean[:kept], pictures])
-        surer = torch.arange(len(images), device=images.device) < len(images) - len(pictures)
+        sources = torch.cat([clean, pictures, decoys.without])
+        rows = torch.arange(len(sources), device=clean.device)
+        wanted = student.wanted(sources, torch.cat([rows[:count], rows[:kept], rows[count:]]))
+        images = torch.cat([cloaked, clean[:kept], pictures, decoys.shown])
+        surer = torch.arange(len(images), device=images.device) < count + kept
         student.detector.requires_grad_(True)
         each = student.distance(images, wanted, surer, self.settings.sure)
         weights = torch.ones_like(each)
@@ -149,8 +152,8 @@ class Hardening:
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.lr * rate(self.step, self.settings.steps)
         self.optimizer.step()
-        parts = each.detach().split([count, kept, len(pictures)])
-        names = ("cloaked", "clean", "pictures")
+        parts = each.detach().split([count, kept, len(pictures), len(decoys.shown)])
+        names = ("cloaked", "clean", "pictures", "decoys")
         told = {name: float(part.mean()) for name, part in zip(names, parts, strict=True) if len(part)}
         return {"loss": float(loss.detach())} | told
 

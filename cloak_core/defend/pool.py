@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -18,13 +19,17 @@ from cloak_core.attack.objective import Objective, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
 from cloak_core.defend.logos import draw_colors, draw_logo
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import person_boxes
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.geometry import face_centres
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
@@ -37,7 +42,14 @@ SAMPLES = 4
 GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
-_LOGO, _VIEWS, _PICTURES = 1, 2, 3
+UNTRAINED = 4
+"""Textures of a decoy that nobody trained, beside those of the cloaks: their colours must not decide either."""
+FINER, LEAST_PART = 2, 0.4
+"""Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
+that learns whole photographs by heart reports more in the parts of others."""
+MAYBE_PERSON = 0.3
+"""A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
+_LOGO, _VIEWS, _PICTURES, _DECOYS = 1, 2, 3, 4
 """Streams of random numbers."""
 
 
@@ -58,6 +70,15 @@ class Cloak:
     batcher: Batcher
     objective: Objective
     optimizer: ColorOptimizer
+    flat: FlatCloth
+
+
+@dataclass(frozen=True, eq=False)
+class Decoys:
+    """The same pictures with patterned cloth that nobody wears, and without."""
+
+    shown: Float[Tensor, "B 3 H W"]
+    without: Float[Tensor, "B 3 H W"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +100,12 @@ class Pool:
         detector: Detector,
         given: Sequence[Given] = (),
         photographs: Backgrounds | None = None,
+        teacher: Detector | None = None,
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.given, self.photographs = tuple(given), photographs
+        self.given, self.photographs, self.teacher = tuple(given), photographs, teacher or detector
         self.device = torch.device(detector.device)
-        self.bank = ViewBank(bodies, device=self.device, samples=SAMPLES)
+        self.bank = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
         self.centres = face_centres(bodies)
         self.cloaks: dict[int, Cloak] = {}
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
@@ -130,10 +152,57 @@ class Pool:
         rng, size = np.random.default_rng([self.settings.seed, _PICTURES, turn]), self.settings.size
         images = torch.zeros(self.settings.pictures, 3, size, size)
         for k, image in enumerate(images):
-            source = self.photographs if self.photographs is not None and k % 2 else self.backgrounds
-            picture = source.image(int(rng.integers(len(source))), (size, size)).float() / 255
+            picture, _ = self._picture(rng, photograph=bool(k % 2))
             image.copy_(picture.flip(2) if rng.random() < 0.5 else picture)
         return images.to(self.device)
+
+    def _picture(self, rng: np.random.Generator, photograph: bool) -> tuple[Float[Tensor, "3 H W"], bool]:
+        """A part of a photograph, where there are some, or of a background; and whether people may be in it."""
+        people = self.photographs is not None and photograph
+        source = self.photographs if people else self.backgrounds
+        size = self.settings.size
+        whole = source.image(int(rng.integers(len(source))), (FINER * size, FINER * size)).float() / 255
+        side = int(size * rng.uniform(LEAST_PART, 1) * FINER)
+        y, x = (int(rng.integers(FINER * size - side + 1)) for _ in range(2))
+        part = whole[None, :, y : y + side, x : x + side]
+        return F.interpolate(part, (size, size), mode="bilinear", antialias=True)[0].clamp(0, 1), people
+
+    @torch.no_grad()
+    def decoys(self, turn: int) -> Decoys:
+        """Pictures with cloth that nobody wears: cloaks as they are now, finished ones, and random patterns."""
+        rng, size = np.random.default_rng([self.settings.seed, _DECOYS, turn]), self.settings.size
+        without, shown = (torch.zeros(self.settings.decoys, 3, size, size) for _ in range(2))
+        for k in range(len(shown)):
+            without[k], people = self._picture(rng, photograph=bool(k % 2))
+            clear = self._people_in(without[k]) if people else ()
+            shown[k] = draw_decoy(without[k], self._textures(rng), rng, self._silhouette(rng), clear)
+        return Decoys(shown.to(self.device), without.to(self.device))
+
+    def _textures(self, rng: np.random.Generator) -> list[Texture]:
+        cloaks = [self.cloaks[slot] for slot in sorted(self.cloaks)]  # a resumed hardening made them in another order
+        worn = [cloak.flat.texture(cloak.optimizer.colors().cpu().numpy()) for cloak in cloaks]
+        if self.given:
+            chosen = self.given[rng.integers(len(self.given))]
+            worn.append(self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32)))
+        print_of, _ = self._picture(rng, photograph=False)
+        return worn + [random_texture(rng, print_of) for _ in range(UNTRAINED)]
+
+    def _flat(self, logo: Logo) -> FlatCloth:
+        return FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids])
+
+    def _silhouette(self, rng: np.random.Generator) -> Float[Tensor, "H W"]:
+        """A body's coverage of the picture, from anywhere."""
+        size, distance = self.settings.size, DISTANCES[rng.integers(len(DISTANCES))]
+        camera = Camera(azimuth=float(30 * rng.integers(12)), distance=distance, width=size, height=size)
+        view = self.bank.view(int(rng.integers(self.bodies.pose_count)), camera)
+        covered = torch.zeros(size * size, device=view.coverage.device)
+        covered[view.pixels] = view.coverage
+        return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()
+
+    def _people_in(self, picture: Float[Tensor, "3 H W"]) -> list[list[float]]:
+        """Boxes of a picture in which there may be somebody."""
+        found = person_boxes(self.teacher(picture[None].to(self.device)), MAYBE_PERSON)[0]
+        return found[:, :4].tolist()
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint; which logo a cloak has follows from the turn."""
@@ -174,6 +243,7 @@ class Pool:
             Batcher(settings, sampler, self.bank, logo.face_ids, self.backgrounds, self.device),
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
+            self._flat(logo),
         )
 
     @torch.no_grad()
@@ -193,6 +263,7 @@ class Pool:
             steps=10_000_000,
             batch=self.settings.batch,
             seed=self.settings.seed + slot,
+            hide=self.settings.hide,
             size=self.settings.size,
             translation=self.settings.size // 8,
             angles=",".join(f"{angle:g}" for angle in angles),

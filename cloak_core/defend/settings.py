@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cloak_core.attack.settings import check_settings
+from cloak_core.attack.settings.loss import Hide
 from cloak_core.attack.settings.values import Within
 
 
@@ -26,12 +27,17 @@ class HardenSettings:
     keeps more of its answers without cloaks."""
     pictures: Annotated[int, Within(0, 4096)] = 2
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
+    decoys: Annotated[int, Within(0, 4096)] = 3
+    """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
+    which the detector is to say what it said without the cloth."""
     cloaks: Annotated[int, Within(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
     life: Annotated[int, Within(1, 100_000)] = 32
     """Turns after which a cloak makes room for a new one, on another logo and from other colours."""
     attack_steps: Annotated[int, Within(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
+    hide: Hide = "person"
+    """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Within(0, 1, "(]")] = 0.05
     """Their learning rate (Adam), in units of colour. 0.1 is too much: colours flicker, and after 60 steps nothing was
     hidden where 0.03 to 0.05 hid more than 0.8."""

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
-from cloak_core.detectors.onnx_family.detector import OnnxDetector
-from cloak_core.detectors.pixels import USUAL
+from cloak_core.detectors.pixel_trial import try_pixels
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score, person_boxes
 from cloak_core.files.errors import InputError
@@ -26,9 +25,10 @@ def check_image(
     Returns {"max_person": best person score, thresholded or not, "boxes": [[x1, y1, x2, y2, score], ...]: the boxes
     above `threshold` after non-maximum suppression, in the file's pixels, best first, "operating_point": the score from
     which the detector itself reports, "operating_point_assumed": whether nobody said so, "reported": how many boxes
-    stand above that, likewise}. Where nobody said how the network
-    wants its pixels, "pixels" has the best person score for each usual way, best first, by the options of a spec. With
-    `out`, also writes the picture with those boxes drawn. InputError names a file that cannot be read or written.
+    stand above that, likewise}. Where nobody said how the network wants its pixels, "pixels" has the best person score
+    of each usual way by the options of a spec, the likeliest way first (`pixel_trial`), "pixels_plausible" how
+    plausible its boxes are, and "pixels_undecided" the ways that one picture cannot tell apart. With `out`, also writes
+    the picture with those boxes drawn. InputError names a file that cannot be read or written.
     """
     if out is not None and (out.suffix.lower() not in (".png", ".jpg", ".jpeg") or not out.absolute().parent.is_dir()):
         raise InputError(f"{out}: give a .png or .jpg in a folder that exists")
@@ -46,20 +46,11 @@ def check_image(
         "reported": len(person_boxes(detections, detector.operating_point)[0]),
     }
     if getattr(detector, "pixels_assumed", False):
-        found["pixels"] = try_pixels(detector, pixels)
+        trials, undecided = try_pixels(detector, pixels)
+        found["pixels"] = {trial.pixels.options: trial.max_person for trial in trials}
+        found["pixels_plausible"] = {trial.pixels.options: trial.plausibility for trial in trials}
+        found["pixels_undecided"] = [trial.pixels.options for trial in trials[:undecided]]
     return found
-
-
-@torch.no_grad()
-def try_pixels(detector: OnnxDetector, image: Float[Tensor, "3 H W"]) -> dict[str, float]:
-    """The best person score that each usual way to hand over pixels gives, best first."""
-    before, scores = detector.pixels, {}
-    try:
-        for detector.pixels in USUAL:
-            scores[detector.pixels.options] = max_person_score(detector(image[None])).item()
-    finally:
-        detector.pixels = before
-    return dict(sorted(scores.items(), key=lambda item: -item[1]))
 
 
 def read_image(path: Path) -> Float[Tensor, "3 H W"]:

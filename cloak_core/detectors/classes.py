@@ -19,6 +19,12 @@ COCO = (
 )
 """The 80 COCO classes in Darknet's order and spelling."""
 
+_UNUSED_IDS = (12, 26, 29, 30, 45, 66, 68, 69, 71, 83)
+"""Of COCO's own numbers 1 to 90, those of no class."""
+_used = iter(COCO)
+COCO_IDS = ("nothing", *("unused" if number in _UNUSED_IDS else next(_used) for number in range(1, 91)))
+"""COCO's names by its own numbers, 0 to 90."""
+
 VOC = (
     "aeroplane", "bicycle", "bird", "boat", "bottle", "bus", "car", "cat", "chair", "cow", "diningtable", "dog",
     "horse", "motorbike", "person", "pottedplant", "sheep", "sofa", "train", "tvmonitor",

@@ -10,6 +10,8 @@ EXTRAS = {
     "onnx": "onnx",
     "onnx2torch": "onnx",
     "ultralytics": "ultralytics",
+    "openvino": "openvino",
+    "ai_edge_litert": "tflite",
 }
 """Package -> the extra of this project that installs it."""
 COPYLEFT = {"ultralytics": "AGPL-3.0"}

@@ -1,6 +1,7 @@
 """From a detector spec, a line of text, to a frozen detector."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -10,8 +11,20 @@ from cloak_core.detectors.defended.table import list_defences, read_head, split_
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.specs import Request, parse_spec, with_person_class
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line
 
+FILES = {
+    ".pt": "ultralytics:{}",
+    ".yaml": "ultralytics:{}",
+    ".onnx": "onnx:{}",
+    ".xml": "openvino:{}",
+    ".tflite": "tflite:{}",
+    ".cfg": "darknet:{}:WEIGHTS",
+    ".weights": "darknet:CFG:{}",
+    ".pth": "torchvision:NAME:{}",
+    ".py": "python:{}:FUNCTION",
+}
+"""Specs of files by their suffix."""
 PRECISIONS = ("float32", "bfloat16", "auto")
 
 
@@ -50,24 +63,32 @@ def load_detector(
         given = {"input_size": input_size, "letterbox": letterbox, "person_class": person_class, "device": device}
         inner = load_detector(rest, **given, compiled=compiled, layout=layout, download=download, fold=fold)
         detector = defend(inner, head)
-        detector.precision = _precision(precision, _device(device))
+        detector.precision = _precision(precision, usable_device(device))
         return detector
     request = replace(parse_spec(spec), layout=layout, download=download, fold=fold)
     request = _told(request, input_size, letterbox, person_class)
     if request.family not in FAMILIES:
+        if (meant := _meant(spec)) is not None:
+            raise InputError(f"detector {spec!r}: names no family; {meant}?")
         forms = " | ".join(family.spec for family in FAMILIES.values())
         before = " | ".join(defence["spec"] for defence in list_defences())
         raise InputError(
             f"detector {spec!r}: unknown family {request.family!r}; expected {forms}, then @OPTIONS; "
             f"or a defence before one: {before}"
         )
-    place = _device(device)
+    place = usable_device(device)
     chosen = _precision(precision, place)
     detector = FAMILIES[request.family].load(request).to(place)
     detector.precision = chosen
     if request.confidence is not None:
         detector.operating_point, detector.operating_point_assumed = request.confidence, False
     return compile_detector(detector) if compiled else detector
+
+
+def _meant(spec: str) -> str | None:
+    """What was probably meant by a file without its family; None of whatever is no such file."""
+    suffix = Path(parse_spec(spec).family).suffix.lower()
+    return FILES[suffix].format(spec) if suffix in FILES else None
 
 
 def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool, person_class: str | None) -> Request:
@@ -81,11 +102,16 @@ def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool,
     return replace(request, letterbox=letterbox or request.letterbox)
 
 
-def _device(device: str | torch.device) -> torch.device:
+def usable_device(device: str | torch.device) -> torch.device:
+    """The torch device of this name. InputError: there is no such device, or it cannot be used on this machine."""
     try:
-        return torch.device(device)
-    except RuntimeError as error:
-        raise InputError(f"--device {device}: {str(error).splitlines()[0]}") from None
+        found = torch.device(device)
+        if found.type == "meta":
+            raise RuntimeError("holds no numbers")
+        torch.empty(1, device=found)
+    except (RuntimeError, AssertionError, NotImplementedError, ImportError) as error:  # each backend has its own
+        raise InputError(f"--device {device}: {first_line(error)}") from None
+    return found
 
 
 def _precision(wanted: str, device: torch.device) -> Literal["float32", "bfloat16"]:

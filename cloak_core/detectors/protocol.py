@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from cloak_core.files.identity import package_versions
@@ -29,6 +29,11 @@ class Detections(NamedTuple):
     proposal_scores: Float[Tensor, "B N"] | None = None
     """Two-stage families: the first stage's probability that the proposal behind this box is an object, differentiable.
     A cloak that lowers it kills the proposal itself."""
+    other: Float[Tensor, "B N"] | None = None
+    """As `scores`, of the likeliest class beside the person; None where the detector knows or tells of no other class.
+    Families that place each class apart give rows of a person alone (other 0) and of another class alone (score 0)."""
+    other_class: Int[Tensor, "B N"] | None = None
+    """Which class that is: its index among the detector's `class_names`. None exactly where `other` is."""
 
 
 class Detector(nn.Module):
@@ -61,6 +66,8 @@ class Detector(nn.Module):
     options. Families fill it."""
     packages: tuple[str, ...]
     """The packages that run it, beside torch."""
+    class_names: tuple[str, ...] | None = None
+    """Names of its classes, by index; None where nobody said."""
 
     def __init__(self, name: str, spec: str) -> None:
         super().__init__()
@@ -142,7 +149,8 @@ def state_hash(detector: nn.Module) -> str:
     tensors = [*detector.named_parameters(remove_duplicate=False), *detector.named_buffers(remove_duplicate=False)]
     for name, tensor in sorted(tensors, key=lambda item: item[0]):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)};".encode())
-        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        # Copied: a tensor of one element calls itself contiguous whatever its strides are, and has no bytes to look at.
+        flat = tensor.detach().cpu().flatten().clone(memory_format=torch.contiguous_format)
         digest.update(flat.view(torch.uint8).numpy().tobytes())
     for name, module in sorted(detector.named_modules(remove_duplicate=False), key=lambda item: item[0]):
         digest.update(f"{name} training={module.training};".encode())

@@ -1,20 +1,19 @@
 """Anyone's own detector: `python:FILE.py:FUNCTION`, a callable that returns a module images -> (boxes, scores)."""
 
-import contextlib
 import importlib.util
 import sys
-import traceback
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.detectors.foreign_code import data_beside, excused, watched
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.resizing import Placement, fit
 from cloak_core.detectors.specs import Request
-from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import source_hash
 
 ROUNDING = 1e-3
@@ -24,10 +23,11 @@ ROUNDING = 1e-3
 class PythonDetector(Detector):
     """Wraps a module that takes images [B, 3, H, W] (RGB, 0..1) and returns boxes [B, N, 4] and person scores [B, N].
 
-    It may return a `Detections` instead, with `proposal_scores` where it has a first stage that can be attacked. Images
-    are handed over as they are unless an input size is given, their memory channels last (`channels_last`): the same
-    numbers, and convolutions are faster for it. A module that takes views which that layout does not allow gets the
-    usual one. The module's attributes `differentiable` and `partial_gradient` are taken over, see `Detector`.
+    It may return a `Detections` instead: with `other` and `other_class` it tells what else it sees, with
+    `proposal_scores` a first stage can be attacked. Images are handed over as they are unless an input size is given,
+    their memory channels last (`channels_last`): the same numbers, and convolutions are faster for it. A module that
+    takes views which that layout does not allow gets the usual one. The module's attributes `differentiable`,
+    `partial_gradient` and `class_names` are taken over, see `Detector`.
     """
 
     def __init__(
@@ -43,6 +43,8 @@ class PythonDetector(Detector):
         super().__init__(name, spec)
         self.differentiable = bool(getattr(module, "differentiable", True))
         self.partial_gradient = str(getattr(module, "partial_gradient", ""))
+        names = getattr(module, "class_names", None)
+        self.class_names = None if names is None else tuple(map(str, names))
         self.module, self.input_size, self.letterbox, self.file = module, input_size, letterbox, file
         self._range: Tensor | None = None
         self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)
@@ -104,7 +106,7 @@ class PythonDetector(Detector):
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
-        with _excused(self.spec, self.file):
+        with excused(self.spec, self.file):
             try:
                 return self.module(inputs.contiguous(memory_format=self.memory_format))
             except RuntimeError as error:
@@ -132,6 +134,8 @@ class PythonDetector(Detector):
                 f"for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
                 f"it returned {list(boxes)} and {list(scores)}"
             )
+        if (found.other is None) != (found.other_class is None):
+            raise self._error("must return both of other and other_class, or neither")
         return found
 
 
@@ -144,21 +148,25 @@ def load_python(request: Request) -> PythonDetector:
     file = Path(name).expanduser()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
-    with _excused(request.spec, file):
-        made = _function(file, function)()
-    if not isinstance(made, nn.Module):
-        raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")
-    detector = PythonDetector(
-        made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold, file=file
-    )
+    with excused(request.spec, file):
+        with watched(file):
+            made = _function(file, function)()
+        if not isinstance(made, nn.Module):
+            raise InputError(f"{file}: {function}() must return a torch.nn.Module, it returned {type(made).__name__}")
+        detector = PythonDetector(
+            made, file.stem, request.spec, request.input_size, request.letterbox, channels_last=request.fold, file=file
+        )
+        detector.freeze()
+        state_hash(detector)  # whoever uses it asks for this; what cannot be hashed is said here
     size = None if request.input_size is None else list(request.input_size)
     detector.source = {"file": source_hash(file), "function": function, "input_size": size}
     detector.source["letterbox"] = request.letterbox
-    detector.freeze()
+    if data := data_beside(file):
+        detector.source["data"] = data
     return detector
 
 
-def _function(file: Path, function: str):
+def _function(file: Path, function: str) -> Callable[[], object]:
     name = f"cloak_detector_{file.stem}"
     module_spec = importlib.util.spec_from_file_location(name, file)
     if module_spec is None or module_spec.loader is None:
@@ -169,19 +177,3 @@ def _function(file: Path, function: str):
     if not callable(getattr(module, function, None)):
         raise InputError(f"{file}: has no function {function!r}")
     return getattr(module, function)
-
-
-@contextlib.contextmanager
-def _excused(spec: str, file: Path | None) -> Iterator[None]:
-    """What the user's code raises, or its leaving the process, becomes an InputError with the line of their file."""
-    try:
-        yield
-    except (InputError, MemoryError, torch.OutOfMemoryError):
-        raise
-    except (Exception, SystemExit) as error:
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(file)]
-        if isinstance(error, SyntaxError) and error.filename == str(file):
-            lines.append(error.lineno)
-        place = f"{file}:{lines[-1]}: " if lines else ""
-        words = f"it ends the process with {error.code}" if isinstance(error, SystemExit) else first_line(error)
-        raise InputError(f"{spec}: {place}{type(error).__name__}: {words}") from error

@@ -43,10 +43,13 @@ def person_boxes(detections: Detections, threshold: float = THRESHOLD, nms: floa
 
     Rows are x1, y1, x2, y2, score, best first.
     """
-    return [_suppress(boxes, scores, threshold, nms) for boxes, scores in zip(*detections[:2], strict=True)]
+    return [suppressed(boxes, scores, threshold, nms) for boxes, scores in zip(*detections[:2], strict=True)]
 
 
-def _suppress(boxes: Tensor, scores: Tensor, threshold: float, nms: float) -> Tensor:
+def suppressed(
+    boxes: Float[Tensor, "N 4"], scores: Float[Tensor, "N"], threshold: float, nms: float
+) -> Float[Tensor, "n 5"]:
+    """Keep one image's boxes above the threshold, after non-maximum suppression at IoU `nms`; best first."""
     from torchvision.ops import nms as kept_by_nms  # its import takes nearly two seconds
 
     order = scores.argsort(descending=True, stable=True)

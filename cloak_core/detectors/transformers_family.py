@@ -16,6 +16,7 @@ from torch.overrides import TorchFunctionMode
 from cloak_core.detectors.classes import person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
+from cloak_core.detectors.outcomes import best_other
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
@@ -82,7 +83,10 @@ class TransformersDetector(Detector):
         half = boxes[..., 2:] / 2
         corners = torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
         pixels = torch.tensor([images.shape[3], images.shape[2]] * 2, device=boxes.device, dtype=boxes.dtype)
-        return Detections(boxes=corners * pixels, scores=probability[..., self.person])
+        other = best_other(probability[..., : self.labels], self.person)
+        return Detections(
+            boxes=corners * pixels, scores=probability[..., self.person], other=other.scores, other_class=other.number
+        )
 
 
 def load_transformers(request: Request) -> TransformersDetector:
@@ -101,6 +105,7 @@ def load_transformers(request: Request) -> TransformersDetector:
     preprocessing = _preprocessing(where, model.config.model_type, request)
     model = _folded(model.eval(), preprocessing) if request.fold else model
     detector = TransformersDetector(model, preprocessing, person, folder.name, request.spec)
+    detector.class_names = names
     # The configuration as the library understood it; where it was found says nothing about the model.
     config = {key: str(value) for key, value in model.config.to_dict().items() if key != "_name_or_path"}
     detector.source = {"config": sha256_record(config), "preprocessing": str(preprocessing), "person": person}

@@ -1,4 +1,4 @@
-"""Is a detector fit to be attacked: does it find clean bodies, and is it silent where nobody is?"""
+"""Check that a detector finds clean bodies and reports nobody on bare backgrounds, before it is attacked."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -14,11 +15,13 @@ from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.measurement import Trials
-from cloak_core.evaluation.stage import Stage
+from cloak_core.evaluation.measure import batches
+from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.trials import make_trials
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.logos.logo import make_logo
@@ -41,12 +44,13 @@ def check_scene(
     threshold: float = THRESHOLD,
     seed: int = 0,
 ) -> dict:
-    """Share of clean renders with a person found, and of bare backgrounds with a false alarm.
+    """Measure recall on clean renders, and false alarms on bare backgrounds.
 
     Every body in its first outfit, at every angle (azimuths, degrees; distance 2.2, elevation 6), before
     `images_per_view` backgrounds drawn at random, moved by up to `SHIFT` pixels. Returns {"clean_recall",
     "false_alarms": at `threshold`, "clean_recall_own", "false_alarms_own": at the detector's "operating_point",
-    "operating_point_assumed": nobody said which that is, "n": renders, "backgrounds": bare backgrounds}.
+    "operating_point_assumed": nobody said which that is, "n": renders, "backgrounds": bare backgrounds,
+    "alarms": the names and best scores of backgrounds above either threshold, the worst first}.
     """
     if not len(angles):
         raise InputError("--angles: none given")
@@ -54,19 +58,18 @@ def check_scene(
     pose = np.repeat(np.arange(bodies.pose_count), len(angles) * images_per_view)
     angle = np.tile(np.repeat(np.asarray(angles, np.float32), images_per_view), bodies.pose_count)
     camera = Camera(width=SIZE, height=SIZE)
-    trials = Trials(
-        pose=pose,
-        angle=angle,
-        elevation=np.full(len(pose), camera.elevation, np.float32),
-        distance=np.full(len(pose), camera.distance, np.float32),
-        background=rng.integers(len(backgrounds), size=len(pose)),
-        shift=np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1),
-        outfit=np.zeros(len(pose), np.int64),
+    background = rng.integers(len(backgrounds), size=len(pose))
+    shift = np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1)
+    trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
+    renderer = _clean_renderer(
+        bodies, backgrounds, trials, camera, ViewCache(bodies, RenderSettings(device=detector.device))
     )
-    stage = _clean_stage(bodies, backgrounds, trials, camera, ViewBank(bodies, device=detector.device))
     thresholds = (threshold, detector.operating_point)
-    recall, recall_own = _shares(detector, partial(stage.images, control=CLOTHING), len(pose), thresholds)
-    alarms, alarms_own = _shares(detector, stage.bare, len(backgrounds), thresholds)
+    clean = _best_scores(detector, partial(render_images, renderer, control=CLOTHING), len(pose))
+    bare = _best_scores(detector, renderer.bare, len(backgrounds))
+    recall, recall_own = (int((clean > t).sum()) / len(clean) for t in thresholds)
+    alarms, alarms_own = (int((bare > t).sum()) / len(bare) for t in thresholds)
+    loudest = [int(index) for index in bare.argsort(descending=True) if bare[index] > min(thresholds)]
     return {
         "clean_recall": recall,
         "false_alarms": alarms,
@@ -76,47 +79,42 @@ def check_scene(
         "false_alarms_own": alarms_own,
         "n": len(pose),
         "backgrounds": len(backgrounds),
+        "alarms": [{"background": backgrounds.names[i], "score": round(float(bare[i]), 4)} for i in loudest],
     }
 
 
 def clean_renders(count: int, size: tuple[int, int], seed: int = 0) -> UInt8[Tensor, "B 3 H W"]:
-    """Renders of the unseen sample bodies in all their outfits, (height, width) `size`, from all around, 1.6 to 4 m
-    away, before procedural scenes; as bytes, a quarter of the memory."""
+    """Render the unseen sample bodies as bytes, (height, width) `size`.
+
+    In all their outfits, from all around, 1.6 to 4 m away, before procedural scenes.
+    """
     bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test", size)
     rng = np.random.default_rng([seed, 0xC1EA])
-    trials = Trials(
-        pose=np.arange(count) % bodies.pose_count,
-        angle=rng.uniform(-180, 180, count).astype(np.float32),
-        distance=rng.uniform(1.6, 4, count).astype(np.float32),
-        elevation=np.full(count, 6, np.float32),
-        background=rng.integers(len(backgrounds), size=count),
-        shift=np.zeros((count, 2), np.int64),
-        outfit=rng.integers(len(bodies.face_colors), size=count),
-    )
-    bank = ViewBank(bodies, memory_bytes=0)  # no view comes twice
-    stage = _clean_stage(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), bank)
+    angle, distance = rng.uniform(-180, 180, count), rng.uniform(1.6, 4, count)
+    background, outfit = rng.integers(len(backgrounds), size=count), rng.integers(len(bodies.face_colors), size=count)
+    pose, shift = np.arange(count) % bodies.pose_count, np.zeros((count, 2))
+    trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
+    view_cache = ViewCache(bodies, RenderSettings(memory_bytes=0))  # no view comes twice
+    renderer = _clean_renderer(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), view_cache)
     renders = torch.zeros(count, 3, *size, dtype=torch.uint8)
-    for first in range(0, count, BATCH):
-        batch = range(first, min(first + BATCH, count))
-        renders[first : batch.stop] = as_bytes(stage.images(batch, control=CLOTHING))
+    for batch in batches(np.arange(count), BATCH):
+        renders[batch] = as_bytes(render_images(renderer, batch, CLOTHING))
     return renders
 
 
 def as_bytes(images: Float[Tensor, "*B 3 H W"]) -> UInt8[Tensor, "*B 3 H W"]:
-    """From [0, 1]."""
+    """Convert images in [0, 1] to bytes."""
     return (images * 255).round().to(torch.uint8)
 
 
-def _clean_stage(bodies: Bodies, backgrounds: Backgrounds, trials: Trials, camera: Camera, bank: ViewBank) -> Stage:
-    """One face stands for the logo, in its own colour: bodies as they are."""
+def _clean_renderer(
+    bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, view_cache: ViewCache
+) -> BodyRenderer:
+    """Make a renderer of bodies as they are: one face stands for the logo, in its own colour."""
     colors, logo = bodies.face_colors[0, :1], make_logo(bodies, [0])
-    return Stage(colors, logo, bodies, backgrounds, trials, viewpoint=camera, bank=bank)
+    return BodyRenderer(colors, logo, bodies, backgrounds, trials, viewpoint=camera, view_cache=view_cache)
 
 
-def _shares(
-    detector: Detector, images: Callable[[range], torch.Tensor], count: int, thresholds: Sequence[float]
-) -> list[float]:
-    """Of `count` images, in how many a person is found at each threshold."""
-    batches = [range(first, min(first + BATCH, count)) for first in range(0, count, BATCH)]
-    best = torch.cat([max_person_score(detector(images(batch))) for batch in batches])
-    return [int((best > threshold).sum()) / count for threshold in thresholds]
+def _best_scores(detector: Detector, images: Callable[[np.ndarray], Tensor], count: int) -> Float[Tensor, " count"]:
+    """Find the best person score of each of `count` images."""
+    return torch.cat([max_person_score(detector(images(batch))) for batch in batches(np.arange(count), BATCH)]).cpu()

@@ -1,4 +1,4 @@
-"""What a logo is compared with, on the very same images: other colours for the same faces.
+"""Make the colours that a logo is compared with, for the same faces in the same images.
 
 A high success means little when any odd patch would have done as well. So beside the trained colours stand the body's
 own clothing, plain grey, random colours, and two natural patterns (stripes and checks) as strong as the trained one.
@@ -26,7 +26,7 @@ STRIPE = 0.05
 def control_colors(
     control: str, trained: Float[np.ndarray, "L 3"], bodies: Bodies, face_ids: Int[np.ndarray, L]
 ) -> Float[np.ndarray, "K L 3"]:
-    """Colours of the logo's faces under a control that is the same in every image: one per outfit (K of them).
+    """Compute the logo's colours under a control that is the same in every image: one set per outfit (K).
 
     "random" differs from image to image: see `random_colors`. InputError for names that are no control.
     """
@@ -44,7 +44,7 @@ def control_colors(
 
 
 def random_colors(seed: int, image: int, count: int) -> Float[np.ndarray, "L 3"]:
-    """Uniform random colours of one image, from the seed and the image's number alone."""
+    """Draw uniform random colours of one image, from the seed and the image's number alone."""
     return np.random.default_rng([seed, image]).random((count, 3), np.float32)
 
 

@@ -10,24 +10,24 @@ from __future__ import annotations
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
-from cloak_core.evaluation.measurement import Trials
-from cloak_core.evaluation.stage import Indices, Stage
+from cloak_core.evaluation.renderer import BodyRenderer, Indices
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
-from cloak_core.render.images.dressing import DressedView
-from cloak_core.render.weights.shading import NormalOperator
+from cloak_core.render.normals import NormalOperator
+from cloak_core.render.types import BakedView
 from cloak_core.scene.blender.executable import ADD_ON, bpy_version, find_bpy
 from cloak_core.scene.pictures import read_picture
 
@@ -55,48 +55,50 @@ def require_blender() -> str:
     return python
 
 
-def first_trials(trials: Trials) -> dict[tuple[int, float], int]:
-    """Every pose and angle (degrees), sorted, and the first trial that shows it."""
-    places = list(zip(trials.pose.tolist(), trials.angle.tolist(), strict=True))
+def first_trials(trials: pd.DataFrame) -> dict[tuple[int, float], int]:
+    """Find the first trial of every pose and angle (degrees), sorted."""
+    places = list(zip(trials["pose"].tolist(), trials["angle"].tolist(), strict=True))
     return {place: places.index(place) for place in sorted(set(places))}
 
 
-def in_cycles(stage: Stage, controls: Sequence[str], out: Path, light: str, on_frame: OnFrame) -> CyclesStage:
-    """The stage in one light of Cycles, its trials in the first outfit; frames are kept in a folder in `out`."""
+def in_cycles(
+    renderer: BodyRenderer, controls: Sequence[str], out: Path, light: str, on_frame: OnFrame
+) -> CyclesRenderer:
+    """Render the trials in one light of Cycles, in the first outfit; frames are kept in a folder in `out`."""
     require_blender()
     # Every other outfit would need frames of its own.
-    stage.trials = replace(stage.trials, outfit=np.zeros_like(stage.trials.outfit))
-    return CyclesStage(stage, render_frames(stage, controls, out, SAMPLES, on_frame, (light,)), light)
+    renderer.trials = renderer.trials.assign(outfit=0)
+    return CyclesRenderer(renderer, render_frames(renderer, controls, out, SAMPLES, on_frame, (light,)), light)
 
 
 def render_frames(
-    stage: Stage,
+    renderer: BodyRenderer,
     controls: Sequence[str],
     out: Path,
     samples: int,
     on_frame: OnFrame,
     lights: Sequence[str] = LIGHTS,
 ) -> Path:
-    """Render every pose and angle of the stage's trials in every colouring and light; returns the frames' folder.
+    """Render every pose and angle of the trials in every colouring and light; return the frames' folder.
 
     The folder OUT/HASH is named by what decides the pixels, so frames are rendered once, and a job that was stopped
     goes on. The first outfit is worn throughout, and "random" has one draw.
     """
     python = require_blender()
-    colors = np.stack([_triangle_colors(stage, control) for control in controls])
+    colors = np.stack([_triangle_colors(renderer, control) for control in controls])
     job = {
-        "size": stage.camera(0).height,
+        "size": renderer.camera(0).height,
         "samples": samples,
-        "near": stage.camera(0).near_plane,
-        "far": 100 * stage.camera(0).distance,
+        "near": renderer.camera(0).near_plane,
+        "far": 100 * renderer.camera(0).distance,
         "frames": [
-            {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(stage, trial)
+            {"file": file_name(light, *place, control), "colors": number, "light": light} | _view(renderer, trial)
             for light in lights
-            for place, trial in first_trials(stage.trials).items()
+            for place, trial in first_trials(renderer.trials).items()
             for number, control in enumerate(controls)
         ],
     }
-    bodies = stage.bodies
+    bodies = renderer.bodies
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
     mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
     content = [sha256_arrays(*mesh.values()), job, source_hash(ADD_ON / SCRIPT), bpy_version(python)]
@@ -132,9 +134,9 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
         raise RuntimeError(f"Blender ended with exit code {code} before {missing[0]} was rendered:\n{tail}")
 
 
-def _view(stage: Stage, trial: int) -> dict:
-    camera, pose = stage.camera(trial), int(stage.trials.pose[trial])
-    vertices = stage.bodies.vertices[pose].astype(np.float64)
+def _view(renderer: BodyRenderer, trial: int) -> dict:
+    camera, pose = renderer.camera(trial), int(renderer.trials.at[trial, "pose"])
+    vertices = renderer.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
         "pose": pose,
@@ -149,14 +151,14 @@ def file_name(light: str, pose: int, angle: float, control: str) -> str:
     return f"{light}-{pose}-{angle:+g}-{control}.png"
 
 
-def _triangle_colors(stage: Stage, control: str) -> Float32[np.ndarray, "T 3"]:
+def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray, "T 3"]:
     """Colours of all triangles with the logo's faces coloured as `control` says, in the first outfit."""
-    bodies, ids = stage.bodies, stage.logo.face_ids
+    bodies, ids = renderer.bodies, renderer.logo.face_ids
     faces = bodies.face_colors[0].copy()
     if control == "random":
-        faces[ids] = random_colors(stage.seed, 0, len(ids))
+        faces[ids] = random_colors(renderer.seed, 0, len(ids))
     else:
-        faces[ids] = control_colors(control, stage.colors, bodies, ids)[0]
+        faces[ids] = control_colors(control, renderer.colors, bodies, ids)[0]
     return faces[bodies.triangle_face]
 
 
@@ -167,11 +169,11 @@ def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
     return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
 
 
-class CyclesStage(Stage):
-    """A stage whose bodies come from frames of `render_frames` under one light."""
+class CyclesRenderer(BodyRenderer):
+    """Render trials from frames of `render_frames` under one light."""
 
-    def __init__(self, stage: Stage, folder: Path, light: str) -> None:
-        super().__init__(**{field.name: getattr(stage, field.name) for field in fields(Stage)})
+    def __init__(self, renderer: BodyRenderer, folder: Path, light: str) -> None:
+        super().__init__(**{field.name: getattr(renderer, field.name) for field in fields(BodyRenderer)})
         self._folder, self._light = folder, light
         self._bodies: dict[tuple[int, float, str], Tensor] = {}
 
@@ -181,11 +183,11 @@ class CyclesStage(Stage):
         return self._folder.name
 
     def compose(
-        self, views: Sequence[DressedView], indices: Indices, controls: Sequence[str]
+        self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
     ) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """The images of these trials under each control; `views` are not looked at."""
         behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
-        seen = [(int(self.trials.pose[i]), float(self.trials.angle[i])) for i in indices]
+        seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
         for control in controls:
             bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
             images = [b[:3] * b[3:] + back * (1 - b[3:]) for b, back in zip(bodies, behind, strict=True)]
@@ -210,7 +212,7 @@ def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tenso
     return moved
 
 
-def image_difference(ours: Stage, cycles: CyclesStage, control: str = LOGO) -> dict[str, float]:
+def image_difference(ours: BodyRenderer, cycles: CyclesRenderer, control: str = LOGO) -> dict[str, float]:
     """How the bodies differ on average over poses and angles, before mid-grey, in display colours [0, 1].
 
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both

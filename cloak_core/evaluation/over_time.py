@@ -1,4 +1,4 @@
-"""Success over time: what a run's colours were worth after so many steps, seconds and queries."""
+"""Measure success over time: of a run's snapshots after so many steps, seconds and queries."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
-
 from cloak_core.attack.events import read_events
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.evaluate import evaluate
-from cloak_core.evaluation.experiments.drawing import look
-from cloak_core.evaluation.figures import legend_above, new_figure, percent_axis, save_figure, style
-from cloak_core.evaluation.inference import OnProgress
+from cloak_core.evaluation.measure import OnProgress
+from cloak_core.evaluation.report.plots import success_over_time
+from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.exchange.bodies import Bodies
@@ -39,7 +36,7 @@ def over_time(
     settings: EvaluateSettings,
     on_progress: OnProgress | None = None,
 ) -> list[dict]:
-    """Judge every snapshot of a run on the same images; writes RUN/curve.json, .png and .svg.
+    """Measure every snapshot of a run on the same images; write RUN/curve.json, .png and .svg.
 
     A row each: {"step", "seconds", "queries" (of a search), "detectors": {SPEC: {"success", "success_own", "ci95",
     "ci95_own", "n"}}}. InputError: the run kept none (`cloak train --snapshot-every`).
@@ -61,23 +58,5 @@ def over_time(
         rows.append(row | {"detectors": rates})
     write_json(run / "curve.json", {"rows": rows})
     with style():
-        save_figure(draw(rows), run / "curve")
+        save_figure(success_over_time(rows, {spec: short_name(spec) for spec in detectors}), run / "curve")
     return rows
-
-
-def draw(rows: Sequence[dict]) -> Figure:
-    """Success at 0.6 with its intervals over queries, where it was a search, else seconds, else steps."""
-    axis_of = {"queries": "queries", "seconds": "training time (s)", "step": "step"}
-    along = next(key for key in axis_of if all(row.get(key) is not None for row in rows))
-    figure, (axis,) = new_figure()
-    x = [row[along] for row in rows]
-    for k, spec in enumerate(rows[0]["detectors"]):
-        mine = [row["detectors"][spec] for row in rows]
-        shape = look(k)
-        axis.plot(x, [rate["success"] for rate in mine], label=short_name(spec), clip_on=False, **shape)
-        bounds = np.array([rate["ci95"] for rate in mine], float)
-        axis.fill_between(x, *bounds.T, color=shape["color"], alpha=0.12, lw=0)
-    axis.set_xlabel(axis_of[along])
-    percent_axis(axis)
-    legend_above(figure)
-    return figure

@@ -1,4 +1,4 @@
-"""Whether an evaluation's bodies and backgrounds were really kept from the training, and which detectors were."""
+"""Check that bodies and backgrounds were kept from training, and which detectors it was against."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
-    """`unseen` of the summary ({"bodies": bool or None, "backgrounds": bool or None}) and one warning per overlap.
+    """Compare an evaluation's bodies and backgrounds with those of the training.
 
-    `config` is a run's config.json. Trained poses count as seen also where they were moved as a whole, and images
-    however they are stored. None: it is not certain, for backgrounds look like trained ones, or `config` does not tell.
+    config: a run's config.json. Returns the summary's `unseen` ({"bodies": bool or None, "backgrounds": bool or None})
+    and one warning per overlap. Trained poses count as seen also where they are moved as a whole, and images however
+    they are stored. None: not certain, because backgrounds look like trained ones or `config` does not tell.
     """
     if not config:
         return {"bodies": None, "backgrounds": None}, []
@@ -36,7 +37,7 @@ def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]
     pairs = similar_poses([_numbers(shape, len(shapes[0])) for shape in _list(scene, "pose_shapes")], shapes)
     moved = {j: i for i, j in pairs if j not in seen}
     names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
-    warnings += _overlap("bodies are trained ones, moved as a whole", names)
+    warnings += _overlap("bodies are trained ones, moved, scaled or changed by millimetres", names)
     return not (seen or moved), warnings
 
 
@@ -62,10 +63,10 @@ def _overlap(what: str, names: Sequence[str], verdict: str = "is not unseen") ->
 
 
 def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> dict[str, bool | None]:
-    """Of each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
+    """Tell for each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
 
-    Weights count, not names: the same ones at another input size are no black box. A detector without any is known by
-    the source that runs it.
+    Weights count, not names: the same weights at another input size are no black box. A detector without weights is
+    known by the source that runs it.
     """
     trained = (config or {}).get("detectors")
     if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
@@ -95,6 +96,6 @@ def _name(part: dict, key: str, index: int) -> str:
 
 
 def _numbers(value: object, count: int) -> Sequence[float]:
-    """A list of so many numbers, or of nothing that equals anything."""
+    """Check a list of numbers; nans, which equal nothing, where it is something else."""
     fits = isinstance(value, list) and len(value) == count and all(isinstance(n, (int, float)) for n in value)
     return value if fits else [np.nan] * count

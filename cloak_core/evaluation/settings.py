@@ -11,11 +11,12 @@ from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import STANDARD
 from cloak_core.evaluation.intervals import RESAMPLES
 from cloak_core.files.errors import InputError
+from cloak_core.render.settings import RenderOptions
 from cloak_core.scene.cameras import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateSettings:
+class EvaluateSettings(RenderOptions):
     """How to evaluate. The defaults are the paper's camera and threshold."""
 
     images_per_view: Annotated[int, Within(1)] = 4
@@ -32,8 +33,6 @@ class EvaluateSettings:
     """Vertical field of view, degrees."""
     size: Annotated[int, Within(16, 4096)] = 416
     """Width and height of the images, pixels."""
-    samples: Literal[1, 4, 16, 64] | None = None
-    """Samples per pixel; None takes the renderer's default."""
     cycles: Literal["matching", "studio", "sky"] | None = None
     """Bodies as Blender's Cycles renders them in this light (needs bpy): our model's own, lamps in a room, or sun and
     sky. In their first outfit, from one distance and elevation; into RUN/evaluation-LIGHT."""

@@ -1,4 +1,4 @@
-"""A run that training left: its record, and what was kept back from it."""
+"""Read a run that training left: its record, and what was kept back from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
 
 
 def read_run(folder: Path) -> dict:
-    """A run's config.json; InputError when this is no finished run."""
+    """Read a run's config.json; InputError when this is no finished run."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
     if not (folder / "config.json").exists():
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
     if not (folder / "colors.npy").exists():
@@ -31,7 +33,7 @@ def read_run(folder: Path) -> dict:
 
 
 def kept_back(kind: str, config: dict) -> str:
-    """The embedded material that training did not see; for anything else the user must say."""
+    """Name the embedded material that training did not see; InputError for anything else, which the user must name."""
     inputs = config.get("inputs", {})
     made_from = inputs.get("made_from", "") if kind == "scene" else ""
     spec, _ = split_selection(made_from or inputs.get(kind, ""))

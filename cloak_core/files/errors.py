@@ -18,7 +18,10 @@ def one_line(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def first_line(error: Exception) -> str:
-    """What an exception says, on one line."""
-    words = str(error).strip()
+def first_line(error: BaseException) -> str:
+    """What an exception says, on one line; its class's name where it says nothing, or fails to."""
+    try:
+        words = str(error).strip()
+    except Exception:  # an exception of somebody else's making
+        words = ""
     return words.splitlines()[0] if words else type(error).__name__

@@ -53,6 +53,12 @@ def code_hash(*parts: str) -> str:
 
 def source_hash(file: Path) -> str:
     """SHA-256 (hex) of a Python file and of all it imports from its own folder, directly or through others."""
+    found = imported_files(file)
+    return sha256_record({name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()})
+
+
+def imported_files(file: Path) -> dict[str, Path]:
+    """A Python file (by "") and all it imports from its own folder, directly or through others, by module names."""
     folder, found = file.parent, {"": file}
     left = [file]
     while left:
@@ -62,7 +68,7 @@ def source_hash(file: Path) -> str:
                 if name not in found and path.is_file():
                     found[name] = path
                     left.append(path)
-    return sha256_record({name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in found.items()})
+    return found
 
 
 def _imports(file: Path) -> Iterable[str]:

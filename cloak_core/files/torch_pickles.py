@@ -8,7 +8,6 @@ refused before it is looked up.
 from __future__ import annotations
 
 import io
-import math
 import re
 import zipfile
 from collections import OrderedDict
@@ -20,12 +19,16 @@ from typing import BinaryIO
 import numpy as np
 
 from .errors import InputError, first_line
+from .pickle_machine import PickleMachine
+from .pickle_values import Admitted, count_of, plain_key
 from .reading import MAX_BYTES, check_directory, open_regular
-from .unpickling import ADMITTED, ArrayUnpickler
+from .unpickling import ADMITTED
 from .writing import replace_file
 
 MAX_PICKLE_BYTES = 64 << 20
 """Of the pickle alone, without the numbers."""
+MAX_MEMBERS = 1 << 14
+"""Of an archive: a storage each."""
 
 
 @dataclass(frozen=True)
@@ -49,40 +52,59 @@ _KINDS = {
 }
 
 
-def _tensor(storage: np.ndarray, offset: int, shape: tuple, strides: tuple, *unused: object) -> np.ndarray:
+def _tensor(
+    machine: PickleMachine, storage: object, offset: object, shape: object, strides: object, *unused: object
+) -> np.ndarray:
     """A view of a storage; ValueError where it would reach beyond its numbers."""
-    plain = all(isinstance(n, int) and n >= 0 for n in (offset, *shape, *strides)) and len(shape) == len(strides)
-    if not isinstance(storage, np.ndarray) or not plain:
+    count = count_of(shape)
+    count_of(strides)
+    if not isinstance(storage, np.ndarray) or storage.ndim != 1 or len(shape) != len(strides) or not _whole(offset):
         raise ValueError("a tensor without numbers")
-    if math.prod(shape) == 0:
+    machine.charge(count * storage.itemsize)  # one number may stand for many, and whoever copies it has them all
+    if not count:
         return np.zeros(shape, storage.dtype)
     if offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True)) >= len(storage):
         raise ValueError("a tensor beyond its numbers")
     steps = [step * storage.itemsize for step in strides]
-    return np.lib.stride_tricks.as_strided(storage[offset:], shape, steps, writeable=storage.flags.writeable)
+    return np.ndarray(shape, storage.dtype, storage, offset * storage.itemsize, steps)
 
 
-def _parameter(data: object, *unused: object) -> object:
+def _parameter(machine: PickleMachine, data: object, *unused: object) -> object:
     return data
 
 
-def _plain_dict(*unused: object) -> OrderedDict:
+def _dictionary(machine: PickleMachine, *unused: object) -> OrderedDict:
     return OrderedDict()
 
 
-def _shape(values: object = ()) -> tuple:
-    return tuple(values)
+def _shape(machine: PickleMachine, values: object = ()) -> tuple:
+    count_of(values)
+    return values
 
 
-_ADMITTED = ADMITTED | {
-    ("collections", "OrderedDict"): OrderedDict,
-    ("collections", "defaultdict"): _plain_dict,
-    ("builtins", "set"): set,
-    ("__builtin__", "set"): set,
-    ("torch", "Size"): _shape,
-    ("torch._utils", "_rebuild_tensor_v2"): _tensor,
-    ("torch._utils", "_rebuild_parameter"): _parameter,
-    ("torch._utils", "_rebuild_parameter_with_state"): _parameter,
+def _set(machine: PickleMachine, values: object = ()) -> set:
+    made: set = set()
+    if values:
+        if not isinstance(values, (list, tuple)):
+            raise ValueError("a set of no list")
+        machine.charge(64 * len(values))
+        made.update(map(plain_key, values))
+    return made
+
+
+def _whole(value: object) -> bool:
+    return type(value) is int and value >= 0
+
+
+_ADMITTED: dict[tuple[str, str], object] = ADMITTED | {
+    ("collections", "OrderedDict"): Admitted(_dictionary),
+    ("collections", "defaultdict"): Admitted(_dictionary),
+    ("builtins", "set"): Admitted(_set),
+    ("__builtin__", "set"): Admitted(_set),
+    ("torch", "Size"): Admitted(_shape),
+    ("torch._utils", "_rebuild_tensor_v2"): Admitted(_tensor),
+    ("torch._utils", "_rebuild_parameter"): Admitted(_parameter),
+    ("torch._utils", "_rebuild_parameter_with_state"): Admitted(_parameter),
 }
 _ADMITTED |= {("torch", name): _Kind(dtype) for name, dtype in _KINDS.items()}
 _RECORDED = re.compile(
@@ -92,14 +114,21 @@ _RECORDED = re.compile(
 )
 
 
-class TorchUnpickler(ArrayUnpickler):
+class TorchMachine(PickleMachine):
     """Admits tensors and records of modules; raises `InputError` with the name of anything else."""
 
     admitted = _ADMITTED
     recorded = _RECORDED
 
-    def __init__(self, file: object, path: Path, archive: zipfile.ZipFile | None = None, folder: str = "") -> None:
-        super().__init__(file, path)
+    def __init__(
+        self,
+        file: io.BufferedIOBase,
+        path: Path,
+        archive: zipfile.ZipFile | None = None,
+        folder: str = "",
+        size: int | None = None,
+    ) -> None:
+        super().__init__(file, path, size)
         self.archive, self.folder = archive, folder
         self.storages: dict[str, np.ndarray] = {}
 
@@ -108,7 +137,7 @@ class TorchUnpickler(ArrayUnpickler):
         if self.archive is None:
             raise InputError(f"{self.path}: written by a torch older than 1.6; load it there and save it with a newer")
         word, kind, key, _, count = pid
-        if word != "storage" or not isinstance(kind, _Kind) or not isinstance(count, int):
+        if word != "storage" or not isinstance(kind, _Kind) or not isinstance(key, str) or not _whole(count):
             raise ValueError("a reference to something that is no storage")
         if key not in self.storages:
             self.storages[key] = _numbers(self.archive.read(f"{self.folder}data/{key}"), kind.dtype, count)
@@ -129,13 +158,13 @@ def read_torch_pickle(path: Path) -> object:
             if start == b"PK\3\4":
                 return _read_archive(file, path)
             _refuse_pickle(file, path)
-    except InputError:
+    except (InputError, MemoryError):
         raise
-    except Exception as error:  # damage shows itself as almost any error of zipfile, pickle and numpy
+    except Exception as error:  # damage shows itself as almost any error of zipfile, codecs, struct and numpy
         raise InputError(f"{path}: not a whole file of torch.save ({first_line(error)[:160]})") from None
 
 
-class _Rewriter(TorchUnpickler):
+class _Rewriter(TorchMachine):
     """The numbers can be written to, and are remembered by their members of the archive."""
 
     def persistent_load(self, pid: object) -> np.ndarray:
@@ -158,9 +187,9 @@ def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], 
     with open_regular(source, MAX_BYTES) as file, zipfile.ZipFile(file) as archive:
         (pickled,) = (name for name in archive.namelist() if name == "data.pkl" or name.endswith("/data.pkl"))
         folder = pickled.removesuffix("data.pkl")
-        unpickler = _Rewriter(io.BytesIO(archive.read(pickled)), source, archive, folder)
-        change(unpickler.load())
-        changed = {f"{folder}data/{key}": numbers.tobytes() for key, numbers in unpickler.storages.items()}
+        machine = _Rewriter(io.BytesIO(archive.read(pickled)), source, archive, folder, source.stat().st_size)
+        change(machine.load())
+        changed = {f"{folder}data/{key}": numbers.tobytes() for key, numbers in machine.storages.items()}
 
         def write(out: BinaryIO) -> None:
             with zipfile.ZipFile(out, "w") as written:
@@ -172,23 +201,27 @@ def rewrite_torch_pickle(source: Path, target: Path, change: Callable[[object], 
 
 def _read_archive(file: io.BufferedIOBase, path: Path) -> object:
     check_directory(file)
+    size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
-        sizes = {member.filename: member.file_size for member in archive.infolist()}
-        found = [name for name in sizes if name == "data.pkl" or name.endswith("/data.pkl")]
-        if any(name.endswith("constants.pkl") for name in sizes):
+        members = archive.infolist()
+        found = [m for m in members if m.filename == "data.pkl" or m.filename.endswith("/data.pkl")]
+        if any(m.filename.endswith("constants.pkl") for m in members):
             raise InputError(f"{path}: a TorchScript archive, a compiled program; give the checkpoint it was made from")
-        if len(found) != 1 or sizes[found[0]] > MAX_PICKLE_BYTES or sum(sizes.values()) > MAX_BYTES:
-            raise ValueError("no archive of one model" if len(found) != 1 else "too large")
-        folder = found[0].removesuffix("data.pkl")
-        if f"{folder}byteorder" in sizes and archive.read(f"{folder}byteorder") != b"little":
+        if len(found) != 1 or len(members) > MAX_MEMBERS:
+            raise ValueError("no archive of one model")
+        # torch compresses nothing, and no two members share their bytes.
+        if found[0].file_size > MAX_PICKLE_BYTES or sum(m.file_size for m in members) > size:
+            raise ValueError("too large: it would unpack to more than it is")
+        folder = found[0].filename.removesuffix("data.pkl")
+        if any(m.filename == f"{folder}byteorder" for m in members) and archive.read(f"{folder}byteorder") != b"little":
             raise ValueError("big-endian numbers")
-        return TorchUnpickler(io.BytesIO(archive.read(found[0])), path, archive, folder).load()
+        return TorchMachine(io.BytesIO(archive.read(found[0])), path, archive, folder, size).load()
 
 
 def _refuse_pickle(file: io.BufferedIOBase, path: Path) -> None:
     """A bare pickle, perhaps torch's format before 1.6: InputError, which names what of it is never loaded."""
     for _ in range(4):  # that format's mark, its version, the machine, and only then the content
-        TorchUnpickler(file, path).load()
+        TorchMachine(file, path).load()
     raise ValueError("a bare pickle")
 
 

@@ -1,96 +1,82 @@
 """Reading arrays out of a pickle without running anything that it says.
 
-The original SMPL models are pickles of numpy arrays, scipy sparse matrices and chumpy objects. Only those are
-admitted: arrays are rebuilt by numpy from bytes, everything else becomes an inert record of its state (neither scipy
-nor chumpy is imported). Any other name in the file is refused before it is looked up.
+The original SMPL models are pickles of numpy arrays, scipy sparse matrices and chumpy objects. Only those are admitted:
+arrays are rebuilt from their bytes, everything else becomes an inert record of its state (neither scipy nor chumpy is
+imported). Any other name in the file is refused. `pickle_machine` reads the opcodes.
 """
 
 from __future__ import annotations
 
-import pickle
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, first_line
+from .pickle_machine import PickleMachine
+from .pickle_values import Admitted, DType, Record, count_of
 from .reading import MAX_BYTES, open_regular
 
+__all__ = ["ADMITTED", "ArrayMachine", "Record", "read_pickled_arrays"]
 
-class Record:
-    """What is left of an object of a class that is not imported: its class's name and its state."""
-
-    def __new__(cls, *args: object) -> Record:
-        record = object.__new__(cls)
-        record.state = {}
-        return record
-
-    def __init__(self, *args: object) -> None:
-        pass
-
-    def __setstate__(self, state: object) -> None:
-        self.state = state if isinstance(state, dict) else {}
+MAX_SELECTIONS = 8
+"""Selections of selections (chumpy)."""
 
 
-class _Named:
-    """Stands for a class that only serves as an argument; calling it fails."""
+def _reconstruct(machine: PickleMachine, kind: object = None, shape: object = None, code: object = None) -> np.ndarray:
+    """numpy's empty array, which its state fills."""
+    return machine.new_array()
 
 
-def _reconstruct(kind: object, shape: object, code: object) -> np.ndarray:
-    """numpy's empty array that its own `__setstate__` fills, checking lengths."""
-    return np.ndarray((0,), "b")
+def _scalar(machine: PickleMachine, kind: object, data: object) -> np.generic:
+    data = data.encode("latin1") if isinstance(data, str) else data
+    if not isinstance(kind, DType):
+        raise ValueError("a number of no known type")
+    return np.frombuffer(data, kind.dtype, 1)[0]
 
 
-def _scalar(dtype: np.dtype, data: bytes | str) -> np.generic:
-    return np.frombuffer(data.encode("latin1") if isinstance(data, str) else data, dtype, 1)[0]
+def _from_buffer(machine: PickleMachine, data: object, kind: object, shape: object, order: object) -> np.ndarray:
+    """An array as protocol 5 has it."""
+    if not isinstance(data, bytes) or not isinstance(kind, DType) or order not in ("C", "F"):
+        raise ValueError("an array without numbers")
+    numbers = np.frombuffer(data, kind.dtype, count_of(shape))
+    return numbers.reshape(shape, order=order)
 
 
-def _encode(text: str, encoding: str = "latin1") -> bytes:
-    if encoding != "latin1":
-        raise ValueError(f"encoding {encoding}")
+def _encode(machine: PickleMachine, text: object, encoding: object = "latin1") -> bytes:
+    if not isinstance(text, str) or encoding != "latin1":
+        raise ValueError(f"encoding {encoding!r}")
+    machine.charge(len(text))
     return text.encode("latin1")
 
 
-def _new_object(kind: type, base: object = None, state: object = None) -> Record:
-    if not (isinstance(kind, type) and issubclass(kind, Record)):
-        raise ValueError("an object of no known class")
-    return kind()
+def _new_object(machine: PickleMachine, kind: object, base: object = None, state: object = None) -> object:
+    return machine.call(kind, ())
 
 
-ADMITTED = {
-    ("numpy", "ndarray"): _Named,
-    ("numpy", "dtype"): np.dtype,
-    ("_codecs", "encode"): _encode,
-    ("copy_reg", "_reconstructor"): _new_object,
-    ("copyreg", "_reconstructor"): _new_object,
-    ("__builtin__", "object"): _Named,
-    ("builtins", "object"): _Named,
+_NAMED = object()
+"""Stands for a class that only serves as an argument."""
+ADMITTED: dict[tuple[str, str], object] = {
+    ("numpy", "ndarray"): _NAMED,
+    ("numpy", "dtype"): DType,
+    ("_codecs", "encode"): Admitted(_encode),
+    ("copy_reg", "_reconstructor"): Admitted(_new_object),
+    ("copyreg", "_reconstructor"): Admitted(_new_object),
 }
-ADMITTED |= {(f"numpy.{core}.multiarray", "_reconstruct"): _reconstruct for core in ("core", "_core")}
-ADMITTED |= {(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")}
+ADMITTED |= {(module, "object"): _NAMED for module in ("__builtin__", "builtins")}
+ADMITTED |= {(module, "bytes"): Admitted(lambda machine: b"") for module in ("__builtin__", "builtins")}
+for _core in ("core", "_core"):
+    ADMITTED[f"numpy.{_core}.multiarray", "_reconstruct"] = Admitted(_reconstruct)
+    ADMITTED[f"numpy.{_core}.multiarray", "scalar"] = Admitted(_scalar)
+    ADMITTED[f"numpy.{_core}.numeric", "_frombuffer"] = Admitted(_from_buffer)
 RECORDED = re.compile(r"(scipy\.sparse(\.[a-z_]+)? [a-z]{3}_(matrix|array)|chumpy(\.[a-z_]+)* [A-Za-z]+)\Z")
 
 
-class ArrayUnpickler(pickle.Unpickler):
+class ArrayMachine(PickleMachine):
     """Admits arrays and records; raises `InputError` with the name of anything else."""
 
-    admitted: Mapping[tuple[str, str], object] = ADMITTED
+    admitted = ADMITTED
     recorded = RECORDED
-
-    def __init__(self, file: object, path: Path) -> None:
-        super().__init__(file, encoding="latin1")
-        self.path = path
-
-    def find_class(self, module: str, name: str) -> object:
-        if (module, name) in self.admitted:
-            return self.admitted[module, name]
-        if self.recorded.match(f"{module} {name}"):
-            return type(name, (Record,), {"__module__": module})
-        raise InputError(f"{self.path}: the pickle holds {module}.{name}, which is never loaded")
-
-    def persistent_load(self, pid: object) -> object:
-        raise InputError(f"{self.path}: the pickle refers to things outside itself")
 
 
 def read_pickled_arrays(path: Path) -> dict[str, object]:
@@ -100,44 +86,64 @@ def read_pickled_arrays(path: Path) -> dict[str, object]:
     """
     try:
         with open_regular(path, MAX_BYTES) as file:
-            content = ArrayUnpickler(file, path).load()
-    except InputError:
+            machine = ArrayMachine(file, path)
+            content = machine.load()
+            if not isinstance(content, dict):
+                raise InputError(f"{path}: the pickle holds a {type(content).__name__}, not a dictionary of arrays")
+            return {str(key): _as_array(value, machine) for key, value in content.items()}
+    except (InputError, MemoryError):
         raise
-    except Exception as error:  # a damaged pickle may raise anything at all
-        raise InputError(f"{path}: not a readable pickle ({type(error).__name__}: {error})") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: the pickle holds a {type(content).__name__}, not a dictionary of arrays")
-    try:
-        return {str(key): as_array(value) for key, value in content.items()}
-    except (ValueError, IndexError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: a damaged matrix in the pickle ({error})") from None
+    except Exception as error:  # damage shows itself as almost any error of codecs, struct and numpy
+        words = f"{type(error).__name__}: {first_line(error)[:160]}"
+        raise InputError(f"{path}: not a readable pickle ({words})") from None
 
 
-def as_array(value: object) -> object:
-    """Dense array of a record that stands for one; anything else as it is."""
+def _as_array(value: object, machine: PickleMachine, depth: int = 0) -> object:
+    """Dense array of a record that stands for one; anything else as it is. ValueError: a damaged one."""
     if not isinstance(value, Record):
         return value
+    if depth == MAX_SELECTIONS:
+        raise ValueError("selections of selections without end")
     state = value.state
     if "indptr" in state:
-        return dense(type(value).__name__, state)
+        return _dense(type(value).__name__, state, machine)
     if "x" in state:
-        return as_array(state["x"])
+        return _as_array(state["x"], machine, depth + 1)
     if "idxs" in state and "a" in state:  # chumpy's Select
-        picked = np.asarray(as_array(state["a"])).reshape(-1)[np.asarray(state["idxs"]).astype(np.int64).reshape(-1)]
-        return picked.reshape(state.get("preferred_shape", picked.shape))
+        whole, index = _numbers(_as_array(state["a"], machine, depth + 1)), _numbers(state["idxs"])
+        machine.charge(index.size * (8 + whole.itemsize))
+        picked = whole.reshape(-1)[index.astype(np.int64).reshape(-1)]
+        shape = state.get("preferred_shape", picked.shape)
+        if count_of(shape) != picked.size:
+            raise ValueError("a selection of another shape")
+        return picked.reshape(shape)
     return value
 
 
-def dense(kind: str, state: dict) -> np.ndarray:
+def _dense(kind: str, state: dict, machine: PickleMachine) -> np.ndarray:
     """A compressed sparse matrix (csc or csr) as an array."""
-    rows, columns = (int(extent) for extent in state.get("_shape", state.get("shape")))
-    if not 0 <= rows * columns <= MAX_BYTES // 8:
-        raise ValueError(f"a sparse matrix of {rows} x {columns}")
-    major = np.repeat(np.arange(len(state["indptr"]) - 1), np.diff(state["indptr"]))
-    minor = np.asarray(state["indices"])
     by_column = kind.startswith("csc")
     if not by_column and not kind.startswith("csr"):
         raise ValueError(f"sparse format {kind}")
+    shape = state.get("_shape", state.get("shape"))
+    machine.charge(count_of(shape) * 8)
+    starts, minor, data = (_numbers(state[name]).reshape(-1) for name in ("indptr", "indices", "data"))
+    rows, columns = shape
+    steps = np.diff(starts.astype(np.int64))
+    plain = (
+        starts.dtype.kind in "iu" and minor.dtype.kind in "iu" and len(starts) == (columns if by_column else rows) + 1
+    )
+    if not plain or starts[0] != 0 or steps.min(initial=0) < 0 or not starts[-1] == len(minor) == len(data):
+        raise ValueError("a damaged sparse matrix")
+    machine.charge(len(minor) * 16)
+    major = np.repeat(np.arange(len(steps)), steps)
     matrix = np.zeros((rows, columns))
-    np.add.at(matrix, (minor, major) if by_column else (major, minor), np.asarray(state["data"], float))
+    np.add.at(matrix, (minor, major) if by_column else (major, minor), data.astype(float))
     return matrix
+
+
+def _numbers(value: object) -> np.ndarray:
+    """An array as it is; numpy would unfold lists of shared lists without end."""
+    if not isinstance(value, np.ndarray):
+        raise ValueError(f"a {type(value).__name__} in the place of an array")
+    return value

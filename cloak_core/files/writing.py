@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -34,8 +35,8 @@ def write_bytes(path: str | os.PathLike, data: bytes) -> None:
 
 
 def write_text(path: str | os.PathLike, text: str) -> None:
-    """Replace a UTF-8 file atomically."""
-    write_bytes(path, text.encode())
+    """Replace a UTF-8 file atomically. What UTF-8 lacks (a path of other bytes) is written as an escape."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def write_npz(path: str | os.PathLike, compressed: bool = False, **arrays: np.ndarray) -> None:
@@ -64,6 +65,23 @@ def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -
         finally:
             with contextlib.suppress(FileNotFoundError):
                 os.unlink(temporary)
+
+
+def remove_leftovers(path: str | os.PathLike) -> None:
+    """Remove what writers of this file left beside it when they were killed. Nobody else may be writing it now."""
+    path = Path(path)
+    left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\Z")  # as tempfile names them
+    if path.parent.is_dir():
+        for other in path.parent.iterdir():
+            if left.match(other.name) and other.is_file():
+                other.unlink(missing_ok=True)
+
+
+def remove_all_leftovers(folder: Path) -> None:
+    """Remove what killed writers left of any file in a folder. Nobody else may be writing into it now."""
+    for other in folder.iterdir() if folder.is_dir() else ():
+        if re.fullmatch(r"\..+\.[a-z0-9_]{8}", other.name) and other.is_file():
+            other.unlink(missing_ok=True)
 
 
 def open_to_append(path: str | os.PathLike) -> BinaryIO:

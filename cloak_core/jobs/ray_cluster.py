@@ -17,6 +17,7 @@ from types import ModuleType
 
 from cloak_core.files.errors import InputError
 from cloak_core.jobs.job import Job, Outcome, done
+from cloak_core.jobs.ray_keeper import kept
 
 LOCAL = "local"
 RETRIES = 5
@@ -64,19 +65,21 @@ class RayCluster:
         mine = not ray.is_initialized()
         if mine:
             _require_answer(self.address)
-            local = {"include_dashboard": False} if self.address == LOCAL else {}
+            options = {"include_dashboard": False} if self.address == LOCAL else {}
             try:
-                ray.init(self.address, log_to_driver=False, logging_level="error", **local)
+                ray.init(self.address, log_to_driver=False, logging_level="error", **options)
             except Exception as error:
                 # A bare one says that this machine was too busy to start a node within half a minute.
                 if not isinstance(error, (ConnectionError, ValueError, RuntimeError)) and type(error) is not Exception:
                     raise
                 raise InputError(f"--ray {self.address}: {str(error).splitlines()[0]}") from None
-        try:
-            yield
-        finally:
-            if mine:
-                ray.shutdown()
+        local = mine and self.address == LOCAL
+        with kept(ray.get_runtime_context().get_session_name()) if local else contextlib.nullcontext():
+            try:
+                yield
+            finally:
+                if mine:
+                    ray.shutdown()
 
     def _require_room(self, ray: ModuleType, jobs: Sequence[Job]) -> None:
         machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]

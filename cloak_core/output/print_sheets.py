@@ -1,8 +1,7 @@
-"""Print sheets: a PDF with every chart at true size, its name, a scale bar and cutting lines, on A4 or A3."""
+"""Print sheets: a PDF with an overview, then every chart at true size, its name, a scale bar and cutting lines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,77 +10,20 @@ import numpy as np
 from jaxtyping import Float
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.output.baking import PADDING, Texture
+from cloak_core.output.baking import Texture
 from cloak_core.output.layout import Layout
+from cloak_core.output.overview import draw_overview
 from cloak_core.output.seams import Mark, find_borders, seam_marks
+from cloak_core.output.tiling import LINE, MARGIN, PAGES, Tile, neighbours, pages, tiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.patches import Patch
 
-PAGES = {"A4": (0.210, 0.297), "A3": (0.297, 0.420)}
-"""Width and height in metres, upright."""
 POINTS = 72 / 0.0254
 """In a metre."""
-MARGIN = 0.010
-FOOT = 0.020
-"""Height of the line with name and scale bar, above the lower margin."""
-LINE = 0.0005
-"""Metres beside a cutting line."""
 TICK = 0.004
 """Metres from a seam to the end of a mark where there is no allowance to draw it in."""
-OVERLAP = 0.010
-"""Metres that neighbouring sheets of one chart show twice, for gluing."""
-
-
-@dataclass(frozen=True)
-class Tile:
-    """One chart, or the part of it that fits one page: its window on the layout (metres), and which part it is."""
-
-    chart: int
-    low: tuple[float, float]
-    high: tuple[float, float]
-    column: int
-    row: int
-    columns: int
-    rows: int
-
-
-def tiles(layout: Layout, page: str, allowance: float = 0.0) -> list[Tile]:
-    """Every chart, with so much (metres) around it, cut into windows that fit a page, large charts first."""
-    width, height = PAGES[page]
-    around = max(PADDING, allowance + LINE)
-    room = np.array([width - 2 * MARGIN, height - 2 * MARGIN - FOOT])
-    found = []
-    for chart in range(layout.chart_count):
-        corners = layout.corners[layout.chart == chart].reshape(-1, 2)
-        low, high = corners.min(axis=0) - around, corners.max(axis=0) + around
-        extent = high - low
-        count = np.maximum(np.ceil((extent - OVERLAP) / (room - OVERLAP)), 1).astype(int)
-        for row in range(count[1]):
-            for column in range(count[0]):
-                start = low + np.array([column, row]) * (room - OVERLAP)
-                end = np.minimum(start + room, high)
-                found.append(Tile(chart, tuple(start), tuple(end), column, row, *count.tolist()))
-    return found
-
-
-def pages(found: list[Tile], page: str) -> Iterator[list[tuple[Tile, float, float]]]:
-    """Tiles side by side in rows on pages: (tile, x, y of its lower left corner in metres from the page's)."""
-    width, height = PAGES[page]
-    placed: list[tuple[Tile, float, float]] = []
-    x, top, deep = MARGIN, height - MARGIN, 0.0
-    for tile in sorted(found, key=lambda t: t.low[1] - t.high[1]):
-        wide, high = tile.high[0] - tile.low[0], tile.high[1] - tile.low[1]
-        if x > MARGIN and x + wide > width - MARGIN + 1e-9:
-            x, top, deep = MARGIN, top - deep - 0.006, 0.0
-        if placed and top - high < MARGIN + FOOT - 1e-9:
-            yield placed
-            placed, x, top, deep = [], MARGIN, height - MARGIN, 0.0
-        placed.append((tile, x, top - high))
-        x, deep = x + wide + 0.006, max(deep, high)
-    if placed:
-        yield placed
 
 
 def chart_names(layout: Layout, bodies: Bodies) -> list[str]:
@@ -99,7 +41,7 @@ def chart_names(layout: Layout, bodies: Bodies) -> list[str]:
 def write_sheets(
     path: Path, bodies: Bodies, layout: Layout, texture: Texture, page: str, title: str, allowance: float = 0.0
 ) -> dict[str, int]:
-    """Write the PDF; returns its number of `pages`, and how many `marks` there are along seams.
+    """Write the PDF, its overview first; returns its number of `pages`, and how many `marks` there are along seams.
 
     allowance: metres of cloth to leave around each chart; cutting lines then run at its end.
     """
@@ -111,19 +53,23 @@ def write_sheets(
         Chart(name, borders.lines[borders.chart == number], [mark for mark in marks if mark.chart == number])
         for number, name in enumerate(chart_names(layout, bodies))
     ]
-    all_pages = list(pages(tiles(layout, page, allowance), page))
-    size = PAGES[page]
+    found = tiles(layout, page, allowance)
+    all_pages = list(pages(found, page))
+    size, count = PAGES[page], len(all_pages) + 1
     with PdfPages(path, metadata={"Creator": "cloak", "Producer": None, "CreationDate": None}) as pdf:
-        for number, placed in enumerate(all_pages, start=1):
+        for number, placed in enumerate([[], *all_pages], start=1):
             figure = Figure(figsize=(size[0] / 0.0254, size[1] / 0.0254))
             axes = figure.add_axes((0, 0, 1, 1), xlim=(0, size[0]), ylim=(0, size[1]))
             axes.axis("off")
+            if number == 1:
+                draw_overview(axes, layout, texture, [chart.name for chart in charts], all_pages, page)
             for tile, x, y in placed:
                 draw_tile(axes, layout, texture, charts[tile.chart], tile, (x, y), allowance)
-            draw_foot(axes, f"{title}, {page}, page {number} of {len(all_pages)}; print at 100 %")
+                draw_glue_lines(axes, tile, neighbours(tile, found), (x, y))
+            draw_foot(axes, f"{title}, {page}, page {number} of {count}; print at 100 %", bar=number > 1)
             axes.set(xlim=(0, size[0]), ylim=(0, size[1]))
             pdf.savefig(figure)
-    return {"pages": len(all_pages), "marks": len({mark.name for mark in marks})}
+    return {"pages": count, "marks": len({mark.name for mark in marks})}
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,11 +98,10 @@ def draw_tile(
     draw_colors(axes, layout, texture, tile, shift)
     draw_lines(axes, chart.border + shift, frame, "black", 0.4)
     draw_marks(axes, chart.marks, shift, frame, allowance or TICK)
-    many = tile.columns * tile.rows > 1
-    label = f"{chart.name}, part {tile.column + 1}-{tile.row + 1} of {tile.columns} x {tile.rows}"
+    label = f"{chart.name}, part {tile.part} of {tile.parts}"
     middle = (np.array(at) + np.subtract(tile.high, tile.low) / 2).tolist()
     box = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 1}
-    axes.text(*middle, label if many else chart.name, fontsize=6, ha="center", va="center", bbox=box, zorder=4)
+    axes.text(*middle, label if tile.part else chart.name, fontsize=6, ha="center", va="center", bbox=box, zorder=4)
 
 
 def draw_colors(axes: Axes, layout: Layout, texture: Texture, tile: Tile, shift: Float[np.ndarray, " 2"]) -> None:
@@ -200,8 +145,28 @@ def draw_marks(axes: Axes, marks: list[Mark], shift: Float[np.ndarray, " 2"], fr
         text.set_clip_on(True)
 
 
-def draw_foot(axes: Axes, text: str) -> None:
+def draw_glue_lines(axes: Axes, tile: Tile, others: list[Tile], at: tuple[float, float]) -> None:
+    """Dashed lines where another part's window ends within this one: lay its edge there. Its number stands beside."""
+    shift = np.subtract(at, tile.low)
+    for other in others:
+        for axis in (0, 1):
+            span = [max(tile.low[1 - axis], other.low[1 - axis]), min(tile.high[1 - axis], other.high[1 - axis])]
+            for edge in (other.low[axis], other.high[axis]):
+                if tile.low[axis] + 1e-6 < edge < tile.high[axis] - 1e-6:
+                    ends = np.array([[edge, span[0]], [edge, span[1]]])[:, [axis, 1 - axis]] + shift
+                    axes.plot(*ends.T, color="0.35", lw=0.4, dashes=(6, 4), zorder=3)
+                    box = {"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.3}
+                    words = f"part {other.part}"
+                    turned = 90 * (axis == 0)
+                    axes.text(*ends.mean(axis=0), words, fontsize=4, rotation=turned, ha="center", va="center",
+                              bbox=box, zorder=4)  # fmt: skip
+
+
+def draw_foot(axes: Axes, text: str, bar: bool = True) -> None:
     """A bar of 100 mm with marks every 10 mm, and a line of text."""
+    axes.text(MARGIN, MARGIN + 0.006, text, fontsize=7)
+    if not bar:
+        return
     for mark in range(10):
         color = "black" if mark % 2 == 0 else "white"
         axes.fill_between([MARGIN + mark * 0.01, MARGIN + (mark + 1) * 0.01], MARGIN, MARGIN + 0.003, color=color)
@@ -209,4 +174,3 @@ def draw_foot(axes: Axes, text: str) -> None:
         [MARGIN, MARGIN + 0.1, MARGIN + 0.1, MARGIN, MARGIN], MARGIN + np.array([0, 0, 3, 3, 0]) / 1e3, "k", lw=0.4
     )
     axes.text(MARGIN + 0.102, MARGIN, "100 mm", fontsize=6)
-    axes.text(MARGIN, MARGIN + 0.006, text, fontsize=7)

@@ -13,9 +13,10 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_bytes, write_json
 from cloak_core.output.baking import bake, dressed
 from cloak_core.output.layout import Layout, lay_out
-from cloak_core.output.print_sheets import PAGES, write_sheets
+from cloak_core.output.print_sheets import write_sheets
 from cloak_core.output.printer_gamut import nearest_printable
 from cloak_core.output.textured import png, write_glb, write_obj
+from cloak_core.output.tiling import PAGES
 from cloak_core.scene.logos.palette import TOLERANCE, nearest_in_palette
 
 DPI = (10, 1200)
@@ -96,7 +97,7 @@ def _check(out: Path, dpi: int, page: str, allowance: float, colors: int, faces:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out}: exists already")
     if page not in PAGES:
-        raise InputError(f"page {page}: {' or '.join(PAGES)}")
+        raise InputError(f"page {page}: {', '.join(PAGES)} are known")
     if not DPI[0] <= dpi <= DPI[1]:
         raise InputError(f"{dpi} dpi: between {DPI[0]} and {DPI[1]} is possible")
     if not 0 <= allowance <= MOST_ALLOWANCE:

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
-from cloak_core.render.weights.view import View
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.types import View
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 FRAME = 640
@@ -71,10 +71,10 @@ def bank_views(
 ) -> list[BankedView]:
     """`count` views of the poses in turn: two thirds under the default light, the rest under random ones."""
     lights = [Light()] * 8 + [random_light(rng) for _ in range(4)]
-    bank = ViewBank(bodies, samples=4)
+    bank = ViewCache(bodies, RenderSettings(samples=4))
     banks = [copy.copy(bank) for _ in lights]  # one geometry under many lights
     for lit, light in zip(banks, lights, strict=True):
-        lit.light = light
+        lit.settings = RenderSettings(samples=4, light=light)
     views = []
     for i in range(count):
         camera = random_camera(rng)

@@ -2,7 +2,7 @@
 
 torch pays for every operation and every intermediate array; a triangle of a body covers a handful of samples, so on the
 CPU that is most of a view's time. The loops do the same arithmetic in the same order (no fused or reordered operations)
-and give the same result as the torch operations beside them, which other devices use and tests compare them with.
+and give the same result as the torch operations in render/torch, which other devices use.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import contextlib
 import inspect
 import logging
 from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,20 +27,33 @@ _log = logging.getLogger("cloak")
 
 
 def loop(function: Callable, **options: object) -> Callable:
-    """Decorator of functions of arrays and numbers; they release the interpreter, so that threads run side by side."""
+    """Compile a function of arrays and numbers; it releases the interpreter, so that threads run side by side."""
     if numba is None:
         return function
     # Under pytest, functions come wrapped in a check of types, which cannot be compiled.
     function = inspect.unwrap(function)
     try:
-        return numba.njit(function, cache=True, **_OPTIONS, **options)
+        kept = numba.njit(function, cache=True, **_OPTIONS, **options)
+        # numba compares the function's own file alone, but the machine code also holds what it calls in others.
+        kept._cache._cache_file._source_stamp = _source_stamp(Path(inspect.getfile(function)))
+        return kept
     except RuntimeError:  # neither the installation nor a cache folder of the user can be written to
         return numba.njit(function, **_OPTIONS, **options)
 
 
+@cache
+def _source_stamp(file: Path) -> tuple[tuple[float, int], ...]:
+    """Time and size of a file with loops and of all files whose loops and numbers it may call."""
+    room = Path(__file__).parent
+    files = [file, *sorted(room.glob("cpu/*.py")), *(room / f"{name}.py" for name in ("compiled", "packing", "screen"))]
+    return tuple((state.st_mtime, state.st_size) for state in (one.stat() for one in files))
+
+
 def inner(function: Callable) -> Callable:
-    """`loop` for what loops call again and again: makes no arrays, and so need not count who still looks at which, two
-    atomic operations for each array and call."""
+    """Compile a function that other loops call often and that allocates nothing.
+
+    Without reference counts, which are two atomic operations for each array and call.
+    """
     return loop(function, _nrt=False)
 
 

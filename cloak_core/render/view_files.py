@@ -1,4 +1,4 @@
-"""Built views on disk, so that runs that look at the same bodies from the same cameras build them once.
+"""Built views on disk, so that runs with the same bodies and cameras build them once.
 
 One safetensors file for each view, named after the SHA-256 of all that decides it: the pose's vertices, the topology,
 camera, light and samples, the code that renders, and whether compiled loops or torch run it. See files/caching.py for
@@ -16,7 +16,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.weights.view import View
+from cloak_core.render.types import View
 from cloak_core.scene.cameras import Camera
 
 LIMIT_BYTES = 1 << 30

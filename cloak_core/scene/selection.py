@@ -6,6 +6,7 @@ bodies of these names; several choices are joined by commas and keep their order
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -23,8 +24,11 @@ def split_selection(spec: str) -> tuple[str, str | None]:
     A file that really is called so is taken by its name.
     """
     whole, bracket, selection = spec.removesuffix("]").rpartition("[")
-    if not (bracket and whole and spec.endswith("]")) or Path(spec).exists():
+    if not (bracket and whole and spec.endswith("]")):
         return spec, None
+    with contextlib.suppress(OSError):  # a long selection is longer than any file's name
+        if Path(spec).exists():
+            return spec, None
     return whole, selection
 
 

@@ -19,7 +19,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
-from cloak_core.files.writing import new_folder, write_json, write_npz
+from cloak_core.files.writing import new_folder, remove_leftovers, write_json, write_npz
 
 FORMAT = "cloak zoo 1"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
@@ -106,7 +106,10 @@ def write_entry(
         "topology": config["topology"],
         "cloak": config["cloak"],
         "evaluation": _evaluation(read_json(run / "evaluation" / "summary.json")),
+        **_photographs(run, config),
     }
+    for end in ("npz", "json"):
+        remove_leftovers(folder / f"{name}.{end}")
     told = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
     write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told)
     write_json(folder / f"{name}.json", record)
@@ -120,6 +123,9 @@ def _kept(config: dict) -> dict:
     kept["detectors"] = [_unplaced(detector) for detector in config["detectors"]]
     pictures = config["backgrounds"]
     kept["backgrounds"] = {key: pictures[key] for key in ("count", "identities", "looks") if key in pictures}
+    if isinstance(pictures.get("looks"), list):
+        # Without the small copies, which would ship somebody's photographs.
+        kept["backgrounds"]["looks"] = [str(look).partition(".")[0] for look in pictures["looks"]]
     return kept
 
 
@@ -144,6 +150,31 @@ def _evaluation(summary: dict) -> dict:
     kept["false_alarms"] = {without_folders(spec): x for spec, x in kept.get("false_alarms", {}).items()}
     inputs = {key: summary["inputs"][key] for key in ("bodies", "scene", "backgrounds")}
     return kept | {"detectors": rates, "white_box": white, "operating_points": points, "inputs": inputs}
+
+
+def _photographs(run: Path, config: dict) -> dict:
+    """Which photographs of people training saw, by name and licence, and what an evaluation on others found."""
+    record: dict = {}
+    if config.get("people"):
+        seen = config["people"]
+        record["trained_on"] = dict(zip(seen["photographs"], seen["licences"], strict=True))
+    judged = run / "evaluation-people" / "wear.json"
+    if judged.exists():
+        told = read_json(judged)
+        kept = {key: told[key] for key in ("people", "photographs", "unseen", "false_alarms") if key in told}
+        rates = {
+            without_folders(spec): {name: {key: s.get(key) for key in _SHOWN} for name, s in worn.items()}
+            for spec, worn in told["detectors"].items()
+        }
+        kept["false_alarms"] = {without_folders(spec): rate for spec, rate in kept.get("false_alarms", {}).items()}
+        record["people"] = kept | {"detectors": rates}
+    return record
+
+
+def success_on_people(record: dict) -> float | None:
+    """Mean success of an entry on people in photographs; None where nobody measured it."""
+    rates = [told["logo"]["success"] for told in record.get("people", {}).get("detectors", {}).values()]
+    return round(float(np.mean(rates)), 4) if rates else None
 
 
 def success(record: dict) -> float | None:

@@ -122,3 +122,18 @@ def tiny_settings(**changes: object) -> TrainSettings:
         "preview_every": 3,
     }
     return make_settings("best", **(base | {"angles": "-10,10"} | changes))
+
+
+class RenamingDetector(RedDetector):
+    """Knows persons, where a cell is redder than blue, and dogs, where it is bluer than red; boxes are the cells."""
+
+    class_names = ("person", "dog")
+
+    def forward(self, images: torch.Tensor) -> Detections:
+        cells = nn.functional.avg_pool2d(images, 8)
+        redness = 6 * (cells[:, 0] - cells[:, 2]).flatten(1)
+        scores = torch.sigmoid(redness)
+        y, x = torch.meshgrid(*(8.0 * torch.arange(side) for side in cells.shape[2:]), indexing="ij")
+        boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
+        other = torch.sigmoid(-redness)
+        return Detections(boxes, scores, other=other, other_class=torch.ones_like(other, dtype=torch.int64))

@@ -8,9 +8,10 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.attack.batches import Batcher
-from cloak_core.attack.distorting import blurred, draw_window, through_jpeg, tinted, windowed, zoomed
+from cloak_core.attack.distorting import Distortion, blurred, draw_window, through_jpeg, tinted, windowed, zoomed
 from cloak_core.attack.sampling import Sampler
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.geometry import face_centres
 from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
 
@@ -54,6 +55,24 @@ def test_blur_is_a_gaussian():
     assert np.abs(soft[1].permute(1, 2, 0).numpy() - expected)[4:-4, 4:-4].max() < 0.02
 
 
+@pytest.mark.parametrize("zoom", [None, 0.7, 1.3])
+@pytest.mark.parametrize("window", [None, (0.8, 0.1, -0.15), (1.4, -0.3, 0.2)])
+def test_boxes_move_with_the_images(zoom, window):
+    images, box = torch.full((1, 3, 80, 60), 0.5), torch.tensor([[21.0, 30.0, 40.0, 52.0]])
+    images[:, :, 30:52, 21:40] = 1
+    distortion = Distortion(
+        None if zoom is None else torch.tensor([zoom]), None if window is None else torch.tensor([window])
+    )
+    seen = (distortion(images)[0, 0] > 0.75).nonzero()
+    expected = [seen[:, 1].min(), seen[:, 0].min(), seen[:, 1].max() + 1, seen[:, 0].max() + 1]
+    assert (distortion.boxes(box, 80, 60)[0] - torch.tensor(expected)).abs().max() <= 0.75
+
+
+def test_boxes_are_clipped_to_the_image():
+    shifted = Distortion(window=torch.tensor([[0.5, 0.5, 0.0]]))
+    assert shifted.boxes(torch.tensor([[0.0, 20.0, 50.0, 60.0]]), 80, 80).tolist() == [[0, 0, 20, 80]]
+
+
 def test_zoom_is_about_the_centre():
     images = torch.zeros(2, 3, 40, 40)
     images[:, :, 15:25, 15:25] = 1
@@ -71,7 +90,12 @@ def batch_and_plain(**changes):
         sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, 5)
         backgrounds = noise_backgrounds()
         batcher = Batcher(
-            settings, sampler, ViewBank(bodies, samples=4), logo.face_ids, backgrounds, torch.device("cpu")
+            settings,
+            sampler,
+            ViewCache(bodies, RenderSettings(samples=4)),
+            logo.face_ids,
+            backgrounds,
+            torch.device("cpu"),
         )
         colors = torch.full((len(logo), 3), 0.5, requires_grad=True)
         images = batcher.batch(1).images(colors)
@@ -130,7 +154,7 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     batcher = Batcher(
         settings,
         Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds)),
-        ViewBank(bodies, samples=4),
+        ViewCache(bodies, RenderSettings(samples=4)),
         logo.face_ids,
         backgrounds,
         torch.device("cpu"),
@@ -157,7 +181,9 @@ def test_cut_out_faces_are_grey_and_stand_together():
     bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, 5)
     faces = front_logo(bodies).face_ids
-    batcher = Batcher(settings, sampler, ViewBank(bodies, samples=1), faces, noise_backgrounds(), torch.device("cpu"))
+    batcher = Batcher(
+        settings, sampler, ViewCache(bodies, RenderSettings(samples=1)), faces, noise_backgrounds(), torch.device("cpu")
+    )
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
     centres = face_centres(bodies)[faces]

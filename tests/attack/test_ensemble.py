@@ -9,7 +9,7 @@ from cloak_core.attack.losses import evidence
 from cloak_core.attack.objective import Objective
 from cloak_core.detectors.protocol import Detections, join_detections
 from cloak_core.files.errors import InputError
-from tests.attack.fakes import TinyDetector, box_bodies, front_logo, tiny_settings
+from tests.attack.fakes import RenamingDetector, TinyDetector, box_bodies, front_logo, tiny_settings
 from tests.attack.test_training import run
 
 IMAGES = torch.rand(5, 3, 64, 64, generator=torch.Generator().manual_seed(0))
@@ -74,6 +74,34 @@ def test_each_detector_has_the_margin_of_its_own_operating_point():
     each = [evidence(d(IMAGES), "margin", operating_point=p) for d, p in zip(detectors, (0.25, 0.6), strict=True)]
     torch.testing.assert_close(answer.disappearance, torch.stack(each).mean())
     assert (each[0] > each[1]).sum() + (each[1] > each[0]).sum() == len(IMAGES)
+
+
+def test_hiding_everything_counts_any_class_on_the_body():
+    detector, bodies = RenamingDetector(), torch.tensor([[8.0, 8.0, 40.0, 56.0]]).expand(len(IMAGES), 4)
+    for loss in ("score", "log", "margin"):
+        answer = objective([detector], loss=loss, hide="everything", microbatch=2).ask(IMAGES, bodies=bodies)
+        images = IMAGES.clone().requires_grad_()
+        found = detector(images)
+        inside = (found.boxes[..., 0] >= 8) & (found.boxes[..., 2] <= 40)
+        inside &= (found.boxes[..., 1] >= 8) & (found.boxes[..., 3] <= 56)
+        best = torch.maximum(found.scores, torch.where(inside, found.other, 0.0))
+        expected = evidence(Detections(found.boxes, best), loss, operating_point=0.5).mean()
+        (gradient,) = torch.autograd.grad(expected, images)
+        torch.testing.assert_close(answer.disappearance, expected.detach())
+        torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
+    with pytest.raises(ValueError, match="box must be known"):
+        objective([detector], hide="everything").ask(IMAGES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [{}, {"black_box_queries": 600, "microbatch": 3}])
+def test_hiding_the_person_alone_renames_it_and_hiding_everything_does_not(tmp_path, how):
+    """Of a detector that takes blue for dogs: hidden from all classes it is neither red nor blue."""
+    seen = {}
+    for hide in ("person", "everything"):
+        colors = run(tmp_path / hide, [RenamingDetector()], hide=hide, steps=40, lr=0.05, tv_weight=0, **how).colors
+        seen[hide] = float((colors[:, 2] - colors[:, 0]).mean())
+    assert seen["person"] > 0.2 > 3 * abs(seen["everything"])
 
 
 @pytest.mark.slow

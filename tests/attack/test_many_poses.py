@@ -14,15 +14,15 @@ BUDGET_MB = 24
 CHILD = f"""
 import resource, sys, tempfile
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 import numpy as np
 from cloak_core.attack import training
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.attack.settings import make_settings
 from cloak_core.scene.logos.logo import make_logo, select_region
 from tests.attack.fakes import TinyDetector, noise_backgrounds
 from tests.attack.test_many_poses import many_poses
-training.ViewBank = partial(training.ViewBank, memory_bytes={BUDGET_MB} << 20)
+training.ViewCache = lambda bodies, settings: ViewCache(bodies, replace(settings, memory_bytes={BUDGET_MB} << 20))
 bodies = many_poses()
 logo = make_logo(bodies, select_region(bodies, "chest+thighs"))
 small = dict(batch=8, angles="-10,0,10", size=128, translation=0, checkpoint_every=0, preview_every=0)

@@ -233,14 +233,15 @@ def test_gradient_of_the_whole_chain_against_finite_differences():
     from cloak_core.attack.batches import Batcher
     from cloak_core.attack.losses import disappearance, total_variation
     from cloak_core.attack.sampling import Sampler
-    from cloak_core.render.views import ViewBank
+    from cloak_core.render.settings import RenderSettings
+    from cloak_core.render.view_cache import ViewCache
 
     bodies, chosen = box_bodies(), settings(batch=2)
     logo = front_logo(bodies)
     backgrounds = noise_backgrounds()
     sampler = Sampler(chosen, bodies.pose_count, bodies.outfit_count, len(backgrounds))
     batch = Batcher(
-        chosen, sampler, ViewBank(bodies, samples=1), logo.face_ids, backgrounds, torch.device("cpu")
+        chosen, sampler, ViewCache(bodies, RenderSettings(samples=1)), logo.face_ids, backgrounds, torch.device("cpu")
     ).batch(0)
     detector = TinyDetector()
     edges, lengths = torch.from_numpy(logo.edges), torch.from_numpy(logo.edge_lengths).float()

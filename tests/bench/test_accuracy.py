@@ -9,13 +9,13 @@ import pytest
 
 from cloak_core.bench import accuracy
 from cloak_core.bench.accuracy import FLAT
-from cloak_core.bench.accuracy_report import pareto, write_report
+from cloak_core.bench.accuracy_report import COLUMNS, pareto, write_report
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers.bank import PEERS
+from cloak_core.bench.peers.view_cache import PEERS
 from cloak_core.bench.reference import EXACT, reference
 from cloak_core.files.errors import InputError
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 
@@ -29,8 +29,8 @@ def test_every_number_of_samples_and_areas_are_measured(record) -> None:
     names = [point["name"] for point in record["points"]]
     assert names == ["ours-1", "ours-4", "ours-16", "ours-64", "ours-area"]
     for point in record["points"]:
-        assert set(point) == {"name", *accuracy.COLUMNS} and point["pose_ms"] is None
-        assert all(np.isfinite(point[key]) for key in accuracy.COLUMNS if key != "pose_ms")
+        assert set(point) == {"name", *COLUMNS} and point["pose_ms"] is None
+        assert all(np.isfinite(point[key]) for key in COLUMNS if key != "pose_ms")
     assert record["reference"] == EXACT
 
 
@@ -74,7 +74,10 @@ def test_scenes_of_overlapping_surfaces_are_exact_by_area_and_leak_by_samples(na
     camera = dataclasses.replace(scene.camera, width=24, height=24)
     scene = accuracy.Scene(scene.bodies, camera)
     judge = accuracy.Judge(scene, reference(scene.bodies, camera, Light()))
-    ours, four = (judge.errors(*(ViewBank(scene.bodies, kind, n) for kind in (Light(), FLAT))) for n in (None, 4))
+    ours, four = (
+        judge.errors(*(ViewCache(scene.bodies, RenderSettings(light=kind, samples=n)) for kind in (Light(), FLAT)))
+        for n in (None, 4)
+    )
     assert max(ours["coverage_rms"], ours["hidden"]) < 1e-6 and ours["starved"] == ours["given_up"] == 0
     assert max(ours["image_visibility"], ours["gradient_visibility"]) < 2e-5 < four["image_visibility"]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers.bank import PEERS, PeerBank, available, usable
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
+from cloak_core.bench.peers.view_cache import PEERS, PeerViewCache, available, usable
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERAS = {
@@ -26,13 +26,13 @@ def test_peers_agree_with_the_rasterizer(kind, camera) -> None:
     key = [(0, camera)]
     peer = kind(bodies.triangles.astype(np.int64), 1)
     for samples in (1, 4):
-        ours, theirs = ViewBank(bodies, samples=samples), PeerBank(bodies, Light(), samples, peer)
+        ours, theirs = ViewCache(bodies, RenderSettings(samples=samples)), PeerViewCache(bodies, Light(), samples, peer)
         theirs.pose()
         a, b = ours.visibility(key, ours.screen(key)).triangles(), theirs.seen(camera).triangles()
         assert (a >= 0).sum() > 300
         # Single precision, and OpenGL's grid of 1/256 pixel, move a few samples that lie on edges.
         assert (a != b).double().mean() < 0.005
-        own, other = (bank.build(key)[0] for bank in (ours, theirs))
+        own, other = (cache.build(key)[0] for cache in (ours, theirs))
         assert abs(len(own.face) - len(other.face)) < 0.02 * len(own.face)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.bench import stability, stability_checks
+from cloak_core.bench import hostile_cases, stability, stability_checks
 
 
 @pytest.mark.parametrize("name", stability.CASES)
@@ -25,7 +25,7 @@ def test_no_check_fails(name: str) -> None:
 def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: stability.CASES[name] for name in ("closed mesh", "image 1 x 1")}
     checks = {"one wrong": lambda: (1, ""), "absent": lambda: None}
-    for target, value in (("CASES", some), ("CHECKS", checks)):
+    for target, value in (("CASES", some), ("CHECKS", checks), ("HOSTILE", {})):
         monkeypatch.setattr(stability, target, value)
     result = stability.run_bench_stability(grids=(1,), seeds=2)
     assert (result["cases"], result["mismatches"]) == (4 + 4 + 1, 1)
@@ -39,6 +39,20 @@ def test_a_missing_triangle_is_a_mismatch(name: str) -> None:
     keep = np.setdiff1d(np.arange(case.triangles.shape[1]), seen[-1:])
     broken = stability.Case(case.screen, case.triangles[:, keep], case.cover, case.front_only, case.cull)
     assert stability.mismatches(broken, 1) > 0 and stability.area_mismatches(broken) > 0
+
+
+@pytest.mark.parametrize(
+    ("make", "count"),
+    [
+        (hostile_cases.needles, 300),
+        (hostile_cases.hairs, 300),
+        (hostile_cases.planes, 50),
+        (hostile_cases.specks, 5000),
+    ],
+)
+def test_hostile_scenes_keep_their_coverage(make: object, count: int) -> None:
+    wrong, remark = hostile_cases.check(make, count)
+    assert wrong == 0 and ("0 of" in remark) == (make is not hostile_cases.specks)
 
 
 def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,7 +96,12 @@ TRAIN = "train --scene scene --logo logo.npy --out run --steps 1 "
         ("detectors check builtin --image absent.jpg", "absent.jpg: no such file"),
         ("detectors train-builtin --out new --steps 0", "--steps 0"),
         ("evaluate empty", "empty: not a run folder"),
-        ("report absent", "absent: not a run folder"),
+        ("report absent", "absent: no such folder"),
+        ("report net.cfg", "net.cfg: not a folder"),
+        ("report empty", "empty: not a run folder"),
+        ("zoo reproduce nonsense", "nonsense"),
+        (TRAIN + "--device cuda:99", "--device cuda:99: "),
+        (TRAIN + "--device meta", "--device meta: holds no numbers"),
         ("scene info sample:nonsense", "sample:nonsense"),
     ],
 )

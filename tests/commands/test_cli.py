@@ -58,6 +58,40 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
     assert re.search(words, bad(*arguments))
 
 
+DO_SOMETHING_BARE = {
+    "demo", "zoo list", "zoo reproduce", "detectors list", "bench growth", "bench stability", "bench step",
+    "bench detectors", "bench intervals",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(set(cli.COMMANDS) - DO_SOMETHING_BARE))
+def test_the_bare_form_of_a_command_says_what_it_needs(name, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(name.split())
+    said = capsys.readouterr()
+    assert end.value.code == 2 and not said.out and len(said.err.splitlines()) == 1
+    assert f"usage: cloak {name}" in said.err and f"(cloak {name} --help)" in said.err
+
+
+@pytest.mark.parametrize("words", ["", "scene", "logo", "export", "zoo", "detectors", "bench"])
+def test_the_bare_form_of_a_group_lists_its_commands(words, capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(words.split())
+    assert end.value.code == 2 and "usage: cloak COMMAND" in capsys.readouterr().out
+
+
+def test_a_part_of_what_is_needed(capsys):
+    for line, needs in (
+        ("train --scene sample", "needs --logo, --out"),
+        ("print --out x", "needs RUN_FOLDER"),
+        ("train --scen x", "unknown: --scen x; needs --logo, --out"),
+        ("logo transfer --to x", "needs --from, --logo, --out"),
+    ):
+        with pytest.raises(SystemExit):
+            cli.main(line.split())
+        assert needs in capsys.readouterr().err
+
+
 def test_nothing_is_overwritten(scene):
     assert "exists already" in bad("scene", "sample", "--out", scene)
 
@@ -106,16 +140,26 @@ def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
 def test_help_has_headings_and_choices(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     shown = help_of("train", capsys)
-    parts = ["the run", "views", "augmentation", "loss", "colours and pattern", "surrogates", "optimiser", "black box"]
+    parts = [
+        "the run",
+        "views",
+        "augmentation",
+        "photographs of people",
+        "loss",
+        "colours and pattern",
+        "surrogates",
+        "optimiser",
+        "black box",
+    ]
     assert list(shown) == ["options", "detectors", *parts, "computing"]
-    assert "--preset {paper,reference,best,transfer}" in shown["options"]
+    assert "--preset {paper,reference,best,transfer,photographs}" in shown["options"]
     assert {"--outfits {random,first}", "--samples {None,1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["views"])
     assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["loss"])
     assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["optimiser"])
     assert {"--translation-per {image,batch}", "--jpeg {None}|LOW:HIGH"} <= set(shown["augmentation"])
     shown = help_of("evaluate", capsys)
     assert list(shown) == ["positional arguments", "options", "detectors", "evaluation", "computing"]
-    assert "--preset {paper,reference,best,transfer}" in help_of("reproduce", capsys)["experiments"]
+    assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce", capsys)["experiments"]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cloak_core import __version__, cli
+from cloak_core.commands.failures import in_words
 
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
 
@@ -89,3 +91,128 @@ cli.main()
     lines = done.stderr.splitlines()
     assert done.returncode == 2 and len(lines) == 4, done.stderr
     assert all(line.startswith("cloak: ") for line in lines)
+
+
+def closed(line: str, *descriptors: int) -> subprocess.CompletedProcess:
+    """Run a command with these descriptors closed."""
+    close = " ".join(f"{number}>&-" for number in descriptors)
+    command = f"{sys.executable} -m cloak_core {line} {close}"
+    root = Path(__file__).parents[2]
+    return subprocess.run(command, shell=True, capture_output=True, text=True, check=False, cwd=root)
+
+
+def test_standard_output_that_is_closed() -> None:
+    """Words for people are lost, which is what they asked for; JSON is not lost in silence."""
+    done = closed("scene info sample:train[0:1]", 1)
+    assert (done.returncode, done.stderr) == (0, "")
+    done = closed("scene info sample:train[0:1] --json", 1)
+    assert (done.returncode, done.stderr) == (2, "cloak: standard output: closed, and --json writes there\n")
+
+
+@pytest.mark.parametrize("descriptors", [(2,), (0, 1, 2)])
+def test_standard_error_that_is_closed(descriptors: tuple[int, ...], tmp_path: Path) -> None:
+    """No file that is opened becomes standard error."""
+    out = tmp_path / "chest.npy"
+    done = closed(f"logo select --scene sample:train[0:1] --region chest --out {out}", *descriptors)
+    assert done.returncode == 0 and out.read_bytes().startswith(b"\x93NUMPY")
+    assert closed("scene info absent", *descriptors).returncode == 2
+
+
+def test_standard_error_that_is_full_ends_nothing() -> None:
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "cloak_core", "scene", "info", "absent"]
+        done = subprocess.run(command, stderr=full, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2])
+    assert done.returncode == 2 and not done.stdout
+
+
+NOISY = """
+import os, subprocess, sys, torch
+os.write(1, b"noise\\n")
+subprocess.run([sys.executable, "-c", "print('of a child')"])
+print("of Python")
+
+class Mine(torch.nn.Module):
+    def forward(self, images):
+        os.write(1, b"while it runs\\n")
+        return torch.zeros(len(images), 1, 4), images.mean(dim=(1, 2, 3))[:, None]
+
+def load():
+    return Mine()
+"""
+
+
+@pytest.mark.slow
+def test_what_a_detector_writes_on_the_descriptor_stays_out_of_the_json(tmp_path: Path) -> None:
+    from PIL import Image
+
+    (tmp_path / "noisy.py").write_text(NOISY)
+    Image.new("RGB", (32, 32)).save(tmp_path / "a.png")
+    line = f"detectors check python:{tmp_path / 'noisy.py'}:load --image {tmp_path / 'a.png'} --json"
+    done = cloak(line, stdout=subprocess.PIPE)
+    assert done.returncode == 0 and json.loads(done.stdout)["boxes"] == []
+    for noise in (b"noise", b"of a child", b"of Python", b"while it runs"):
+        assert noise in done.stderr
+
+
+def test_errors_that_are_no_defects_have_words(tmp_path: Path) -> None:
+    import torch
+
+    for error in (
+        MemoryError("Unable to allocate 8 GiB"),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes."),
+        torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2 GiB"),
+        OSError(12, "Cannot allocate memory"),
+        ImportError("libtorch.so: failed to map segment from shared object: Cannot allocate memory"),
+    ):
+        assert in_words(error).startswith("not enough memory ("), error
+    assert in_words(OSError(28, "No space left on device", "a.npy")) == (
+        "a.npy: cannot be written (No space left on device)"
+    )
+    for defect in (RuntimeError("shapes differ"), ImportError("no module"), OSError(5, "Input/output error")):
+        assert in_words(defect) is None
+
+
+LIMITED = """
+import resource, sys
+from cloak_core import cli
+import cloak_core.commands.{module}
+{warm}
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + {left} * 2**20,) * 2)
+cli.main(sys.argv[1:])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("module", "line", "left"),
+    [
+        ("scene", "scene info sample", 20),
+        ("scene", "scene sample --out {out}", 20),
+        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 20),
+        ("train", "train --scene sample:train --logo chest --out {out} --steps 2 --batch 64", 60),
+        ("detectors", "detectors verify builtin", 20),
+    ],
+)
+def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: Path) -> None:
+    """Torch is loaded before the limit: what its own libraries do without memory is not ours to say."""
+    script = LIMITED.format(module=module, left=left, warm="import torch, cloak_core.library")
+    command = [sys.executable, "-c", script, *line.format(out=tmp_path / "out").split()]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    if done.returncode:
+        assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+        assert "memory" in done.stderr.splitlines()[-1]
+
+
+OLD_RUN = Path(__file__).parents[1] / "old_versions" / "v0.1.0" / "done"
+
+
+@pytest.mark.slow
+def test_a_run_folder_whose_name_is_not_utf_8(tmp_path: Path) -> None:
+    folder = os.fsencode(tmp_path) + b"/run-\xff"
+    shutil.copytree(os.fsencode(OLD_RUN), folder)
+    command = [os.fsencode(sys.executable), b"-m", b"cloak_core", b"report", folder, b"--json"]
+    done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parents[2])
+    assert done.returncode == 0, done.stderr.decode()
+    assert Path(json.loads(done.stdout)["report"]).read_text("utf-8").startswith("<!")

@@ -11,14 +11,14 @@ from PIL import Image
 from cloak_core import library
 from cloak_core.attack.run_folder import RunFolder, read_start
 from cloak_core.cli import main
-from cloak_core.evaluation.foreign import colors_of
+from cloak_core.evaluation.foreign_colors import colors_of
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
-from cloak_core.render.weights.texture import look_up
+from cloak_core.render.texture import look_up
 from cloak_core.scene.logos.logo import load_logo, make_logo
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.zoo.entry import Entry, names, read_entry, write_entry
@@ -55,6 +55,16 @@ def a_run(tmp_path):
     (run / "evaluation").mkdir()
     (run / "evaluation" / "summary.json").write_text(json.dumps(summary))
     return run
+
+
+def test_what_a_killed_writer_left_is_removed(a_run, tmp_path):
+    folder = tmp_path / "shelf"
+    folder.mkdir()
+    for left in (".name.npz.ab12_x9z", ".name.json.ab12_x9z"):
+        (folder / left).write_bytes(b"half")
+    (folder / ".other.npz.ab12_x9z").write_bytes(b"somebody else's")
+    write_entry(folder, "name", a_run, about="", licence="CC0-1.0", command="", logo=None)
+    assert {path.name for path in folder.iterdir()} == {"name.npz", "name.json", ".other.npz.ab12_x9z"}
 
 
 def test_a_run_becomes_an_entry_and_a_run_again(a_run, tmp_path):

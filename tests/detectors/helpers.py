@@ -1,11 +1,14 @@
 """Small detectors for tests: seeded Darknet pairs written to disk."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
 
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.darknet.weights import write_darknet
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import max_person_score
 
 TINY_CFG = """\
 [net]
@@ -67,3 +70,17 @@ def images(count: int = 2, height: int = 64, width: int = 64, seed: int = 3) -> 
     generator = torch.Generator().manual_seed(seed)
     coarse = torch.rand(count, 3, 8, 8, generator=generator)
     return torch.nn.functional.interpolate(coarse, size=(height, width), mode="bilinear", align_corners=True)
+
+
+def others_are_the_rest(load: Callable[[int], Detector], count: int, person: int, batch: torch.Tensor) -> None:
+    """What a detector tells beside class `person` is the best of its other classes, each asked for by itself."""
+    detector = load(person)
+    with torch.no_grad():
+        rest = {number: max_person_score(load(number)(batch)) for number in range(count) if number != person}
+    found = detector(batch.clone().requires_grad_())
+    best, row = found.other.max(dim=1)
+    torch.testing.assert_close(best.detach(), torch.stack(list(rest.values())).amax(dim=0), rtol=1e-4, atol=1e-6)
+    named = found.other_class.gather(1, row[:, None])[:, 0].tolist()
+    for image, number in enumerate(named):
+        torch.testing.assert_close(rest[number][image], best[image].detach(), rtol=1e-4, atol=1e-6)
+    assert found.other.requires_grad and found.other_class.dtype == torch.int64

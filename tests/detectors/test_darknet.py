@@ -14,7 +14,7 @@ from cloak_core.detectors.darknet.weights import read_weights, stored_tensors, w
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.errors import InputError
 from tests.detectors.golden.seeded import seeded_inputs
-from tests.detectors.helpers import TINY_CFG, images, write_tiny
+from tests.detectors.helpers import TINY_CFG, images, others_are_the_rest, write_tiny
 
 GOLDEN = Path(__file__).parent / "golden"
 
@@ -34,6 +34,18 @@ def test_equals_darknet_itself(name: str, revision: int, folded: bool, tmp_path:
     for index, (head, raw) in enumerate(zip(network.heads, maps, strict=True)):
         ours, theirs = head.activate(raw)[0].numpy(), golden[f"head_{index}"]
         assert np.abs(ours - theirs).max() <= 1e-5 * np.abs(theirs).max()
+
+
+def test_tells_the_best_other_class(tmp_path: Path) -> None:
+    cfg = TINY_CFG.replace("filters=12", "filters=16").replace("classes=1", "classes=3")
+    spec = write_tiny(tmp_path, cfg, names=("cat", "person", "dog"))
+    assert load_detector(spec).class_names == ("cat", "person", "dog")
+    others_are_the_rest(lambda number: load_detector(f"{spec}@person={number}"), 3, 1, images(2, 96, 80))
+
+
+def test_who_knows_only_persons_tells_of_nothing_else(tmp_path: Path) -> None:
+    found = load_detector(write_tiny(tmp_path))(images(2))
+    assert found.other is None and found.other_class is None
 
 
 def test_reorg_equals_darknets_loops() -> None:

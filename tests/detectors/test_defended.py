@@ -19,7 +19,7 @@ from cloak_core.detectors.scoring import max_person_score
 from cloak_core.evaluation.provenance import trained_against
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images, write_tiny
+from tests.detectors.helpers import TINY_CFG, images, write_tiny
 
 HEADS = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")
 
@@ -39,6 +39,15 @@ class Brightest(Detector):
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_tiny(tmp_path_factory.mktemp("tiny"))
+
+
+def test_tells_what_else_the_inner_detector_sees(tmp_path) -> None:
+    cfg = TINY_CFG.replace("filters=12", "filters=14").replace("classes=1", "classes=2")
+    spec = write_tiny(tmp_path, cfg, names=("cat", "person"))
+    inner, defended = load_detector(spec), load_detector(f"blur=0.5:{spec}")
+    found = defended(images(2))
+    assert defended.class_names == ("cat", "person") and found.other.shape == found.scores.shape
+    torch.testing.assert_close(found.other, inner(Blur(0.5)(images(2))).other)
 
 
 def square(size: int = 96) -> torch.Tensor:

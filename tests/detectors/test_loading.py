@@ -123,6 +123,9 @@ def test_names_beside_must_agree(tmp_path: Path) -> None:
     ("spec", "message"),
     [
         ("yolo", "unknown family 'yolo'"),
+        ("yolov8n.pt", "names no family; ultralytics:yolov8n.pt?"),
+        ("models/a.ONNX@320,bgr", "names no family; onnx:models/a.ONNX@320,bgr?"),
+        ("a.cfg:a.weights", "names no family; darknet:a.cfg:a.weights:WEIGHTS?"),
         ("darknet:only.cfg", "expected darknet:CFG:WEIGHTS"),
         ("darknet:none.cfg:none.weights", "none.cfg: no such file"),
         ("python:none.py:load", "none.py: no such file"),
@@ -194,3 +197,13 @@ def test_state_hash_sees_everything(tmp_path: Path) -> None:
     assert state_hash(twin) != before
     detector.network.layers[0].train()
     assert state_hash(detector) != before
+
+
+def test_a_parameter_of_one_element_may_have_any_strides() -> None:
+    """YOLOX' exports hold such ones; they call themselves contiguous."""
+    plain, odd = (torch.nn.Module() for _ in range(2))
+    plain.register_buffer("scale", torch.ones(1))
+    odd.register_buffer("scale", torch.ones(1).as_strided((1,), (0,)))
+    assert state_hash(plain) == state_hash(odd)
+    plain.register_buffer("scale", torch.ones(()))
+    assert state_hash(plain) != state_hash(odd)

@@ -1,6 +1,8 @@
 """ONNX files as exporters and accidents leave them: what is read, what is said of the rest."""
 
+import json
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,35 @@ def test_an_operator_that_nobody_knows_is_named(tmp_path: Path) -> None:
     made.nodes[1].op_type = "Frobnicate"
     with pytest.raises(InputError, match=r"m\.onnx: not an ONNX model that onnxruntime can run .*Frobnicate"):
         load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
+
+
+def tampered(folder: Path, change: Callable[[object], None]) -> Path:
+    """A finished network whose first weights were changed in the file."""
+    path = finished(Made()).save(folder / "m.onnx")
+    model = onnx.load(str(path))
+    change(model.graph.initializer[0])
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize("extents", [{0: -8}, {0: -8, 1: -3}, {0: 1 << 40}])
+def test_extents_over_which_onnxruntime_ends_the_process(extents: dict[int, int], tmp_path: Path) -> None:
+    def change(tensor: object) -> None:
+        for axis, extent in extents.items():
+            tensor.dims[axis] = extent
+
+    with pytest.raises(InputError, match=rf"m\.onnx: its tensor first declares a shape of {extents[0]}x"):
+        load_detector(f"onnx:{tampered(tmp_path, change)}")
+
+
+def test_a_path_of_weights_that_no_path_can_be(tmp_path: Path) -> None:
+    def change(tensor: object) -> None:
+        tensor.ClearField("raw_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        tensor.external_data.add(key="location", value="a\0b")
+
+    with pytest.raises(InputError, match=r"keeps weights in a\\x00b, outside its folder"):
+        load_detector(f"onnx:{tampered(tmp_path, change)}")
 
 
 def test_nobody_among_its_classes(tmp_path: Path) -> None:
@@ -164,3 +195,71 @@ def test_the_kit_asks_onnxruntime(tmp_path: Path) -> None:
     finished(Made()).save(path, names="{0: 'dog', 1: 'person'}")
     with pytest.raises(InputError, match=r"m\.onnx: changed since it was loaded"):
         detector.original()
+
+
+def one_class() -> Made:
+    """Boxes and a single class: the first of the two that `Made` has."""
+    made = Made()
+    made.body()
+    made.head()
+    made.weight("five", np.array([5]), onnx.TensorProto.INT64)
+    made.nodes[-1].output[0] = made.nodes[-1].name = "both"
+    made.node("Slice", "both from five axis", "output")
+    return made
+
+
+def test_a_single_class_without_a_name_is_the_person(tmp_path: Path) -> None:
+    detector = load_detector(f"onnx:{one_class().save(tmp_path / 'm.onnx', names='')}")
+    assert detector.person == 0 and detector.class_names is None and detector(images(1)).other is None
+    with pytest.raises(InputError, match=r"no class 'person' among its 1 \(face\)"):
+        load_detector(f"onnx:{one_class().save(tmp_path / 'face.onnx', names=repr(['face']))}")
+
+
+def test_a_json_file_beside_it_says_names_person_and_more(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "m.onnx", names="")
+    said = {
+        "classes": {"0": "pedestrian", "1": "vehicle"},
+        "person_class": 0,
+        "confidence": 0.35,
+        "input": {"channels": "BGR", "range": "[0, 255]", "normalisation": "folded into the graph"},
+    }
+    path.with_suffix(".json").write_text(json.dumps(said))
+    detector = load_detector(f"onnx:{path}")
+    assert detector.class_names == ("pedestrian", "vehicle") and detector.person == 0
+    assert (detector.operating_point, detector.operating_point_assumed) == (0.35, False)
+    assert (detector.pixels.bgr, detector.pixels.range, detector.pixels_assumed) == (True, 255.0, False)
+    told = load_detector(f"onnx:{path}@rgb,range=255,person=vehicle,conf=0.5")
+    assert told.person == 1 and not told.pixels.bgr and told.operating_point == 0.5
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "{", '{"classes": {"a": 1}, "person_class": true, "confidence": "high"}'])
+def test_another_programs_json_is_left_alone(text: str, tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "m.onnx")
+    path.with_suffix(".json").write_text(text)
+    detector = load_detector(f"onnx:{path}")
+    assert detector.class_names == ("cat", "person") and detector.operating_point_assumed and detector.pixels_assumed
+
+
+def test_a_classifier_is_called_one(tmp_path: Path) -> None:
+    made = Made()
+    made.weight("kernel", np.zeros((1000, 3, 64, 64)))
+    made.node("Conv", "images kernel", "grid")
+    made.node("Flatten", "grid", "output", axis=1)
+    with pytest.raises(InputError, match=r"m.onnx: not a detector: one output, output \[1, 1000\]"):
+        load_detector(f"onnx:{made.save(tmp_path / 'm.onnx')}")
+
+
+def test_an_input_that_is_not_square(tmp_path: Path) -> None:
+    made = Made()
+    made.body()
+    made.head()
+    detector = load_detector(f"onnx:{made.save(tmp_path / 'm.onnx', sides=(48, 80))}")
+    assert detector.input_size == (48, 80)
+    report = verify(detector)
+    assert report["failed"] == [], report["checks"]

@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from cloak_core.detectors.foreign_code import culprit
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.protocol import state_hash
+from cloak_core.detectors.protocol import detector_record, state_hash
 from cloak_core.files.errors import InputError
 
 SOUND = """
@@ -36,6 +37,20 @@ def detector(folder: Path, old: str = "", new: str = ""):
     return load_detector(f"python:{folder / 'mine.py'}:load")
 
 
+def test_it_may_tell_what_else_it_sees(tmp_path: Path) -> None:
+    told = "Detections(boxes, scores, other=1 - scores, other_class=(0 * scores).long())"
+    lines = SOUND.replace("return boxes, scores", f"return {told}").replace(
+        "import torch\n", "import torch\nfrom cloak_core.detectors.protocol import Detections\n", 1
+    )
+    (tmp_path / "mine.py").write_text(lines.replace("__init__()\n", "__init__()\n        self.class_names = ['dog']\n"))
+    told = load_detector(f"python:{tmp_path / 'mine.py'}:load")
+    found = told(images())
+    assert told.class_names == ("dog",) and torch.equal(found.other, 1 - found.scores)
+    (tmp_path / "mine.py").write_text(lines.replace(", other_class=(0 * scores).long()", ""))
+    with pytest.raises(InputError, match="both of other and other_class"):
+        load_detector(f"python:{tmp_path / 'mine.py'}:load")(images())
+
+
 def images(count: int = 2) -> torch.Tensor:
     return torch.rand(count, 3, 8, 8, generator=torch.Generator().manual_seed(0), requires_grad=True)
 
@@ -48,6 +63,8 @@ def images(count: int = 2) -> torch.Tensor:
         ("import sys\n", "def f(:\n", 2, "SyntaxError: "),
         ("    return Mine()", "    raise KeyError('weights')", LAST, "KeyError: 'weights'"),
         ("    return Mine()", "    sys.exit(0)", LAST, "SystemExit"),
+        ("    return Mine()", "    raise BaseException('away')", LAST, "BaseException: away"),
+        ("    return Mine()", "    raise GeneratorExit", LAST, "GeneratorExit"),
     ],
 )
 def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int, words: str) -> None:
@@ -61,6 +78,7 @@ def test_what_loading_it_runs_into(tmp_path: Path, old: str, new: str, line: int
     [
         ("scores = images", "raise RuntimeError('two\\nlines'); scores = images", SCORES, "RuntimeError: two$"),
         ("scores = images", "sys.exit(0); scores = images", SCORES, "SystemExit"),
+        ("scores = images", "raise BaseException('away'); scores = images", SCORES, "BaseException: away"),
         ("images.mean", "images.detach().mean", FORWARD, "its scores carry no gradient"),
         ("[:, None]\n", "[:, None] * 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
         ("[:, None]\n", "[:, None] - 5\n", FORWARD, r"scores must lie in \[0, 1\]"),
@@ -103,3 +121,60 @@ def test_no_box_at_all_leaves_a_gradient_of_zero(tmp_path: Path) -> None:
     batch = images()
     made(batch).scores.sum().backward()
     assert batch.grad is not None and not batch.grad.any()
+
+
+@pytest.mark.parametrize(
+    "made", ["torch.zeros(3, device='meta')", "torch.eye(3).to_sparse()", "torch.nn.UninitializedBuffer()"]
+)
+def test_a_state_that_cannot_be_hashed(tmp_path: Path, made: str) -> None:
+    with pytest.raises(InputError, match=r"python:.*mine\.py:load: \w+: ") as said:
+        detector(tmp_path, "torch.zeros(1))", made + ")")
+    assert "\n" not in str(said.value)
+
+
+def test_an_error_in_its_backward_pass_is_its_own(tmp_path: Path) -> None:
+    mine = "class Back(torch.autograd.Function):\n"
+    mine += "    forward = staticmethod(lambda context, x: x.clone())\n"
+    mine += "    @staticmethod\n    def backward(context, slope):\n        raise KeyError('slope')\n\nclass Mine"
+    (tmp_path / "mine.py").write_text(
+        SOUND.replace("class Mine", mine).replace("scores = images.mean", "scores = Back.apply(images).mean")
+    )
+    made = load_detector(f"python:{tmp_path / 'mine.py'}:load")
+    with pytest.raises(KeyError) as raised:
+        made(images()).scores.sum().backward()
+    assert culprit(raised.value) == f"{made.spec}: {tmp_path / 'mine.py'}:9: KeyError: 'slope'"
+    assert culprit(ValueError("ours")) is None
+
+
+READS = {
+    "a name": "json.load(open(pathlib.Path(__file__).parent / 'data' / 'inner.json'))",
+    "its own name": "json.load(open(pathlib.Path(__file__).with_suffix('.json')))",
+    "a name that is put together": "json.load(open(pathlib.Path(__file__).parent / ('sc' + 'ale.' + 'json')))",
+    "a relative path": "json.load(open('./' + 'sc' + 'ale.json'))",
+}
+
+
+@pytest.mark.parametrize("read", READS)
+def test_data_beside_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    places = [tmp_path / "data" / "inner.json", tmp_path / "mine.json", tmp_path / "scale.json"]
+    (tmp_path / "bystander.json").write_text("1")
+
+    def record(value: int) -> dict:
+        for place in places:
+            place.write_text(str(value))
+        reads = f"import sys, json, pathlib\nSCALE = {READS[read]}\n"
+        return detector_record(detector(tmp_path, "import sys\n", reads))
+
+    before = record(1)
+    assert record(1) == before and list(before["source"]["data"]) == [
+        {"a name": "data/inner.json", "its own name": "mine.json"}.get(read, "scale.json")
+    ]
+    assert record(2) != before
+    (tmp_path / "bystander.json").write_text("2")
+    assert record(1) == before
+
+
+def test_a_detector_without_data_is_known_as_before(tmp_path: Path) -> None:
+    assert set(detector_record(detector(tmp_path))["source"]) == {"file", "function", "input_size", "letterbox"}

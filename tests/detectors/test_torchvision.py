@@ -16,7 +16,7 @@ from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.detectors.torchvision_family import dense
 from cloak_core.detectors.torchvision_family.loading import model_names
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images
+from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score
 
 PERSON = 1
@@ -144,6 +144,30 @@ def test_equals_the_models_own(name: str, tmp_path: Path, monkeypatch: pytest.Mo
     (gradient,) = torch.autograd.grad(max_person_score(detector(image)).sum(), image)
     assert expected.abs().max() > 0
     torch.testing.assert_close(gradient, expected, rtol=1e-3, atol=float(1e-4 * expected.abs().max()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [*sorted(QUICK), *(pytest.param(name, marks=pytest.mark.long) for name in ("fcos_resnet50_fpn",))]
+)
+def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
+    case = Case(name, tmp_path)
+    first = 0 if name.startswith(("retinanet", "fcos")) else 1  # these two score each class by itself
+
+    def load(number: int) -> Detector:
+        detector = load_detector(f"torchvision:{name}:{case.path}", person_class=str(number + first))
+        assert detector.class_names is None and detector.first_class == first
+        small(detector.model)
+        return detector
+
+    batch = images(2, 60, 90, seed=9)
+    if first:  # classes are told by the network's own numbers, the background being 0
+        found = load(0)(batch)
+        assert int(found.other_class.max()) == 2
+        with torch.no_grad():
+            torch.testing.assert_close(found.other.amax(1), max_person_score(load(1)(batch)), rtol=1e-4, atol=1e-6)
+        return
+    others_are_the_rest(load, 3, 1, batch)
 
 
 KINDS = (

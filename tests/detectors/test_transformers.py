@@ -11,7 +11,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images
+from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score
 
 transformers = pytest.importorskip("transformers", reason="pip install 'cloak-core[transformers]'")
@@ -93,6 +93,18 @@ def test_equals_the_library(name: str, tmp_path: Path) -> None:
     batch = batch.requires_grad_()
     (gradient,) = torch.autograd.grad(max_person_score(detector(batch)).sum(), batch)
     assert bool(gradient.isfinite().all()) and bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["Detr", "RTDetr"])
+def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
+    save(name, tmp_path)
+
+    def load(number: int):
+        return load_detector(f"transformers:{tmp_path}", input_size=(64, 96), person_class=str(number))
+
+    assert load(1).class_names == ("cat", "Person", "dog")
+    others_are_the_rest(load, 3, 1, images(2, 64, 96, seed=2))
 
 
 @pytest.mark.slow

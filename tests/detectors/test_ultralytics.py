@@ -15,7 +15,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import detector_record, state_hash
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.files.errors import InputError
-from tests.detectors.helpers import images
+from tests.detectors.helpers import images, others_are_the_rest
 from tests.detectors.test_gradients import lowers_score
 
 # Asked without importing it: what it patches would stay so for the tests that follow.
@@ -97,6 +97,15 @@ def test_says_what_the_package_says(name: str) -> None:
     one = [detector(image) for image in batch.split(1)]
     torch.testing.assert_close(found.scores, torch.cat([o.scores for o in one]), atol=1e-5, rtol=1e-3)
     torch.testing.assert_close(found.boxes, torch.cat([o.boxes for o in one]), atol=2e-3, rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_tells_the_best_other_class(small: Path) -> None:
+    assert load_detector(f"ultralytics:{small}").class_names == ("cat", "person", "dog")
+    assert load_detector(f"ultralytics:yolov8n.yaml@{SIDE}").class_names == COCO
+    others_are_the_rest(
+        lambda number: load_detector(f"ultralytics:{small}", person_class=str(number)), 3, 1, images(2, 90, 60)
+    )
 
 
 @pytest.mark.slow

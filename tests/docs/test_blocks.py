@@ -47,8 +47,11 @@ NOT_RUN = {
     "needs photographs of a printed chart": lambda c: "--measured" in c or "PRINTED" in " ".join(c) or "AGAIN" in c,
     "needs a body with a UV map": lambda c: "texture.png" in c or "--pieces" in c,
     "needs a list of pictures and boxes": lambda c: "--boxes" in c,
+    "needs photographs of people": lambda c: "--people" in c,
     "needs every detector of the zoo": lambda c: c[:2] == ["zoo", "reproduce"] and "--files" in c,
-    "needs files of the reader's": lambda c: any(word.endswith((".obj", ".pkl")) for word in c),
+    "needs files of the reader's": lambda c: any(
+        word.split("@")[0].endswith((".obj", ".pkl", ".xml", ".tflite", "camouflage.png")) for word in c
+    ),
 }
 """Why a command is understood but not run here; the first that holds."""
 NETS = {
@@ -217,7 +220,7 @@ PRINTED = [
     "film RUN --scene UNSEEN --out film.gif",
     "judge PHOTOS --detector builtin",
 ]
-ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look"}
+ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look", "wear"}
 """Too long here; held against their schemas in tests/evaluation, tests/defend, tests/commands and tests/output."""
 NOT_HELD = {"demo", "reproduce", "scene import", "scene import-smpl", "scene import-anny", "zoo add"}
 """Their schemas are read by people alone, like those of what measures (bench ...) or trains detectors."""

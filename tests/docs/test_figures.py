@@ -1,4 +1,8 @@
-"""Figures in prose are those of the record that they name, in a comment: `98 %<!-- FILE : PLACE -->`.
+"""Figures in prose are those of the record that they name.
+
+`docs/figures.toml` has the address of each: `[[figure]]` with page, text (it stands once on the page and ends with the
+figure), record and place; `[[table]]` with page, record, and what its rows and columns are called in the record. Older
+pages name the record in a comment behind the figure: `98 %<!-- FILE : PLACE -->`.
 
 FILE lies beside the page. PLACE in a .json: keys, with slashes between, an element of a list by its "name". In a .md:
 the first cells of a row, then `>` and a column; the first table that has both counts.
@@ -11,6 +15,7 @@ that begins with `>`. What a cell has in brackets is a remark.
 
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -84,6 +89,27 @@ def agrees(words: str, path: Path, place: str) -> bool:
 def test_figures_are_those_of_the_records_they_name(page: Path) -> None:
     for words, file, place in citations(page.read_text("utf-8")):
         assert agrees(words, page.parent / file, place), f"{words[-60:]!r} is not {file} : {place}"
+
+
+ADDRESSES = tomllib.loads((ROOT / "docs" / "figures.toml").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("address", ADDRESSES.get("figure", []), ids=lambda address: address["text"][-30:])
+def test_figures_with_an_address_are_those_of_their_record(address: dict[str, str]) -> None:
+    page = (ROOT / address["page"]).read_text("utf-8")
+    assert page.count(address["text"]) == 1, "the text does not stand once on the page"
+    assert agrees(address["text"], ROOT / address["record"], address["place"])
+
+
+@pytest.mark.parametrize("address", ADDRESSES.get("table", []), ids=lambda address: address["page"])
+def test_tables_with_an_address_are_those_of_their_record(address: dict) -> None:
+    tables = re.findall(r"(?:^\|.*\n)+", (ROOT / address["page"]).read_text("utf-8"), re.MULTILINE)
+    names = "".join(f"{here} = {there}\n" for here, there in (address["rows"] | address["columns"]).items())
+    (table,) = (t for t in tables if all(f"| {row} |" in t for row in address["rows"]))
+    found = table_citations(address["record"], names, table)
+    assert len(found) == len(address["rows"]) * len(address["columns"])
+    for words, record, place in found:
+        assert agrees(words, ROOT / record, place), f"{words!r} is not {record} : {place}"
 
 
 def test_enough_figures_name_their_record() -> None:

@@ -19,18 +19,17 @@ from cloak_core.commands import progress as progress_module
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.progress import WorkProgress
 from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.card import words
-from cloak_core.evaluation.card.areas import nested_areas
-from cloak_core.evaluation.card.assessing import Assessment
+from cloak_core.evaluation.card.assess import Assessment
 from cloak_core.evaluation.card.leaderboard import folder_names, gather, write_leaderboard
 from cloak_core.evaluation.card.page import write_card, write_comparison
-from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Budget
-from cloak_core.evaluation.card.rows import pose_of
+from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Budget, nested_areas
 from cloak_core.evaluation.card.work import Work
-from cloak_core.evaluation.experiments import lab as lab_module
-from cloak_core.evaluation.experiments.lab import Lab
-from cloak_core.evaluation.experiments.materials import Materials
-from cloak_core.evaluation.experiments.options import Options
+from cloak_core.evaluation.data_split import DataSplit
+from cloak_core.evaluation.statistics_card import stance_of
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.store_options import StoreOptions
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import area_share
@@ -57,15 +56,15 @@ class Glow(Detector):
         return Detections(box.expand(count, 1, 4), score, score, torch.ones(count, 1, dtype=torch.bool))
 
 
-def make_lab(out: Path, detector: Detector) -> Lab:
-    materials = Materials(
+def make_store(out: Path, detector: Detector) -> RunStore:
+    split = DataSplit(
         sample_bodies("train").select_poses([0, 9]),
         sample_bodies("unseen").select_poses([0, 3]),
         load_backgrounds("procedural:train:4"),
         load_backgrounds("procedural:test:4"),
         {detector.spec: detector},
     )
-    return Lab(materials, Options(out=out, batch=2, size=48, samples=1, seeds=1), lambda _: None)
+    return RunStore(split, StoreOptions(out=out, batch=2, size=48, samples=1, seeds=1), lambda _: None)
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +72,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list]:
     """A folder with the card of a white box and of a black box, the first card, and the progress told."""
     out, told = tmp_path_factory.mktemp("cards"), []
     card = Assessment(
-        make_lab(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"], lambda *x: told.append(x)
+        make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"], lambda *x: told.append(x)
     ).run()
-    Assessment(make_lab(out, Glow("dark:net.onnx", False)), TINY, out / "dark", []).run()
+    Assessment(make_store(out, Glow("dark:net.onnx", False)), TINY, out / "dark", []).run()
     for name in ("glow", "dark"):
         write_card(out / name)
     return out, card, told
@@ -115,9 +114,9 @@ def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) 
 @pytest.mark.slow
 def test_it_is_made_once_and_the_same_again(made: tuple[Path, dict, list], monkeypatch: pytest.MonkeyPatch) -> None:
     out, card, _ = made
-    for name in ("train", "measure"):
-        monkeypatch.setattr(lab_module, name, lambda *_, **__: pytest.fail("made again"))
-    again = Assessment(make_lab(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
+    for name in ("train", "measure_frozen"):
+        monkeypatch.setattr(store_module, name, lambda *_, **__: pytest.fail("made again"))
+    again = Assessment(make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
     assert again == card  # its seconds, too: of what was done before, no more
 
 
@@ -191,15 +190,15 @@ def replaced(card: dict, rows: list[dict]) -> dict:
 @pytest.mark.slow
 def test_another_budget_takes_its_own_time(made: tuple[Path, dict, list], tmp_path: Path) -> None:
     shutil.copy(made[0] / "glow/spent.json", tmp_path)
-    lab = make_lab(tmp_path, Glow("glow"))
+    store = make_store(tmp_path, Glow("glow"))
     work = lambda budget: Work({}, tmp_path / "spent.json", asked(budget))
-    asked = lambda budget: Assessment(lab, budget, tmp_path, ["builtin-sample"])._asked()
+    asked = lambda budget: Assessment(store, budget, tmp_path, ["builtin-sample"])._asked()
     assert work(TINY).seconds > 0 == work(replace(TINY, steps=3)).seconds
     assert QUICK.steps < DEFAULT.steps < FULL.steps and QUICK.areas == DEFAULT.areas == FULL.areas == AREAS
 
 
 def test_names() -> None:
-    assert [pose_of(name) for name in ("walking-10", "standing", "12")] == ["walking", "standing", "12"]
+    assert [stance_of(name) for name in ("walking-10", "standing", "12")] == ["walking", "standing", "12"]
     names = folder_names(("builtin", "builtin@conf=0.3", "onnx:a/net.onnx", "onnx:b/net.onnx"))
     assert names["builtin"] == "builtin" and len(set(names.values())) == 4
 

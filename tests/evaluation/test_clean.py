@@ -41,7 +41,7 @@ def places(red: int, count: int) -> Backgrounds:
 def test_every_body_at_every_angle_counts_once_per_image():
     result = check_scene(RedDetector(), body(), places(0, 5), (0.0, 10.0), images_per_view=3)
     own = {"operating_point": 0.5, "operating_point_assumed": True, "clean_recall_own": 2 / 3, "false_alarms_own": 0.0}
-    assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5} | own
+    assert result == {"clean_recall": 2 / 3, "false_alarms": 0.0, "n": 18, "backgrounds": 5, "alarms": []} | own
 
 
 def test_the_detectors_own_point_counts_beside():
@@ -61,3 +61,4 @@ def test_renders_to_check_detectors_on():
 def test_false_alarms_are_counted_on_bare_backgrounds():
     result = check_scene(RedDetector(), body(), places(2, 8), (0.0,), images_per_view=1)
     assert result["false_alarms"] == 0.25 and result["n"] == 3
+    assert result["alarms"] == [{"background": name, "score": 1.0} for name in ("0", "1")]

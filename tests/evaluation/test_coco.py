@@ -11,11 +11,12 @@ from torchvision.datasets import CocoDetection
 
 from cloak_core.cli import main
 from cloak_core.evaluation.coco import export_coco, run_lengths
-from cloak_core.evaluation.measurement import draw_trials
+from cloak_core.evaluation.renderer import BodyRenderer, render_images
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.stage import Stage
+from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import write_colors
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.people.samples import sample_bodies
@@ -24,25 +25,27 @@ SIZE = 64
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
+def renderer() -> BodyRenderer:
     bodies = sample_bodies("unseen").select_poses([0, 3])
     backgrounds = load_backgrounds("procedural:test:3")
     settings = EvaluateSettings(images_per_view=1, size=SIZE, shift=12, distances=(1.2, 2.2), samples=1)
     trials = draw_trials(2, (-10.0, 90.0), 3, bodies.outfit_count, settings)
     logo = load_logo(bodies, region="chest")
     colors = np.tile(np.array([[1, 0, 0]], np.float32), (len(logo), 1))
-    return Stage(colors, logo, bodies, backgrounds, trials, settings.camera, ViewBank(bodies, samples=1))
+    return BodyRenderer(
+        colors, logo, bodies, backgrounds, trials, settings.camera, ViewCache(bodies, RenderSettings(samples=1))
+    )
 
 
 @pytest.fixture(scope="module")
-def made(stage: Stage, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(renderer: BodyRenderer, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("coco") / "set"
-    told = export_coco(stage, out, "png")
-    assert told["images"] == 2 * len(stage.trials) == 16 and told["cloaked"] == 8
+    told = export_coco(renderer, out, "png")
+    assert told["images"] == 2 * len(renderer.trials) == 16 and told["cloaked"] == 8
     return out
 
 
-def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, stage: Stage) -> None:
+def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, renderer: BodyRenderer) -> None:
     coco = COCO(made / "annotations.json")
     assert coco.loadCats(coco.getCatIds())[0]["name"] == "person"
     pairs: dict[int, list] = {}
@@ -53,13 +56,13 @@ def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, stage: Stage) -> No
         y, x = np.nonzero(mask)
         box = [x.min(), y.min(), x.max() - x.min() + 1, y.max() - y.min() + 1]
         assert found["bbox"] == box
-        true = stage.boxes(stage.views([image["pair"]]), [image["pair"]])[0].tolist()
+        true = renderer.boxes(renderer.views([image["pair"]]), [image["pair"]])[0].tolist()
         assert [*box[:2], box[0] + box[2], box[1] + box[3]] == pytest.approx(true)
         pairs.setdefault(image["pair"], []).append((image, found))
     for trial, ((_, own), (_, worn)) in pairs.items():
         assert not own["attributes"]["cloaked"] and worn["attributes"]["cloaked"]
         assert own["bbox"] == worn["bbox"] and own["segmentation"] == worn["segmentation"]
-        assert own["attributes"]["body"] == stage.bodies.names[int(stage.trials.pose[trial])]
+        assert own["attributes"]["body"] == renderer.bodies.names[renderer.trials.at[trial, "pose"]]
 
 
 def test_the_visible_box_is_what_the_border_leaves_of_the_whole_one(made: Path) -> None:
@@ -73,14 +76,14 @@ def test_the_visible_box_is_what_the_border_leaves_of_the_whole_one(made: Path) 
             assert seen == pytest.approx(clipped, abs=1.5)  # a pixel counts where half of it is covered
 
 
-def test_torchvision_reads_what_was_rendered(made: Path, stage: Stage) -> None:
+def test_torchvision_reads_what_was_rendered(made: Path, renderer: BodyRenderer) -> None:
     data = CocoDetection(str(made / "images"), str(made / "annotations.json"))
     assert len(data) == 16
     assert data[0][1][0]["category_id"] == 1 and len(data[0][1]) == 1
     images = data.coco.loadImgs(data.ids)
     first = {image["cloaked"]: k for k, image in enumerate(images) if image["pair"] == 0}
     own, worn = (np.asarray(data[first[cloaked]][0], float) for cloaked in (False, True))
-    shown = stage.images([0], "logo")[0].permute(1, 2, 0) * 255
+    shown = render_images(renderer, [0], "logo")[0].permute(1, 2, 0) * 255
     assert torch.equal(torch.from_numpy(worn), shown.round().double())
     inside = data.coco.annToMask(data[first[True]][1][0]).astype(bool)
     assert np.abs(own - worn)[inside].mean() > 1 > np.abs(own - worn)[~inside].mean()
@@ -96,14 +99,14 @@ def test_run_lengths_are_those_of_pycocotools(seed: int) -> None:
 
 
 def test_the_command_takes_a_run_and_overwrites_nothing(
-    stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture
+    renderer: BodyRenderer, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     run = tmp_path / "run"
     run.mkdir()
     inputs = {"scene": "sample:train", "backgrounds": "procedural:train"}
     (run / "config.json").write_text(json.dumps({"inputs": inputs, "detectors": [{"spec": "builtin"}]}))
-    write_colors(run / "colors.npy", stage.colors)
-    np.save(run / "logo.npy", stage.logo.face_ids)
+    write_colors(run / "colors.npy", renderer.colors)
+    np.save(run / "logo.npy", renderer.logo.face_ids)
     asked = ["export", "coco", str(run), "--out", str(tmp_path / "out"), "--json", "--size", "48", "--angles", "0"]
     asked += ["--backgrounds", "procedural:test:2", "--scene", "sample:unseen[0:1]"]
     with pytest.raises(SystemExit, match="0"):

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,17 +12,17 @@ import torch
 from torch import Tensor
 
 from cloak_core.commands.evaluate import show_success
+from cloak_core.detectors.outcomes import on_body
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.evaluation.controls import random_colors
-from cloak_core.evaluation.evaluate import evaluate, make_stage
+from cloak_core.evaluation.evaluate import evaluate, make_renderer
 from cloak_core.evaluation.evaluation_folder import read_evaluation
-from cloak_core.evaluation.inference import max_score_on
-from cloak_core.evaluation.report.page import make_report
+from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, render_images
+from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.stage import Stage
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.images.compositing import compose
+from cloak_core.render.compositing import compose
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo, select_region
 from cloak_core.scene.people.samples import sample_bodies
@@ -95,15 +96,16 @@ def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
 
 def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> None:
     """Between two patterns only the logo's pixels change; images repeat exactly; own clothing is the plain body."""
-    stage = make_stage(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
-    every = list(range(len(stage.trials)))
-    views = stage.views(every)
+    renderer = make_renderer(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    assert isinstance(renderer, EvaluationRenderer)
+    every = list(range(len(renderer.trials)))
+    views = renderer.views(every)
     controls = ("logo", "clothing", "grey", "random")
-    images = {c: shown.clone() for c, shown in zip(controls, stage.compose(views, every, controls), strict=True)}
-    assert torch.equal(images["random"], stage.images(every, "random"))
-    assert torch.equal(images["random"][3:5], stage.images(every[3:5], "random"))
+    images = {c: shown.clone() for c, shown in zip(controls, renderer.compose(views, every, controls), strict=True)}
+    assert torch.equal(images["random"], render_images(renderer, every, "random"))
+    assert torch.equal(images["random"][3:5], render_images(renderer, every[3:5], "random"))
     for i, view in enumerate(views):
-        dx, dy = stage.trials.shift[i]
+        dx, dy = renderer.shifts([i])[0].tolist()
         touched = view.pixels[view.logo_rows]
         may_differ = torch.zeros(64, 64, dtype=torch.bool)
         x, y = touched % 64 + dx, touched // 64 + dy
@@ -114,27 +116,29 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
             assert differs.any() and not (differs & ~may_differ).any()
     # Dressing no logo at all shows the body as it is.
     one = make_logo(bodies, logo.face_ids[:1])
-    plain = make_stage(green(one), one, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
-    assert torch.allclose(plain.images(every, "clothing"), images["clothing"], atol=1e-5)
+    plain = make_renderer(green(one), one, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    assert torch.allclose(render_images(plain, every, "clothing"), images["clothing"], atol=1e-5)
 
 
 def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkeypatch: pytest.MonkeyPatch) -> None:
     """A batch's bodies and backgrounds are composed once for all controls; the pixels are those composed anew."""
-    stage = make_stage(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
-    every, controls = list(range(len(stage.trials))), ("logo", "clothing", "grey", "random")
-    views = stage.views(every)
-    outfit, count = stage.trials.outfit, len(logo)
-    for control, images in zip(controls, stage.compose(views, every, controls), strict=True):
+    renderer = make_renderer(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    every, controls = list(range(len(renderer.trials))), ("logo", "clothing", "grey", "random")
+    views = renderer.views(every)
+    outfit, count = renderer.trials["outfit"].to_numpy(), len(logo)
+    for control, images in zip(controls, renderer.compose(views, every, controls), strict=True):
         each = {
             "logo": np.stack([green(logo)] * len(every)),
             "clothing": bodies.face_colors[outfit][:, logo.face_ids],
             "grey": np.full((len(every), count, 3), 0.5, np.float32),
             "random": np.stack([random_colors(SMALL.seed, i, count) for i in every]),
         }[control]
-        anew = compose(views, torch.from_numpy(each), stage.backgrounds(every), stage.shifts(every))
+        anew = compose(views, torch.from_numpy(each), renderer.backgrounds(every), renderer.shifts(every))
         assert (images - anew).abs().max() <= 1e-6
     drawn = []
-    monkeypatch.setattr(Stage, "backgrounds", lambda self, indices: drawn.append(len(indices)) or self.bare(indices))
+    monkeypatch.setattr(
+        BodyRenderer, "backgrounds", lambda self, indices: drawn.append(len(indices)) or self.bare(indices)
+    )
     evaluate(green(logo), logo, bodies, grey_rooms(8), {"spec": GreenBlind()}, ANGLES, SMALL)
     assert drawn == [4, 4]  # of 8 images in batches of 4: once each, not once for each of 4 controls
 
@@ -147,14 +151,15 @@ def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) ->
 
 
 def test_true_boxes_decide_success_iou() -> None:
+    best = lambda detections, boxes: on_body(detections, boxes, within=math.inf).person.tolist()
     detections = Detections(
         torch.tensor([[[0.0, 0, 10, 20], [50, 50, 60, 70]]]).repeat(2, 1, 1), torch.tensor([[0.9, 0.7], [0.9, 0.7]])
     )
     true = torch.tensor([[50.0, 50, 60, 70], [0, 0, 10, 39]])
-    assert max_score_on(detections, true).tolist() == pytest.approx([0.7, 0.9])
-    assert max_score_on(detections, torch.zeros(2, 4)).tolist() == [0, 0]
+    assert best(detections, true) == pytest.approx([0.7, 0.9])
+    assert best(detections, torch.zeros(2, 4)) == [0, 0]
     nothing = Detections(torch.zeros(2, 0, 4), torch.zeros(2, 0))
-    assert max_score_on(nothing, true).tolist() == [0, 0]
+    assert best(nothing, true) == [0, 0]
 
 
 @pytest.mark.slow
@@ -167,7 +172,7 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
         )
     stored = read_evaluation(tmp_path / "evaluation")
     assert stored.summary == json.loads(json.dumps(result))
-    assert stored.measurement.score.shape == (1, 4, 8)
+    assert stored.results.controls == ("logo", "clothing", "grey", "random") and len(stored.results.trials) == 8
     assert len(stored.pictures["gallery"]) == 4 and stored.pictures["failures"] == {"spec": []}
     assert "Attack success" in make_report(tmp_path).read_text("utf-8")
     assert not [*tmp_path.glob("*.new"), *tmp_path.glob("*.old")]

@@ -13,21 +13,21 @@ from torch import Tensor
 from cloak_core.attack.settings.values import Angles
 from cloak_core.cli import main
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.film.camera_path import camera_path
-from cloak_core.evaluation.film.counting import longest_run
-from cloak_core.evaluation.film.making import make_film
+from cloak_core.evaluation.film.camera_path import approaches, camera_path
+from cloak_core.evaluation.film.film import film_renderer, make_film, usual_pace, write_turntable
 from cloak_core.evaluation.film.settings import FilmSettings
-from cloak_core.evaluation.film.shooting import make_stage
-from cloak_core.evaluation.film.tracking import Rule, overlaps, track
-from cloak_core.evaluation.film.turntable import write_turntable
-from cloak_core.evaluation.measurement import draw_trials
+from cloak_core.evaluation.film.tracking import Rule, track
+from cloak_core.evaluation.renderer import BodyRenderer
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.stage import Stage
+from cloak_core.evaluation.statistics_film import longest_run
+from cloak_core.evaluation.trials import draw_trials
 from cloak_core.files.errors import InputError
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene import videos
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
+from cloak_core.scene.people.clothed import clothed_bodies
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.videos import read_frames, save_film
 
@@ -78,9 +78,9 @@ def film(logo: Logo, white: Backgrounds, out: Path, **settings: object) -> dict:
 
 def test_paths_end_where_they_should() -> None:
     orbit = camera_path(chosen(camera="orbit", fps=10, seconds=2, turns=-1), 3)
-    assert len(orbit) == 20 and orbit.azimuth[0] == 0 and orbit.azimuth[-1] == -342 and not orbit.approaches
+    assert len(orbit) == 20 and orbit["azimuth"].iloc[[0, -1]].tolist() == [0, -342] and not approaches(orbit)
     approach = camera_path(chosen(camera="approach", far=8, near=2, fps=10, seconds=2), 3)
-    assert (approach.distance[0], approach.distance[-1]) == (8, 2) and approach.approaches
+    assert approach["distance"].iloc[[0, -1]].tolist() == [8, 2] and approaches(approach)
     assert len(camera_path(chosen(fps=10), 7)) == 7  # once through the poses
     assert len(camera_path(chosen(fps=10, poses_per_second=2), 7)) == 35
     assert len(camera_path(chosen(fps=10, camera="orbit"), 7)) == 40
@@ -90,8 +90,8 @@ def test_keyframes_are_joined_by_lines(tmp_path: Path) -> None:
     keys = tmp_path / "path.csv"
     keys.write_text("\ufefftime, distance,Azimuth\n0,8,0\n1,4,90\n2,4,\n")
     path = camera_path(chosen(camera=str(keys), fps=2, elevation=10), 1)
-    assert path.distance.tolist() == [8, 6, 4, 4] and path.azimuth.tolist() == [0, 45, 90, 45]
-    assert set(path.elevation.tolist()) == {10} and path.approaches
+    assert path["distance"].tolist() == [8, 6, 4, 4] and path["azimuth"].tolist() == [0, 45, 90, 45]
+    assert set(path["elevation"]) == {10} and approaches(path)
     for text, words in (
         ("time,distance\n1,2\n0,3\n", "begin at 0 or later and grow"),
         ("time,distance\n0,0\n", "distances are above 0"),
@@ -130,8 +130,6 @@ def test_crossing_boxes_keep_to_their_nearest_track() -> None:
     two = track(frames(*[[box(4 * k), box(40 - 4 * k, y=9)] for k in range(8)]), Rule())
     assert [sorted(one.boxes) for one in two] == [list(range(8))] * 2
     assert [one.boxes[7] for one in two] == [0, 1]
-    overlap = overlaps(np.array([box(0)]), np.array([box(0), box(5), box(20)]))
-    assert overlap[0] == pytest.approx([1, 1 / 3, 0])
 
 
 def test_longest_run() -> None:
@@ -150,7 +148,7 @@ def test_a_film_counts_what_the_detector_sees(logo: Logo, white: Backgrounds, tm
     numbers = json.loads((tmp_path / "film/film.json").read_text())
     assert len(numbers["by_frame"]) == 5 and numbers["hidden"] == 1.0
     row = numbers["by_frame"][1]
-    assert row["body"] == sample_bodies("unseen").names[1] and row["detectors"]["nogreen"]["logo"]["hidden"]
+    assert row["body"] == sample_bodies("unseen").names[0] and row["detectors"]["nogreen"]["logo"]["hidden"]
     pictures = sorted((tmp_path / "film").glob("*.png"))
     assert len(pictures) == 5
     frame = np.asarray(Image.open(pictures[0])).astype(int)[20:60]
@@ -192,11 +190,11 @@ def test_the_camera_stays_or_follows(logo: Logo, white: Backgrounds) -> None:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     settings = chosen(fps=1, seconds=2, size=SIZE)
     about = np.zeros((len(logo), 3), np.float32), logo, bodies, white, camera_path(settings, 2)
-    stay, follow = (make_stage(*about, chosen(fps=1, seconds=2, size=SIZE, follow=f)) for f in (False, True))
+    stay, follow = (film_renderer(*about, chosen(fps=1, seconds=2, size=SIZE, follow=f)) for f in (False, True))
     assert stay.camera(0) == stay.camera(1) and stay.camera(0).pivot is not None
     assert follow.camera(0).pivot is None
     with pytest.raises(InputError, match="--outfit: there is no outfit 99"):
-        make_stage(*about, chosen(outfit=99))
+        film_renderer(*about, chosen(outfit=99))
 
 
 def test_a_video_holds_what_was_put_in(tmp_path: Path) -> None:
@@ -246,8 +244,10 @@ def test_an_evaluation_leaves_a_turntable_unless_it_is_tiny(logo: Logo, white: B
     asked = EvaluateSettings(size=SIZE, shift=4, images_per_view=4, samples=1)
     trials = draw_trials(2, tuple(float(a) for a in range(8)), 1, bodies.outfit_count, asked)
     colors = np.zeros((len(logo), 3), np.float32)
-    stage = Stage(colors, logo, bodies, white, trials, asked.camera, ViewBank(bodies, samples=1))
-    about = stage, 3, {"nogreen": NoGreen()}, 0.6
+    renderer = BodyRenderer(
+        colors, logo, bodies, white, trials, asked.camera, ViewCache(bodies, RenderSettings(samples=1))
+    )
+    about = renderer, 3, {"nogreen": NoGreen()}, 0.6
     assert not write_turntable(tmp_path / "none.gif", *about, controls=1) and not (tmp_path / "none.gif").exists()
     assert write_turntable(tmp_path / "turntable.gif", *about, controls=2)
     with Image.open(tmp_path / "turntable.gif") as gif:
@@ -263,7 +263,16 @@ def test_the_command_says_what_the_contract_promises(tmp_path: Path, capsys: pyt
     assert not end.value.code
     told = json.loads(capsys.readouterr().out)
     assert {"frames", "hidden", "longest_run", "first_sight_m", "tracks", "out"} <= set(told)
-    assert told["frames"] == 2 and told["out"] == str(out) and out.exists()
+    # Each of two single poses is held for a second.
+    assert told["frames"] == 4 and told["out"] == str(out) and out.exists()
     with pytest.raises(SystemExit) as end:
         main([*words, "1", "--out", str(out)])
     assert end.value.code == 2 and "exists already" in capsys.readouterr().err
+
+
+def test_single_poses_are_held_and_motions_run() -> None:
+    assert usual_pace(sample_bodies("unseen").vertices, 25.0) == 1
+    walk = clothed_bodies("unseen").vertices[:12]
+    assert usual_pace(walk, 25.0) == 25 and usual_pace(walk[:1], 30.0) == 30
+    gone = walk + np.arange(12, dtype=np.float32)[:, None, None] * np.float32([0, 0, 0.3])
+    assert usual_pace(gone, 25.0) == 25

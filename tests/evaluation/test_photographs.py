@@ -14,13 +14,15 @@ from torch import Tensor
 from cloak_core.cli import main
 from cloak_core.commands import judge as judge_command
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.photographs.judging import judge
+from cloak_core.evaluation import statistics_photographs
+from cloak_core.evaluation.photographs.judge import judge
 from cloak_core.evaluation.photographs.listing import list_subjects
-from cloak_core.evaluation.photographs.planning import independent, plan
 from cloak_core.evaluation.photographs.settings import JudgeSettings
+from cloak_core.evaluation.statistics_photographs import clean_scores, independent_pairs, plan
 from cloak_core.files.errors import InputError
 from cloak_core.scene import videos
 from cloak_core.scene.videos import save_film
+from tests.schemas import validate
 
 BLUE, GREEN, RED = (20, 20, 230), (20, 230, 20), (230, 20, 20)
 """Seen surely; seen hardly; seen, but only from a threshold of 0.5 on."""
@@ -105,6 +107,31 @@ def test_exif_rotation_boxes_and_bystanders(tmp_path: Path) -> None:
     assert told["with"]["success"] == 1 and told["without"]["detected"] == 1
     (tmp_path / "boxes.csv").write_text("file,x1,y1,x2,y2\nwith/1.jpg,10,10,40,30\nwithout/1.jpg,10,10,40,30\n")
     assert see(tmp_path, boxes=tmp_path / "boxes.csv")["without"]["detected"] == 0  # as if it lay on its side
+
+
+class Naming(Painted):
+    """Takes people in green for a plant."""
+
+    class_names = ("person", "plant")
+
+    def forward(self, images: Tensor) -> Detections:
+        found = super().forward(images)
+        other = torch.where(found.scores == SCORES[1], 0.8, 0.0)
+        return found._replace(other=other, other_class=torch.ones_like(other, dtype=torch.long))
+
+
+def test_a_person_taken_for_something_else_is_told_from_one_who_is_gone(tmp_path: Path) -> None:
+    for side, shown in (("with", (GREEN,)), ("without", (BLUE,))):
+        paint(tmp_path / side / "1.png", shown)
+        paint(tmp_path / side / "2.png", *([shown] if side == "without" else []))
+    files = [f"{side}/{n}.png,10,10,30,50\n" for side in ("with", "without") for n in (1, 2)]
+    settings = JudgeSettings(resamples=100)
+    untold = judge(tmp_path, {"naming": Naming()}, settings)["with"]
+    assert untold["success"] == 1 and untold["renamed"] is None  # nobody says where the person is
+    (tmp_path / "boxes.csv").write_text("file,x1,y1,x2,y2\n" + "".join(files))
+    told = judge(tmp_path, {"naming": Naming()}, settings, boxes=tmp_path / "boxes.csv")
+    assert (told["with"]["renamed"], told["with"]["gone"], told["with"]["named"]) == (0.5, 0.5, {"plant": 1})
+    assert (told["without"]["renamed"], told["without"]["gone"]) == (0, 0)
 
 
 def test_a_table_names_several_people_in_a_picture(tmp_path: Path) -> None:
@@ -213,7 +240,7 @@ def test_the_plan_narrows_with_people_and_scenes() -> None:
     points = {(row["people"], row["scenes"], row["each"]): row["points"]["0.5"] for row in rows}
     assert points[8, 12, 1] < points[4, 12, 1] < points[4, 4, 1]
     assert points[4, 4, 3] > points[8, 12, 1]  # the same people once more say little
-    assert independent(0.5) == 93 and independent(0.9) < 60
+    assert independent_pairs(0.5) == 93 and independent_pairs(0.9) < 60
 
 
 @pytest.mark.slow
@@ -248,3 +275,24 @@ def test_a_video_that_breaks_off_is_left_out_whole(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(videos, "read_frames", broken)
     told = see(tmp_path)
     assert told["skipped"] == ["with/2.mp4: breaks off"] and told["pictures"] == 2 and told["with"]["n_all"] == 1
+
+
+def test_a_plan_is_what_the_schema_says_and_explains_itself(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.setattr(statistics_photographs, "_half_width", lambda *_, **__: 0.2)
+    for more in (["--json"], []):
+        with pytest.raises(SystemExit) as end:
+            main(["judge", "--plan", *more])
+        assert not end.value.code
+        told = capsys.readouterr().out
+        if more:
+            assert {row["people"] for row in validate("judge", told)["plan"]} == {1, 2, 4, 8, 12}
+    assert "it may widen when the first" in told and "8 people in 8 scenes" in told
+
+
+def test_of_several_clean_pictures_most_must_be_found() -> None:
+    score, garment = np.array([0.9, 0.7, 0.2, 0.4]), np.array(["without", "without", "without", "with"])
+    clean = lambda *partners: clean_scores(score, garment, [np.array([], int)] * 3 + [np.array(partners, int)])[3]
+    assert clean(0) == 0.9 and clean(0, 1) == 0.7 and clean(0, 1, 2) == 0.7 and clean(0, 2) == 0.2
+    assert np.isnan(clean()) and np.isinf(clean_scores(score, garment, [np.array([], int)] * 4)[0])

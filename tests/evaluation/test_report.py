@@ -1,18 +1,22 @@
 """The report: whole, offline, honest about what is not there, and safe from what others put into a run."""
 
+import itertools
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from made_evaluation import make_measurement, write_run
 from PIL import Image
 
+from cloak_core.evaluation.report import plots
 from cloak_core.evaluation.report.history import History
-from cloak_core.evaluation.report.page import make_report
-from cloak_core.evaluation.report.words import duration, fact_rows, interval, percent, short_name
+from cloak_core.evaluation.report.page import _environment
+from cloak_core.evaluation.report.run_report import make_report
+from cloak_core.evaluation.report.words import duration, fact_rows, interval, lede, percent, short_name
 from cloak_core.files.errors import InputError
+from tests.evaluation.made_evaluation import made_results, write_run
 
 HOSTILE = '<script>alert("1")</script>&'
 VOID = {"meta", "img", "br", "link", "input", "hr"}
@@ -51,7 +55,7 @@ def parse(text: str) -> Balanced:
 
 @pytest.mark.slow
 def test_report_opens_offline_and_says_what_was_measured(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "my run", measurement=make_measurement())
+    run = write_run(tmp_path / "my run", results=made_results())
     report = make_report(run)
     assert report == run / "report.html"
     text = report.read_text("utf-8")
@@ -91,9 +95,8 @@ def test_report_of_a_run_without_events(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_text_of_others_is_escaped(tmp_path: Path) -> None:
     config = {"settings": {"preset": HOSTILE}, "scene": {"name": HOSTILE, "poses": [HOSTILE]}, HOSTILE: HOSTILE}
-    measurement = make_measurement(specs=(HOSTILE,), bodies=(HOSTILE, "b", "c"))
-    object.__setattr__(measurement, "background_names", (HOSTILE,) * 30)
-    run = write_run(tmp_path / "run", config, measurement)
+    results = made_results(specs=(HOSTILE,), bodies=(HOSTILE, "b", "c"), backgrounds=(HOSTILE,) * 30)
+    run = write_run(tmp_path / "run", config, results)
     text = make_report(run).read_text("utf-8")
     assert "script" not in parse(text).tags
     assert "&lt;script&gt;" in text
@@ -102,7 +105,7 @@ def test_text_of_others_is_escaped(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_several_detectors_and_warnings(tmp_path: Path) -> None:
     run = write_run(
-        tmp_path / "run", measurement=make_measurement(specs=("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224"))
+        tmp_path / "run", results=made_results(specs=("builtin", "darknet:/x/tiny.cfg:/x/tiny.weights@224"))
     )
     path = run / "evaluation/summary.json"
     summary = json.loads(path.read_text())
@@ -124,7 +127,7 @@ def test_no_run_folder(tmp_path: Path) -> None:
 
 
 def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", measurement=make_measurement())
+    run = write_run(tmp_path / "run", results=made_results())
     (run / "evaluation" / "scores.npz").write_bytes(b"PK")
     with pytest.raises(InputError, match=r"scores\.npz"):
         make_report(run)
@@ -133,7 +136,7 @@ def test_damaged_evaluation_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_pictures_stay_in_their_folder(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", measurement=make_measurement())
+    run = write_run(tmp_path / "run", results=made_results())
     (tmp_path / "secret.png").write_bytes(b"secret")
     path = run / "evaluation/pictures.json"
     pictures = json.loads(path.read_text())
@@ -171,7 +174,7 @@ def test_words() -> None:
 
 @pytest.mark.slow
 def test_a_turntable_in_the_run_or_the_evaluation_turns_in_the_report(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", measurement=make_measurement())
+    run = write_run(tmp_path / "run", results=made_results())
     assert "All around" not in make_report(run).read_text("utf-8")
     Image.new("RGB", (4, 4), "red").save(run / "evaluation/pictures/turntable.gif")
     pictures = json.loads((run / "evaluation/pictures.json").read_text())
@@ -194,3 +197,36 @@ def test_the_report_says_which_colours_there_may_be():
     config = {"settings": {"colors_at_most": 3, "pattern": "free"}, "palette": {"colors": 12}}
     assert dict(fact_rows(config, History()))["colours"] == "at most 3 distinct, of a palette of 12"
     assert "colours" not in dict(fact_rows({"settings": {"pattern": "free"}}, History()))
+
+
+def test_the_headline_says_both_thresholds_and_which_box(tmp_path: Path) -> None:
+    rates = {"success": 0.25, "success_own": 0.0, "ci95": [0.2, 0.31], "n": 336}
+    clothing = {"success": 0.02, "success_own": 0.0}
+    summary = {
+        "detectors": {"builtin": {"logo": rates, "clothing": clothing, "by_body": {"a": {}, "b": {}}}, "x": {}},
+        "operating_points": {"builtin": 0.3},
+        "settings": {"threshold": 0.6},
+        "white_box": {"builtin": False},
+    }
+    said = lede(summary)
+    assert "builtin (black box: never trained against it) finds no person in 0 % above 0.3" in said
+    assert "and in 25 % above 0.6 (95 % interval 20 – 31 %), of 336 images of 2 bodies" in said
+    assert "in 0 % and 2 % of the same images" in said and said.endswith("Below are 1 more detector.")
+    del summary["operating_points"], summary["white_box"]
+    assert "builtin finds no person in 25 % above 0.6" in lede(summary)
+
+
+def test_labels_of_several_detectors_stand_apart() -> None:
+    boxes = [{"d": d, "x": 100, "y": y, "w": 9, "h": 9, "score": "0.5"} for d, y in enumerate((50, 52, 60, 300))]
+    shown = _environment().get_template("macros.html").module.shot({"image": "", "boxes": boxes}, 416, "")
+    tops = sorted(float(y) for y in re.findall(r'class="tag" x="98" y="([\d.]+)"', str(shown)))
+    assert len(tops) == 4 and all(b - a >= 26 for a, b in itertools.pairwise(tops))
+
+
+def test_single_images_are_not_joined_to_a_trend() -> None:
+    results = made_results()
+    single = results.images.drop_duplicates(["control", "angle"])
+    for images, joined in ((results.images, True), (single, False)):
+        figure = plots.success_by_angle(replace(results, images=images), "builtin", 0.6)
+        lines = [line for line in figure.axes[0].get_lines() if len(line.get_xdata()) == 5]
+        assert lines and all((line.get_linestyle() != "None") == joined for line in lines)

@@ -21,10 +21,12 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import Job
 from cloak_core.jobs.ray_cluster import RayCluster
+from cloak_core.jobs.ray_keeper import processes_of
 from cloak_core.scene.opening import load_scene
 from tests.jobs.work import refuse
 
 pytestmark = pytest.mark.long
+ROOT = Path(__file__).parents[2]
 GRID = """[base]
 scene = 'sample:unseen[0:1]'
 backgrounds = 'procedural:train:2'
@@ -139,3 +141,27 @@ def test_control_c_ends_runs_in_order(tmp_path):
     assert process.returncode == 3, said
     ends = [read_events(path)[-1] for path in (tmp_path / "out").glob("runs/*/events.jsonl")]
     assert ends and all(end["type"] == "end" and end["outcome"] == "stopped" for end in ends)
+
+
+LONG = """
+import time
+import ray
+from cloak_core.jobs.ray_cluster import RayCluster
+
+with RayCluster()._connected(ray):
+    print(ray.get_runtime_context().get_session_name(), flush=True)
+    forever = ray.remote(time.sleep).remote(600)
+    time.sleep(600)
+"""
+
+
+def test_nothing_of_a_cluster_outlives_a_killed_process() -> None:
+    child = subprocess.Popen([sys.executable, "-c", LONG], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    session = child.stdout.readline().strip()
+    assert processes_of(session)
+    child.kill()
+    child.wait()
+    until = time.monotonic() + 60
+    while processes_of(session) and time.monotonic() < until:
+        time.sleep(0.5)
+    assert processes_of(session) == []

@@ -10,13 +10,14 @@ from PIL import Image, ImageCms
 
 from cloak_core import cli
 from cloak_core.bench import printing
+from cloak_core.cli import main
 from cloak_core.exchange.profiles import Profile, read_profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.output.calibration import chart, photograph
 from cloak_core.output.calibration.calibrating import profile_of
-from cloak_core.output.calibration.difference import de2000, lab, mean_difference
 from cloak_core.output.calibration.fitting import fit_profile, interpolation
 from cloak_core.output.calibration.measured import from_lab, read_patches
+from cloak_core.scene.color_difference import de2000, lab, mean_difference
 from tests.schemas import validate
 
 # Pairs in CIELAB and their difference: the test data published with Sharma, Wu, Dalal (2005), table 1.
@@ -218,3 +219,9 @@ def test_the_command_writes_a_chart_and_a_profile(tmp_path, capsys):
 def test_profiles_are_written_whole(tmp_path):
     write_profile(tmp_path / "p.npz", Profile(np.zeros((2, 2, 2, 3), np.float32), {"patches": 8.0}))
     assert read_profile(tmp_path / "p.npz").figures == {"patches": 8.0}
+
+
+def test_the_chart_alone_is_what_the_schema_says(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", "--chart", str(tmp_path / "chart.pdf"), "--json"])
+    assert not end.value.code and validate("calibrate", capsys.readouterr().out)["patches"] > 50

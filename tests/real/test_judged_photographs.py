@@ -9,14 +9,15 @@ from PIL import Image
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.measurement import draw_trials
-from cloak_core.evaluation.photographs.judging import judge
+from cloak_core.evaluation.photographs.judge import judge
 from cloak_core.evaluation.photographs.settings import JudgeSettings
-from cloak_core.evaluation.pictures import to_pil
+from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.stage import Stage
+from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import read_colors
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.opening import load_scene
@@ -27,7 +28,7 @@ LYING = 6
 """EXIF: stored turned to the left."""
 
 
-def make_stage(data: Path, people: int, scenes: int, size: int) -> Stage:
+def make_renderer(data: Path, people: int, scenes: int, size: int) -> BodyRenderer:
     """People of the zoo's transfer cloak, each once in each scene from each of two distances."""
     bodies = load_scene(f"{data / 'bodies_anny.npz'}[4:{4 + people}]")
     photographs = load_backgrounds(f"{data / 'backgrounds'}[1::2]").subset(range(scenes))
@@ -35,9 +36,15 @@ def make_stage(data: Path, people: int, scenes: int, size: int) -> Stage:
     logo = load_logo(bodies, run / "logo.npy")
     asked = EvaluateSettings(size=size, shift=size // 16, images_per_view=scenes, distances=(2.2, 3.5), samples=4)
     trials = draw_trials(people, (5.0,), scenes, bodies.outfit_count, asked)
-    trials.background[:] = np.tile(np.arange(scenes), 2 * people)
-    return Stage(
-        read_colors(run / "colors.npy"), logo, bodies, photographs, trials, asked.camera, ViewBank(bodies, samples=4)
+    trials["background"] = np.tile(np.arange(scenes), 2 * people)
+    return BodyRenderer(
+        read_colors(run / "colors.npy"),
+        logo,
+        bodies,
+        photographs,
+        trials,
+        asked.camera,
+        ViewCache(bodies, RenderSettings(samples=4)),
     )
 
 
@@ -45,15 +52,16 @@ def make_stand_ins(folder: Path, shared: Path, people: int = 2, scenes: int = 2,
     """A folder of pictures with pictures.csv: every third lies on its side but for EXIF, every fourth has people
     beside, one pair is a video, and some show nobody. A person's box is told wherever it is needed."""
     data, rows = shared / "data", []
-    stage = make_stage(data, people, scenes, size)
+    renderer = make_renderer(data, people, scenes, size)
     with Image.open(data / "photos/person.jpg") as photograph:
         beside = photograph.convert("RGB").resize((size * photograph.width // photograph.height, size))
     folder.mkdir(parents=True)
-    for i in range(len(stage.trials)):
-        view = stage.views([i])
-        box = stage.boxes(view, [i])[0].tolist()
-        labels = [f"person {stage.trials.pose[i]}", f"scene {stage.trials.background[i]}", stage.trials.distance[i]]
-        pair = zip((CLOTHING, LOGO), stage.compose(view, [i], (CLOTHING, LOGO)), strict=True)
+    for i in range(len(renderer.trials)):
+        view = renderer.views([i])
+        box = renderer.boxes(view, [i])[0].tolist()
+        shown = renderer.trials.loc[i]
+        labels = [f"person {shown['pose']:g}", f"scene {shown['background']:g}", shown["distance"]]
+        pair = zip((CLOTHING, LOGO), renderer.compose(view, [i], (CLOTHING, LOGO)), strict=True)
         for control, (image,) in pair:
             picture = to_pil(image)
             if i % 4 == 3:
@@ -68,11 +76,11 @@ def make_stand_ins(folder: Path, shared: Path, people: int = 2, scenes: int = 2,
             picture.save(folder / name, quality=92, exif=exif)
             rows.append([name, "yes" if control == LOGO else "no", *labels, *box])
     for control in (CLOTHING, LOGO):
-        frames = [to_pil(image) for i in range(2) for image in stage.images([i], control)]
+        frames = [to_pil(image) for i in range(2) for image in render_images(renderer, [i], control)]
         save_film(folder / f"walk-{control}.mp4", frames * 2, fps=4.0)
         rows.append([f"walk-{control}.mp4", "yes" if control == LOGO else "no", "person 0", "walk", "", *[""] * 4])
     for index in range(3):
-        to_pil(stage.bare([index % scenes])[0]).save(folder / f"nobody-{index}.png")
+        to_pil(renderer.bare([index % scenes])[0]).save(folder / f"nobody-{index}.png")
         rows.append([f"nobody-{index}.png", "nobody", *[""] * 7])
     (folder / "broken.jpg").write_bytes(b"\xff\xd8\xff")
     rows.append(["broken.jpg", "yes", "person 0", "scene 0", 2.2, *[""] * 4])

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from cloak_core.exchange.scenes import read_scene
-from cloak_core.render.images.compositing import compose
-from cloak_core.render.views import ViewBank
-from cloak_core.render.visibility.keys import inverse_depth
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.compositing import compose
+from cloak_core.render.packing import unpack_inverse_depth
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(azimuth=-10.0)
@@ -22,9 +22,9 @@ def golden(shared) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module", params=LIGHTS)
-def lit(request, shared) -> tuple[str, ViewBank]:
+def lit(request, shared) -> tuple[str, ViewCache]:
     bodies = read_scene(shared / "data" / "bench_scene.npz")
-    return request.param, ViewBank(bodies, Light(position=LIGHTS[request.param]), samples=1)
+    return request.param, ViewCache(bodies, RenderSettings(light=Light(position=LIGHTS[request.param]), samples=1))
 
 
 def test_face_ids_and_depth(lit, golden) -> None:
@@ -36,7 +36,7 @@ def test_face_ids_and_depth(lit, golden) -> None:
     assert same.mean() >= 0.9999
     w = visibility.window
     inside = (same & (ids >= 0))[w.y0 : w.y1, w.x0 : w.x1]
-    depth = CAMERA.near_plane / inverse_depth(visibility.keys[0]).numpy()[inside]
+    depth = CAMERA.near_plane / unpack_inverse_depth(visibility.packed[0]).numpy()[inside]
     np.testing.assert_allclose(depth, golden["depth"][w.y0 : w.y1, w.x0 : w.x1][inside], rtol=1e-5)
 
 
@@ -66,7 +66,7 @@ def test_composed_image_and_its_gradient(lit, golden) -> None:
     name, bank = lit
     faces = np.arange(bank.bodies.face_count)
     colors = torch.from_numpy(bank.bodies.face_colors[0].copy()).requires_grad_()
-    image = compose([bank.dress(0, CAMERA, faces)], colors, torch.ones(1, 3, 416, 416))
+    image = compose([bank.bake(0, CAMERA, faces)], colors, torch.ones(1, 3, 416, 416))
     expected = torch.from_numpy(golden[f"image_light_{name}"]).permute(2, 0, 1)
     assert (image[0] - expected.clamp(0, 1)).abs().max() < 2e-4
     image.backward(torch.from_numpy(golden["grad_out"]).permute(2, 0, 1).unsqueeze(0))

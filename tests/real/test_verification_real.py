@@ -8,7 +8,7 @@ from cloak_core.detectors.extras import installed
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.verification import verify
 from cloak_core.detectors.verification.kit import natural_size
-from cloak_core.evaluation.verifying import material
+from cloak_core.evaluation.detector_verification import sample_images
 from tests.real.test_detectors_real import spec_of
 
 REAL = ["builtin", "yolo-fastest-xl", "d2go", "fastestdet", "yolov5n"]
@@ -30,7 +30,7 @@ def spec(name: str, shared: Path) -> str:
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in REAL])
 def test_real_detectors_keep_what_they_promise(name: str, shared: Path) -> None:
     detector = load_detector(spec(name, shared))
-    report = verify(detector, material(natural_size(detector), shared / "data" / "photos", 2))
+    report = verify(detector, sample_images(natural_size(detector), shared / "data" / "photos", 2))
     assert report["failed"] == [] and report["white_box"] and report["images"] == 8
     assert (report["parity_scores"] is None) == (name == "d2go")
     assert report["gradient_error"] < (0.5 if name == "d2go" else 0.1)

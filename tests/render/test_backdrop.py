@@ -1,8 +1,7 @@
 import torch
 
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.images.backdrop import lay_backdrop
-from cloak_core.render.images.compositing import blank, pixels_of
+from cloak_core.render.compositing import blank, lay_backdrop, pixels_of
 
 
 def test_every_byte_becomes_the_number_torch_makes_of_it_and_nothing_else_is_touched():

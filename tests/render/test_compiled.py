@@ -10,7 +10,7 @@ from numba.core import caching, event
 from cloak_core.bench.growth import sphere
 from cloak_core.render import compiled
 from cloak_core.render.compiled import loop, torch_alone
-from cloak_core.render.views import ViewBank
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(width=48, height=64)
@@ -28,21 +28,35 @@ def test_a_place_for_compiled_loops_is_not_needed(monkeypatch) -> None:
     assert type(kept._cache) is not type(not_kept._cache)
 
 
+def test_kept_loops_are_stale_when_a_file_that_they_call_changes(tmp_path, monkeypatch) -> None:
+    """numba alone would compare the caller's file and run what the callee was."""
+    (tmp_path / "cpu").mkdir()
+    for name in ("compiled", "packing", "screen", "cpu/callee"):
+        (tmp_path / f"{name}.py").write_text("")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
+    compiled._source_stamp.cache_clear()
+    before = loop(doubled)._cache._cache_file._source_stamp
+    (tmp_path / "cpu" / "callee.py").write_text("changed")
+    compiled._source_stamp.cache_clear()
+    assert loop(doubled)._cache._cache_file._source_stamp != before
+    compiled._source_stamp.cache_clear()
+
+
 @pytest.mark.slow
 def test_without_numba_torch_does_it_all() -> None:
     code = """
 import sys
 sys.modules["numba"] = None
 from cloak_core.bench.growth import sphere
-from cloak_core.render.views import ViewBank
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
-print(float(ViewBank(sphere(600)).view(0, Camera(width=48, height=64)).weight.sum()))
+print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).weight.sum()))
 """
     without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
     with torch_alone():
-        torch_own = float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum())
+        torch_own = float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum())
     assert without == torch_own
-    assert abs(float(ViewBank(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
+    assert abs(float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
 
 
 @pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])

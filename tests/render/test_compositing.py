@@ -7,8 +7,10 @@ import pytest
 import torch
 from bodies_made import sphere
 
-from cloak_core.render.images.compositing import Photometric, compose, true_boxes
-from cloak_core.render.views import ViewBank
+from cloak_core.render.compositing import compose, true_boxes
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.types import Photometric
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(distance=4.0, width=40, height=30)
@@ -17,9 +19,9 @@ LOGO = np.arange(20, 90)
 
 @pytest.fixture(scope="module")
 def views() -> list:
-    bank = ViewBank(sphere(), samples=4)
+    cache = ViewCache(sphere(), RenderSettings(samples=4))
     cameras = [dataclasses.replace(CAMERA, azimuth=float(a)) for a in (60, 20, 100)]
-    return [bank.dress(0, camera, LOGO, outfit=i % 2) for i, camera in enumerate(cameras)]
+    return [cache.bake(0, camera, LOGO, outfit=i % 2) for i, camera in enumerate(cameras)]
 
 
 def scene(seed: int = 0, low: float = 0.0, high: float = 1.0) -> tuple[torch.Tensor, torch.Tensor]:
@@ -110,10 +112,10 @@ def test_clamped_sums_pass_no_gradient_and_bounds_do(views) -> None:
 
 
 def test_black_colours_at_the_bound_still_learn() -> None:
-    from cloak_core.render.weights.shading import Light
+    from cloak_core.render.settings import Light
 
-    bank = ViewBank(sphere(), Light(ambient=1.0, diffuse=0.0, specular=0.0), samples=1)
-    view = bank.dress(0, CAMERA, np.arange(sphere().face_count))
+    cache = ViewCache(sphere(), RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0), samples=1))
+    view = cache.bake(0, CAMERA, np.arange(sphere().face_count))
     for value in (0.0, 1.0):
         colors = torch.full((view.logo_count, 3), value, requires_grad=True)
         compose([view], colors, torch.zeros(1, 3, 30, 40)).sum().backward()
@@ -142,11 +144,11 @@ def test_true_boxes_move_and_are_clipped(views) -> None:
 
 
 def test_a_view_without_logo_or_body_renders_the_background() -> None:
-    bank = ViewBank(sphere(), samples=1)
+    cache = ViewCache(sphere(), RenderSettings(samples=1))
     away = dataclasses.replace(CAMERA, pivot=(90.0, 0.0, 0.0))
     colors = torch.rand(len(LOGO), 3, requires_grad=True)
     background = torch.rand(1, 3, 30, 40)
-    image = compose([bank.dress(0, away, LOGO)], colors, background)
+    image = compose([cache.bake(0, away, LOGO)], colors, background)
     assert torch.equal(image, background)
     image.sum().backward()
     assert (colors.grad == 0).all()

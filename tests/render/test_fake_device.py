@@ -14,11 +14,11 @@ from torch import Tensor
 from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.images import painting
-from cloak_core.render.images.compositing import Canvas, Photometric
-from cloak_core.render.images.dressing import DressedView
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.compositing import Canvas
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.torch import painting
+from cloak_core.render.types import BakedView, Photometric
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 
@@ -34,7 +34,7 @@ def dense(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     painting._columns.cache_clear()
 
 
-def on_device(view: DressedView) -> DressedView:
+def on_device(view: BakedView) -> BakedView:
     """The view's shapes as tensors of a CUDA device; to be called within a FakeTensorMode."""
     fake = lambda t: torch.empty(t.shape, dtype=t.dtype, device="cuda")
     moved = {f.name: fake(value) for f in fields(view) if isinstance(value := getattr(view, f.name), Tensor)}
@@ -46,7 +46,9 @@ def on_device(view: DressedView) -> DressedView:
 def render(change: bool, shifted: bool, device: str = "cuda") -> None:
     camera, body = Camera(distance=3.0, width=40, height=30), sphere()
     with torch_alone():
-        view = ViewBank(body, Light(color=(1.0, 0.9, 0.8))).dress(0, camera, list(range(0, body.face_count, 2)))
+        view = ViewCache(body, RenderSettings(light=Light(color=(1.0, 0.9, 0.8)))).bake(
+            0, camera, list(range(0, body.face_count, 2))
+        )
         _ = view.transposed
         with FakeTensorMode():
             make = lambda *shape: torch.rand(shape, device=device)
@@ -54,7 +56,7 @@ def render(change: bool, shifted: bool, device: str = "cuda") -> None:
             shifts = torch.zeros(2, 2, dtype=torch.int64, device=device) if shifted else None
             photometric = Photometric(make(2), make(2), 0.0, 1) if change else None
             canvas = Canvas.before([on_device(view)] * 2, make(2, 3, 30, 40), shifts, photometric)
-            kept = canvas.logo.paint(colors, canvas)
+            kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
             gradient = canvas.logo.gradient(kept, make(2, 3, 30, 40), colors.shape)
             assert canvas.rows.device.type == gradient.device.type == "cuda" and gradient.shape == colors.shape
 

@@ -5,9 +5,10 @@ from bodies_made import sphere
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.images.compositing import Photometric, compose
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
+from cloak_core.render.compositing import compose
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.types import Photometric
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 WAITS = {
@@ -39,8 +40,8 @@ def test_a_cached_render_and_its_gradient_never_wait() -> None:
     shifts = torch.tensor([[3, 2], [-30, 0]])
     changes = [None, Photometric(torch.tensor([0.9, 1.1]), torch.tensor([0.1, 0.0]), 0.05, 1)]
     with torch_alone():
-        bank = ViewBank(body, Light(color=(1.0, 0.9, 0.8)))
-        views = [bank.dress(0, camera, logo) for camera in cameras]
+        cache = ViewCache(body, RenderSettings(light=Light(color=(1.0, 0.9, 0.8))))
+        views = [cache.bake(0, camera, logo) for camera in cameras]
         for view in views:  # kept with the view, like it made once
             _ = view.transposed
         for change in changes:

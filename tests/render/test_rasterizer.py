@@ -7,10 +7,12 @@ import torch
 from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.visibility import samples
-from cloak_core.render.visibility.keys import inverse_depth
-from cloak_core.render.visibility.projection import GRID, GUARD, Window, project
-from cloak_core.render.visibility.rasterizer import rasterize
+from cloak_core.render.packing import unpack_inverse_depth
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import rasterize
+from cloak_core.render.screen import GRID, GUARD
+from cloak_core.render.torch import triangles as torch_triangles
+from cloak_core.render.types import Window
 from cloak_core.scene.cameras import Camera
 
 HALF = GRID // 2
@@ -114,7 +116,7 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
     corner = np.array([[0, 0], [8, 0], [0, 8]]) * GRID
     screen = screen_of(corner[:, 0], corner[:, 1], np.full(3, 0.5), 4, 4)
     triangles = triangles_of([[0, 1, 2]] * 50)
-    monkeypatch.setattr(samples, "CHUNK", 7)
+    monkeypatch.setattr(torch_triangles, "CHUNK", 7)
     with torch_alone():
         assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
@@ -123,10 +125,10 @@ def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(8)
     screen = random_screen(rng, 60, 20, 12, GRID)
     triangles = triangles_of(rng.integers(0, 60, (200, 3)))
-    whole = rasterize(screen, triangles, 4).keys
-    monkeypatch.setattr(samples, "CHUNK", 64)
+    whole = rasterize(screen, triangles, 4).packed
+    monkeypatch.setattr(torch_triangles, "CHUNK", 64)
     with torch_alone():
-        assert torch.equal(rasterize(screen, triangles, 4).keys, whole)
+        assert torch.equal(rasterize(screen, triangles, 4).packed, whole)
 
 
 def test_a_window_is_a_part_of_the_image() -> None:
@@ -159,7 +161,7 @@ def test_depth_is_perspective_correct() -> None:
     x, y = np.array([0, 64, 0]) * GRID, np.array([0, 0, 64]) * GRID
     screen = screen_of(x, y, np.array([1.0, 0.1, 0.5]), 64, 64)
     visibility = rasterize(screen, triangles_of([[0, 1, 2]]))
-    depth = inverse_depth(visibility.keys[0])
+    depth = unpack_inverse_depth(visibility.packed[0])
     row, column = torch.meshgrid(torch.arange(40).double() + 0.5, torch.arange(20).double() + 0.5, indexing="ij")
     expected = 1.0 - 0.9 * column / 64 - 0.5 * row / 64
     np.testing.assert_allclose(depth[:40, :20], expected, rtol=1e-10)
@@ -176,7 +178,7 @@ def test_near_plane_and_vertices_behind_the_camera(seed: int) -> None:
     vertices, triangles = random_body(rng, 24, 1.0)
     camera = Camera(distance=1.0, width=8, height=6, field_of_view=70.0, near=float(rng.choice([1e-3, 0.05, 0.9])))
     screen = project(vertices.unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
-    assert screen.safe is not None
+    assert screen.in_guard_band is not None
     assert_twin(screen, triangles, grids=(1, 2))
 
 
@@ -196,7 +198,7 @@ def test_near_plane_coverage_is_that_of_the_rays() -> None:
     margin = torch.minimum(weight.min(0).values, (depth - camera.near) / 4)
     clear = margin.abs() > 1e-4
     assert torch.equal(ours[clear], (margin > 0)[clear])
-    assert ours.any() and not ours.all() and screen.safe is not None
+    assert ours.any() and not ours.all() and screen.in_guard_band is not None
 
 
 def test_far_away_vertices_are_cut_at_the_guard_band() -> None:
@@ -216,7 +218,7 @@ def test_scale_of_the_scene_changes_nothing(scale: float) -> None:
         camera = Camera(distance=2.2 * s, width=24, height=24)
         screen = project(vertices.unsqueeze(0) * s, [camera], [(0.0, 0.0, 0.0)])
         ids.append(rasterize(screen, triangles, 2).triangles())
-        assert screen.safe is None
+        assert screen.in_guard_band is None
     assert torch.equal(*ids)
 
 
@@ -246,7 +248,7 @@ def test_culling_drops_what_shows_its_back() -> None:
     cull = torch.ones(1, dtype=torch.bool)
     clockwise, counter = triangles_of([[0, 1, 2]]), triangles_of([[0, 2, 1]])
     assert (rasterize(screen, clockwise, cull=cull).triangles() == -1).all()
-    assert torch.equal(rasterize(screen, counter, cull=cull).keys, rasterize(screen, clockwise).keys)
+    assert torch.equal(rasterize(screen, counter, cull=cull).packed, rasterize(screen, clockwise).packed)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
@@ -262,14 +264,14 @@ def test_a_million_triangles_in_one_pixel() -> None:
     rng = np.random.default_rng(7)
     count = 1_000_000
     x, y = rng.integers(2 * GRID, 3 * GRID, (2, 3 * count))
-    nearness = rng.uniform(0.1, 0.9, 3 * count)
-    screen = screen_of(x, y, nearness, 5, 5)
+    inverse_depth = rng.uniform(0.1, 0.9, 3 * count)
+    screen = screen_of(x, y, inverse_depth, 5, 5)
     triangles = torch.arange(3 * count).view(-1, 3).T.contiguous()
     visibility = rasterize(screen, triangles, 2)
     ids = visibility.triangles()[0]
     assert (ids[2, 2] >= 0).all() and (ids >= 0).sum() == 4
     # Of the triangles that cover a sample, the twin's formula must put the winner first; check the nearest few.
-    best = torch.topk(screen.nearness[0].view(-1, 3).max(1).values, 2000).indices
+    best = torch.topk(screen.inverse_depth[0].view(-1, 3).max(1).values, 2000).indices
     subset = torch.cat([best, ids[2, 2].to(torch.int64)]).unique()
     expected = twin(screen, triangles[:, subset], 2)[0, 2, 2]
     assert subset[torch.from_numpy(expected.astype(np.int64))].tolist() == ids[2, 2].tolist()

@@ -8,10 +8,10 @@ import torch
 from bodies_made import sphere
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.images.compositing import compose
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
-from cloak_core.render.weights.texture import look_up, texture_coordinates
+from cloak_core.render.compositing import compose
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.texture import look_up, texture_coordinates
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.meshes.subdivision import subdivide
 from cloak_core.scene.meshes.textures import dress_in_textures
@@ -46,8 +46,8 @@ def sheet(count: int = 1) -> Bodies:
     )
 
 
-def render(bank: ViewBank, camera: Camera, logo: np.ndarray, outfit: int = 0) -> np.ndarray:
-    view = bank.dress(0, camera, logo, outfit)
+def render(cache: ViewCache, camera: Camera, logo: np.ndarray, outfit: int = 0) -> np.ndarray:
+    view = cache.bake(0, camera, logo, outfit)
     black = torch.zeros(1, 3, camera.height, camera.width)
     return compose([view], torch.full((len(logo), 3), 0.25), black)[0].permute(1, 2, 0).numpy()
 
@@ -58,7 +58,7 @@ def test_a_ramp_is_seen_as_a_ramp(samples: int | None, count: int, slant: float)
     """Faces larger and smaller than a pixel, in perspective: every pixel shows what the picture says at its middle."""
     bodies = dress_in_textures(sheet(count), {"ramp": ramp()})
     camera = Camera(distance=1.5, elevation=0.0, azimuth=slant, width=SIDE, height=SIDE)
-    image = render(ViewBank(bodies, FLAT, samples=samples), camera, np.array([0]))
+    image = render(ViewCache(bodies, RenderSettings(light=FLAT, samples=samples)), camera, np.array([0]))
     at = (np.arange(SIDE) + 0.5 - SIDE / 2) / camera.focal
     # Where the ray through each pixel meets the sheet z = 0, seen from the side by `slant` degrees.
     depth = 1.5 / (1 + at * np.tan(np.radians(slant)))
@@ -91,8 +91,8 @@ def test_a_texture_of_plain_cells_is_the_plain_outfit() -> None:
         outfit_textures=("cells", ""),
     )
     camera, logo = Camera(distance=4.0, azimuth=20.0, width=60, height=50), np.arange(20, 40)
-    textured = ViewBank(bodies)
-    bare = ViewBank(dataclasses.replace(bodies, outfit_textures=()))
+    textured = ViewCache(bodies)
+    bare = ViewCache(dataclasses.replace(bodies, outfit_textures=()))
     for outfit in (0, 1):
         np.testing.assert_allclose(
             render(textured, camera, logo, outfit), render(bare, camera, logo, outfit), atol=1e-5
@@ -105,7 +105,8 @@ def test_polygons_and_their_subdivision_show_the_same_picture() -> None:
     assert np.allclose(finer.face_colors[0][parent == 0].mean(axis=0), bodies.face_colors[0, 0], atol=0.01)
     camera = Camera(distance=1.5, elevation=0.0, width=SIDE, height=SIDE)
     coarse, fine = (
-        render(ViewBank(b, FLAT), camera, np.flatnonzero(p == 0)) for b, p in ((bodies, np.arange(36)), (finer, parent))
+        render(ViewCache(b, RenderSettings(light=FLAT)), camera, np.flatnonzero(p == 0))
+        for b, p in ((bodies, np.arange(36)), (finer, parent))
     )
     assert np.abs(coarse - fine).max() < 0.02
 

@@ -14,9 +14,9 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache
 from cloak_core.render import view_files as stored
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.views import ViewBank
-from cloak_core.render.weights.shading import Light
-from cloak_core.render.weights.view import View
+from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.types import View
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERA = Camera(distance=4.0, azimuth=20.0, width=60, height=50)
@@ -27,12 +27,12 @@ def files(folder: Path, limit: int = 1 << 30) -> DiskCache:
     return DiskCache(folder, ".view", limit, "views")
 
 
-def bank(folder: Path, bodies: Bodies | None = None, **options) -> ViewBank:
-    return ViewBank(bodies or sphere(poses=2), files=files(folder), **options)
+def cache(folder: Path, bodies: Bodies | None = None, **options) -> ViewCache:
+    return ViewCache(bodies or sphere(poses=2), RenderSettings(files=files(folder), **options))
 
 
 def no_building(monkeypatch) -> None:
-    monkeypatch.setattr(ViewBank, "build", None)
+    monkeypatch.setattr(ViewCache, "build", None)
 
 
 def assert_same(one: View, other: View) -> None:
@@ -56,19 +56,19 @@ def textured() -> Bodies:
 
 @pytest.mark.parametrize("samples", [None, 4])
 def test_a_second_run_builds_nothing_and_sees_the_same(tmp_path, monkeypatch, samples: int | None):
-    first = bank(tmp_path, samples=samples).views(WANTED)
+    first = cache(tmp_path, samples=samples).views(WANTED)
     no_building(monkeypatch)
-    for built, read in zip(first, bank(tmp_path, samples=samples).views(WANTED), strict=True):
+    for built, read in zip(first, cache(tmp_path, samples=samples).views(WANTED), strict=True):
         assert_same(built, read)
 
 
 def test_textured_bodies_and_views_without_any_body(tmp_path, monkeypatch):
     away = dataclasses.replace(CAMERA, pivot=(0.0, 50.0, 0.0))
-    first = [bank(tmp_path, textured()).view(0, camera) for camera in (CAMERA, away)]
+    first = [cache(tmp_path, textured()).view(0, camera) for camera in (CAMERA, away)]
     assert first[0].uv is not None and not len(first[1].pixels)
     no_building(monkeypatch)
     for built, camera in zip(first, (CAMERA, away), strict=True):
-        assert_same(built, bank(tmp_path, textured()).view(0, camera))
+        assert_same(built, cache(tmp_path, textured()).view(0, camera))
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_textured_bodies_and_views_without_any_body(tmp_path, monkeypatch):
 )
 def test_what_decides_a_view_decides_its_name(tmp_path, monkeypatch, changed: str):
     bodies, options, camera = textured(), {}, CAMERA
-    bank(tmp_path, bodies).view(0, camera)
+    cache(tmp_path, bodies).view(0, camera)
     if changed == "vertices":
         bodies = dataclasses.replace(bodies, vertices=bodies.vertices * np.float32(1.0000001))
     if changed == "triangles":
@@ -97,13 +97,13 @@ def test_what_decides_a_view_decides_its_name(tmp_path, monkeypatch, changed: st
         monkeypatch.setattr(stored, "code_hash", lambda *rooms: "another renderer")
     no_building(monkeypatch)
     with pytest.raises(TypeError):
-        bank(tmp_path, bodies, **options).view(0, camera)
+        cache(tmp_path, bodies, **options).view(0, camera)
 
 
 def test_what_loops_and_what_torch_make_are_apart(tmp_path):
-    bank(tmp_path).view(0, CAMERA)
+    cache(tmp_path).view(0, CAMERA)
     with torch_alone():
-        bank(tmp_path).view(0, CAMERA)
+        cache(tmp_path).view(0, CAMERA)
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -112,16 +112,16 @@ def test_bodies_that_were_changed_in_place_are_not_found_under_the_old_name(tmp_
     with pytest.raises(ValueError, match="read-only"):
         bodies.vertices[0] += 1
     theirs = dataclasses.replace(bodies, vertices=vertices)
-    kept = bank(tmp_path, theirs)
+    kept = cache(tmp_path, theirs)
     vertices[:, :, 0] *= 2
-    assert_same(kept.view(0, CAMERA), ViewBank(bodies).view(0, CAMERA))
+    assert_same(kept.view(0, CAMERA), ViewCache(bodies).view(0, CAMERA))
 
 
 def test_colours_do_not_decide_a_view(tmp_path, monkeypatch):
-    bank(tmp_path).view(0, CAMERA)
+    cache(tmp_path).view(0, CAMERA)
     no_building(monkeypatch)
     bodies = sphere(poses=2)
-    bank(tmp_path, dataclasses.replace(bodies, face_colors=bodies.face_colors / 2)).view(0, CAMERA)
+    cache(tmp_path, dataclasses.replace(bodies, face_colors=bodies.face_colors / 2)).view(0, CAMERA)
 
 
 def doctored(change: str):
@@ -171,18 +171,18 @@ DAMAGE = {
 
 @pytest.mark.parametrize("name", DAMAGE)
 def test_a_file_that_is_no_such_view_is_built_anew(tmp_path, name: str):
-    whole = bank(tmp_path).view(0, CAMERA)
+    whole = cache(tmp_path).view(0, CAMERA)
     (file,) = tmp_path.iterdir()
     sound = file.read_bytes()
     file.write_bytes(DAMAGE[name](sound))
     assert file.read_bytes() != sound
-    assert_same(whole, bank(tmp_path).view(0, CAMERA))
+    assert_same(whole, cache(tmp_path).view(0, CAMERA))
     assert file.read_bytes() == sound
 
 
 def _look(folder: Path, turn: float) -> int:
     torch.set_num_threads(1)
-    views = bank(folder).views([(0, dataclasses.replace(CAMERA, azimuth=a + turn)) for a in range(0, 360, 30)])
+    views = cache(folder).views([(0, dataclasses.replace(CAMERA, azimuth=a + turn)) for a in range(0, 360, 30)])
     return sum(len(view.pixels) for view in views)
 
 
@@ -194,7 +194,7 @@ def test_several_processes_share_the_folder_within_its_limit(tmp_path):
     names = sorted(tmp_path.iterdir())
     assert len(names) == 12 and all(path.suffix == ".view" for path in names)
     limit = sum(path.stat().st_size for path in names) // 2
-    ViewBank(sphere(poses=2), files=files(tmp_path, limit)).view(1, CAMERA)
+    ViewCache(sphere(poses=2), RenderSettings(files=files(tmp_path, limit))).view(1, CAMERA)
     assert 0 < sum(path.stat().st_size for path in tmp_path.iterdir()) <= limit
     assert _look(tmp_path, 0.0) == counts[0]
 
@@ -203,4 +203,4 @@ def test_a_pose_that_is_not_there_is_refused_as_ever(tmp_path):
     from cloak_core.files.errors import InputError
 
     with pytest.raises(InputError, match="pose 7"):
-        bank(tmp_path).view(7, CAMERA)
+        cache(tmp_path).view(7, CAMERA)

@@ -64,3 +64,8 @@ def test_a_file_that_is_called_so_is_taken_by_its_name(tmp_path) -> None:
     (tmp_path / "body[1]").mkdir()
     assert split_selection(str(tmp_path / "body[1]"))[1] is None
     assert split_selection(str(tmp_path / "body[2]")) == (str(tmp_path / "body"), "2")
+
+
+def test_a_selection_longer_than_a_file_name_is_one():
+    names = ",".join(f"photograph{number:05}.jpg" for number in range(60))
+    assert split_selection(f"people.json[{names}]") == ("people.json", names)

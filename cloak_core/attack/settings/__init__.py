@@ -1,7 +1,8 @@
-"""Everything that decides how a logo is trained: the settings of each component, and four presets of them all.
+"""Everything that decides how a logo is trained: the settings of each component, and five presets of them all.
 
 `paper` is the paper's text, `reference` its published code, `best` what this project measured to work best against the
-detectors that it trains on, `transfer` its recipe for those that training never saw.
+detectors that it trains on, `transfer` its recipe for those that training never saw, `photographs` the one for people
+in photographs.
 
 Settings have values (a range, angles, a choice), options and files have text. A preset, a TOML file and flags are
 merged as they come, then checked once, when the `TrainSettings` is made: InputError names the option. To a user the
@@ -22,6 +23,7 @@ from cloak_core.attack.settings.augmentation import AugmentationSettings
 from cloak_core.attack.settings.loss import LossSettings
 from cloak_core.attack.settings.optimizer import OptimizerSettings
 from cloak_core.attack.settings.pattern import PatternSettings
+from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
@@ -29,7 +31,7 @@ from cloak_core.attack.settings.values import Within, Written, from_plain, optio
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 
-Preset = Literal["paper", "reference", "best", "transfer"]
+Preset = Literal["paper", "reference", "best", "transfer", "photographs"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +46,8 @@ class TrainSettings:
     """What the rendered images show of the body."""
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     """What makes every image another one."""
+    photographs: PeopleSettings = field(default_factory=PeopleSettings)
+    """How photographs of people are shown."""
     objective: LossSettings = field(default_factory=LossSettings)
     """What training minimises."""
     pattern: PatternSettings = field(default_factory=PatternSettings)
@@ -83,6 +87,7 @@ COMPONENTS: dict[str, type] = {
     "run": RunSettings,
     "views": ViewSettings,
     "augmentation": AugmentationSettings,
+    "photographs": PeopleSettings,
     "objective": LossSettings,
     "pattern": PatternSettings,
     "surrogates": SurrogateSettings,
@@ -131,6 +136,29 @@ PRESETS: dict[str, dict[str, object]] = {
         "initial": "animal",
         "optimizer": "adam",
         "lr": 0.05,
+        "schedule": "cosine",
+    },
+    "photographs": {
+        "steps": 600,
+        "batch": 4,
+        "angles": "0..360",
+        "elevation": "0:30",
+        "distance": "1.4:6",
+        "contrast": "0.8:1.2",
+        "brightness": "-0.1:0.1",
+        "noise": 0.05,
+        "crop": 0.15,
+        "pad": 0.3,
+        "people_share": 0.65,
+        "loss": "margin",
+        "ensemble": "adaptive",
+        "detectors_per_step": 1,
+        "pattern": "tile",
+        "feature_cm": 2.5,
+        "smooth": 1,
+        "initial": "random",
+        "optimizer": "adam",
+        "lr": 0.06,
         "schedule": "cosine",
     },
 }

@@ -10,12 +10,16 @@ from cloak_core.files.errors import InputError
 
 Loss = Literal["score", "objectness", "log", "margin"]
 Reduce = Literal["max", "topk", "logsumexp"]
+Hide = Literal["person", "everything"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class LossSettings:
     """What training minimises."""
 
+    hide: Hide = "person"
+    """From what to hide: the class person alone, or every class on the body, so that nothing is reported in the
+    person's place."""
     loss: Loss = "score"
     """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), the log of
     the score, -log(1 - score), which keeps its gradient where the score saturates, or the margin above each detector's

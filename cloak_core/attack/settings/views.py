@@ -7,11 +7,12 @@ from typing import Annotated, Literal
 
 from cloak_core.attack.settings.values import Angles, Azimuths, Range, Within
 from cloak_core.files.errors import InputError
+from cloak_core.render.settings import RenderOptions
 from cloak_core.scene.cameras import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewSettings:
+class ViewSettings(RenderOptions):
     """What the rendered images show of the body."""
 
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
@@ -32,8 +33,6 @@ class ViewSettings:
     """Vertical field of view, degrees."""
     size: Annotated[int, Within(16, 4096)] = 416
     """Width and height of the rendered images, pixels."""
-    samples: Literal[1, 4, 16, 64] | None = None
-    """Samples per pixel; None takes the renderer's default, 4 where every image has its own camera."""
     outfits: Literal["random", "first"] = "random"
     """Clothing of the body outside the logo: a random one per image, or the first."""
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
-from cloak_core.render.visibility.projection import Window
+from cloak_core.render.types import Window
 from cloak_core.scene.cameras import Camera, Vector
 
 

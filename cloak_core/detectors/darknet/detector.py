@@ -10,6 +10,7 @@ from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
+from cloak_core.detectors.outcomes import best_other
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
 from cloak_core.detectors.specs import Request
@@ -41,12 +42,14 @@ class DarknetDetector(Detector):
         parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
         boxes, objectness, classes = (torch.cat(group, dim=1) for group in zip(*parts, strict=True))
         pixels = boxes * torch.tensor([size[1], size[0]] * 2, device=boxes.device, dtype=boxes.dtype)
-        person = classes[..., self.person]
+        person, other = classes[..., self.person], best_other(classes, self.person)
         return Detections(
             boxes=placement.restore(pixels),
             scores=objectness * person,
             objectness=objectness,
             is_person=person >= classes.amax(dim=-1),
+            other=None if other.scores is None else objectness * other.scores,
+            other_class=other.number,
         )
 
 
@@ -73,11 +76,13 @@ def read_darknet(
     if len(counts) != 1:
         raise InputError(f"{cfg}: its heads have different numbers of classes {sorted(counts)}")
     count = counts.pop()
-    person = person_index(class_names or names_beside(cfg, count), request.person, count, str(cfg))
+    names = class_names or names_beside(cfg, count)
+    person = person_index(names, request.person, count, str(cfg))
     read_weights(network, weights)
     network.eval()
     network = network.fold() if request.fold else network
     detector = DarknetDetector(network, person, cfg.stem, request.spec, request.letterbox, channels_last=request.fold)
+    detector.class_names = names
     detector.source = {
         "cfg": sha256_record([(section.kind, section.options) for section in sections]),
         "input_size": list(network.input_size),

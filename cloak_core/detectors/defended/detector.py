@@ -26,7 +26,7 @@ class DefendedDetector(Detector):
         self.operating_point_assumed = inner.operating_point_assumed
         self.source = {"defence": name, "value": value, "inner": inner.source or {"spec": inner.spec}}
         self.source |= {key: inner.source[key] for key in ("input_size", "layout") if key in inner.source}
-        self.packages = inner.packages
+        self.packages, self.class_names = inner.packages, inner.class_names
         if hasattr(inner, "person"):
             self.person = inner.person
 

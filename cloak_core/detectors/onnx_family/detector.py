@@ -10,11 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.classes import names_beside, person_index
+from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
-from cloak_core.detectors.onnx_family.guessing import guess_layout, what_it_may_be
+from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
 from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
 from cloak_core.detectors.onnx_family.networks import Converted, Session, as_input
@@ -40,20 +40,17 @@ class OnnxDetector(Detector):
         super().__init__("onnx", spec)
         self.network, self.decode, self.input_size = network, decode, size
         self.pixels, self.letterbox = pixels, letterbox
-        self.pixels_assumed = True
-        self.differentiable = not isinstance(network, Session)
-        self.person = 0
+        self.pixels_assumed, self.fill = True, YOLO_GREY
+        self.differentiable = isinstance(network, Converted)
+        self.person, self.first_class = 0, 0
         self.path = Path(spec)
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         if images.requires_grad and not self.differentiable:
             raise InputError(f"{self.spec}: a black box without gradients: evaluate with it, do not train")
-        inputs, placement = fit(images, self.input_size, self.letterbox, YOLO_GREY)
+        inputs, placement = fit(images, self.input_size, self.letterbox, self.fill)
         found = self.answer(self.pixels.apply(inputs))
-        person = found.classes[..., self.person]
-        scores = person if found.objectness is None else person * found.objectness
-        likeliest = None if found.objectness is None else person >= found.classes.amax(dim=-1)
-        return Detections(placement.restore(found.boxes), scores, found.objectness, likeliest)
+        return found.of_person(self.person, placement, self.first_class)
 
     def original(self) -> OnnxDetector | None:
         """The file in onnxruntime; None for a black box, which is that already."""
@@ -65,6 +62,7 @@ class OnnxDetector(Detector):
         session = Session(file.session(torch.get_num_threads()), file)
         made = OnnxDetector(session, self.decode, self.input_size, self.pixels, self.letterbox, self.spec)
         made.person, made.path, made.source = self.person, self.path, self.source
+        made.first_class, made.class_names = self.first_class, self.class_names
         return made.freeze()
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
@@ -122,13 +120,17 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
     layout_name, decode = _layout(request, named, file, outputs, size)
     layout = LAYOUTS[layout_name]
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
-    detector = OnnxDetector(network, decode, size, request.pixels or layout.pixels, letterbox, request.spec)
-    detector.name, detector.pixels_assumed = file.path.stem, request.pixels is None
+    pixels, said = request.pixels or file.described.pixels, file.confidence or file.described.confidence
+    detector = OnnxDetector(network, decode, size, pixels or layout.pixels, letterbox, request.spec)
+    detector.name, detector.pixels_assumed = file.path.stem, pixels is None
     detector.path = file.path
     count = len(file.names) if layout_name == "end2end" and file.names else decode(outputs, size).classes.shape[-1]
-    detector.person = _person(file, count, request.person)
-    detector.operating_point = request.confidence or file.confidence or layout.confidence
-    detector.operating_point_assumed = not (request.confidence or file.confidence)
+    detector.class_names = _names(file, count)
+    # Among 91 and more of COCO's own numbering the first is nothing.
+    detector.first_class = int(detector.class_names is COCO_IDS and count != COCO_91[0])
+    detector.person = _person(file, detector.class_names, count, request)
+    detector.operating_point = request.confidence or said or layout.confidence
+    detector.operating_point_assumed = not (request.confidence or said)
     options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
     detector.source = {"file": file.digest, "input_size": list(size), "person": detector.person} | options
     detector.packages = PACKAGES
@@ -152,7 +154,11 @@ def _layout(
     """The layout's name, and what decodes such outputs."""
     labelled = dict(zip(file.output_names, outputs, strict=True))
     name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
+    if not name and file.described.layout in LAYOUTS:
+        name = file.described.layout
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
+    if not name and is_classifier(labelled, file.suppresses):
+        raise InputError(f"{file.path}: not a detector: one output, {shapes}")
     if not name:
         known, guess = ", ".join(LAYOUTS), what_it_may_be(labelled, file.suppresses)
         words = f"{file.path}: outputs {shapes} are of no known layout{guess and f'; {guess}'}"
@@ -195,8 +201,23 @@ def _disagreement(parity: Parity) -> str:
     return f"converted to torch it answers otherwise than in onnxruntime ({figures})"
 
 
-def _person(file: ModelFile, count: int, person_class: str) -> int:
-    names = file.names if file.names and len(file.names) == count else names_beside(file.path, count)
-    if names is None and count in COCO_91 and person_class == "person":
-        return 0 if count == COCO_91[0] else 1
-    return person_index(names, person_class, count, str(file.path))
+def _names(file: ModelFile, count: int) -> tuple[str, ...] | None:
+    """Names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
+    for said in (file.names, file.described.names):
+        if said and len(said) == count:
+            return said
+    names = names_beside(file.path, count)
+    if names is None and count in COCO_91:
+        return COCO_IDS if count != COCO_91[0] else COCO_IDS[1:]
+    return names
+
+
+def _person(file: ModelFile, names: tuple[str, ...] | None, count: int, request: Request) -> int:
+    """The class that was asked for; else what the file's description says, and the only class of a file without
+    names."""
+    said = file.described.person
+    if request.person_class is None and said is not None and said < count:
+        return said
+    if request.person_class is None and count == 1 and names is None:
+        return 0
+    return person_index(names, request.person, count, str(file.path))

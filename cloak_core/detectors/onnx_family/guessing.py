@@ -8,6 +8,8 @@ from torch import Tensor
 
 from cloak_core.detectors.onnx_family.layouts import COCO_CLASSES, YOLO_STRIDES, Size, cells, strides_of
 
+WIDEST_ROW = 7
+"""Numbers of a box that is left after suppression, at most: image, class, score and corners."""
 MOST_QUERIES = 1000
 """Transformers and end-to-end heads answer with at most so many boxes."""
 
@@ -24,6 +26,14 @@ def guess_layout(outputs: Mapping[str, Tensor], size: Size, class_count: int | N
         return "nanodet"
     # Others stand first among raw heads that are exported beside the decoded one (YOLOv5 does so).
     return _of_one(next(iter(outputs.values())), size, class_count) if len(shapes[0]) == 3 else None
+
+
+def is_classifier(outputs: Mapping[str, Tensor], suppresses: str) -> bool:
+    """Tell a network that says one thing of a whole image: a single row of many numbers, no place among them."""
+    if len(outputs) != 1 or suppresses:
+        return False
+    shape = next(iter(outputs.values())).shape
+    return len(shape) >= 2 and shape[0] == 1 and shape[1] > WIDEST_ROW and all(side == 1 for side in shape[2:])
 
 
 def what_it_may_be(outputs: Mapping[str, Tensor], suppresses: str) -> str:
@@ -59,7 +69,7 @@ def _of_one(output: Tensor, size: Size, class_count: int | None) -> str | None:
 
 def _of_rows(output: Tensor, width: int, class_count: int) -> str | None:
     """A row for each cell of the usual grids."""
-    if width == 4 + class_count:
+    if width in (5, 4 + class_count):  # five: a single class
         return "yolov8"
     if width == 5 + class_count:
         # YOLOX's own export leaves the logarithm of sizes, of which some are negative.

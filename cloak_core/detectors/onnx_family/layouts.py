@@ -12,7 +12,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from cloak_core.detectors.outcomes import best_other
 from cloak_core.detectors.pixels import IMAGENET, PixelFormat
+from cloak_core.detectors.protocol import Detections
+from cloak_core.detectors.resizing import YOLO_GREY, Placement
 
 YOLO_STRIDES = ((8, 16, 32), (8, 16, 32, 64), (16, 32), (4, 8, 16, 32))
 """Of the grids that dense heads are made of, in the order they are laid out."""
@@ -28,6 +31,17 @@ class Decoded(NamedTuple):
     classes: Float[Tensor, "B N K"]
     """Probabilities of the classes, times objectness only where the layout has folded it in."""
     objectness: Float[Tensor, "B N"] | None = None
+
+    def of_person(self, person: int, placement: Placement, first: int = 0) -> Detections:
+        """Give the boxes in the images' pixels, the person's score and the best other's; see `best_other`."""
+        scores, other = self.classes[..., person], best_other(self.classes, person, first)
+        likeliest, best = None, other.scores
+        if self.objectness is not None:
+            likeliest = scores >= self.classes.amax(dim=-1)
+            scores = scores * self.objectness
+            best = None if best is None else best * self.objectness
+        boxes = placement.restore(self.boxes)
+        return Detections(boxes, scores, self.objectness, likeliest, other=best, other_class=other.number)
 
 
 Decode = Callable[[Sequence[Tensor], Size], Decoded]
@@ -46,6 +60,8 @@ class Layout:
     letterbox: bool = False
     """Whether its family keeps the aspect ratio of images."""
     pixels: PixelFormat = AS_THEY_ARE
+    fill: float = YOLO_GREY
+    """What letterboxed images lie on."""
     told_from: Callable[[Sequence[Tensor]], Decode] | None = None
 
     def decoder(self, outputs: Sequence[Tensor]) -> Decode:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloak_core.detectors.described import Description, read_description
+from cloak_core.detectors.onnx_family.bounds import check_tensors
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import MAX_BYTES, read_bytes
@@ -51,6 +53,8 @@ class ModelFile:
     """The classes' names, where its exporter wrote them."""
     confidence: float | None
     """Its usual confidence threshold, where its exporter wrote it."""
+    described: Description
+    """What a JSON file beside it says."""
     quantised: tuple[str, ...]
     """Names of its first nodes that compute in integers."""
     suppresses: str
@@ -91,13 +95,14 @@ def read_model(path: Path) -> ModelFile:
         raise InputError(f"{path}: not an ONNX file ({first_line(error)[:120]})") from None
     if not model.graph.node:
         raise InputError(f"{path}: not an ONNX file, or one without a network")
+    check_tensors(model, path)
     outside = _load_outside(model, path)
     _as_float32(model)
     weights = {initializer.name for initializer in model.graph.initializer}
     inputs = [value for value in model.graph.input if value.name not in weights]
     if len(inputs) != 1:
         raise InputError(f"{path}: has {len(inputs)} inputs ({', '.join(i.name for i in inputs)}), not one of images")
-    shape = [d.dim_value or None for d in inputs[0].type.tensor_type.shape.dim]
+    shape = [d.dim_value if d.dim_value > 0 else None for d in inputs[0].type.tensor_type.shape.dim]
     channels_last = len(shape) == 4 and shape[3] == 3 and shape[1] != 3
     sides = shape[1:3] if channels_last else shape[2:4]
     if len(shape) != 4 or shape[3 if channels_last else 1] not in (3, None):
@@ -117,6 +122,7 @@ def read_model(path: Path) -> ModelFile:
         fixed_size=all(sides),
         names=_said_names(said),
         confidence=_said_confidence(said),
+        described=read_description(path),
         quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
         suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
     )
@@ -139,7 +145,7 @@ def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
     }
     folder, found = path.resolve().parent, []
     for place in sorted(places):
-        target = (folder / place).resolve()
+        target = (folder / place).resolve() if "\0" not in place else folder  # which no path may hold
         if folder not in target.parents:
             raise InputError(f"{path}: keeps weights in {place}, outside its folder; they are not read")
         found.append(np.frombuffer(read_bytes(target, MAX_BYTES), np.uint8))

@@ -12,6 +12,9 @@ from cloak_core.detectors.resizing import Placement
 class TorchvisionDetector(Detector):
     """A torchvision model that scores class `person`; `channels_last` is the layout of its images and weights."""
 
+    first_class = 1
+    """Where classes begin that are something; before it stands the background, if any."""
+
     def __init__(self, model: nn.Module, person: int, name: str, spec: str, channels_last: bool = True) -> None:
         super().__init__(name, spec)
         self.person = person

@@ -2,14 +2,16 @@
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torchvision.models.detection import FCOS
 from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.ssd import SSD
 from torchvision.ops import clip_boxes_to_image
 
+from cloak_core.detectors.outcomes import best_other
 from cloak_core.detectors.protocol import Detections, at_least_float32
+from cloak_core.detectors.resizing import Placement
 from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 CANDIDATES = 1000
@@ -23,14 +25,38 @@ class DenseDetector(TorchvisionDetector):
         batch, placement = self.prepare(images)
         outputs, levels = self.raw(batch)
         anchors = self.model.anchor_generator(batch, levels)[0]
-        scores = self._scores(outputs)
+        classes = self._classes(outputs)
+        scores = self._scores(classes[..., self.person], outputs)
+        other = best_other(classes, self.person, self.first_class)
         counts = _anchors_per_level(levels, len(anchors))
-        kept = torch.cat([_best(part) + start for part, start in _levels(scores, counts)], dim=1)
-        rows = kept.reshape(-1)
+        kept = _best_per_level(scores, counts)
+        count, found = kept.shape[1], scores.gather(1, kept)
+        if other.scores is None:
+            return Detections(self._boxes(outputs, anchors, kept, batch, placement), found)
+        # Rows of their own: among the best persons there may be none of the anchors that show something else.
+        scores = self._scores(other.scores, outputs)
+        kept = torch.cat([kept, _best_per_level(scores, counts)], dim=1)
+        more = scores.gather(1, kept[:, count:])
+        return Detections(
+            boxes=self._boxes(outputs, anchors, kept, batch, placement),
+            scores=F.pad(found, (0, more.shape[1])),
+            other=F.pad(more, (count, 0)),
+            other_class=other.number.gather(1, kept),
+        )
+
+    def _boxes(
+        self,
+        outputs: dict[str, Tensor],
+        anchors: Float[Tensor, "A 4"],
+        kept: Int[Tensor, "B n"],
+        batch: ImageList,
+        placement: Placement,
+    ) -> Float[Tensor, "B n 4"]:
+        """Boxes of these anchors, in pixels of the images."""
         deltas = outputs["bbox_regression"].gather(1, kept[..., None].expand(-1, -1, 4)).reshape(-1, 4)
-        boxes = self._decode(deltas, anchors[rows])
+        boxes = self._decode(deltas, anchors[kept.reshape(-1)])
         boxes = placement.restore(clip_boxes_to_image(boxes, batch.image_sizes[0]))
-        return Detections(boxes=boxes.view(*kept.shape, 4), scores=scores.gather(1, kept))
+        return boxes.view(*kept.shape, 4)
 
     def raw(self, batch: ImageList) -> tuple[dict[str, Float[Tensor, "B A _"]], list[Tensor]]:
         """What the heads say before any activation, at least float32, of every anchor; and the feature maps."""
@@ -38,15 +64,19 @@ class DenseDetector(TorchvisionDetector):
         levels = [features] if isinstance(features, Tensor) else list(features.values())
         return {key: at_least_float32(value) for key, value in self.model.head(levels).items()}, levels
 
-    def _scores(self, outputs: dict[str, Tensor]) -> Float[Tensor, "B A"]:
+    def _classes(self, outputs: dict[str, Tensor]) -> Float[Tensor, "B A K"]:
+        """Numbers that rank an anchor's classes: probabilities where they exclude each other, else logits."""
         logits = outputs["cls_logits"]
+        return logits.softmax(dim=-1) if isinstance(self.model, SSD) else logits
+
+    def _scores(self, ranks: Float[Tensor, "B A"], outputs: dict[str, Tensor]) -> Float[Tensor, "B A"]:
+        """From one class's numbers of `_classes` to its scores, as the model thresholds them."""
         if isinstance(self.model, SSD):
-            return logits.softmax(dim=-1)[..., self.person]
-        person = logits[..., self.person]
+            return ranks
         if isinstance(self.model, FCOS):
             # The model's sqrt(p * q), written so that its gradient stays finite where p * q underflows.
-            return (0.5 * (F.logsigmoid(person) + F.logsigmoid(outputs["bbox_ctrness"][..., 0]))).exp()
-        return person.sigmoid()
+            return (0.5 * (F.logsigmoid(ranks) + F.logsigmoid(outputs["bbox_ctrness"][..., 0]))).exp()
+        return ranks.sigmoid()
 
     def _decode(self, deltas: Float[Tensor, "n 4"], anchors: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
         coder = self.model.box_coder
@@ -66,6 +96,11 @@ def _levels(scores: Float[Tensor, "B A"], counts: list[int] | None):
     for part in scores.split(counts or [scores.shape[1]], dim=1):
         yield part, start
         start += part.shape[1]
+
+
+def _best_per_level(scores: Float[Tensor, "B A"], counts: list[int] | None) -> Int[Tensor, "B n"]:
+    """Anchors with the best scores of each feature level."""
+    return torch.cat([_best(part) + start for part, start in _levels(scores, counts)], dim=1)
 
 
 def _best(scores: Float[Tensor, "B n"]) -> Tensor:

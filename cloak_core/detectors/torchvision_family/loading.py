@@ -19,6 +19,7 @@ from cloak_core.files.writing import replace_file
 
 RANDOM = "random"
 """As a checkpoint: seeded random weights, for timing and tests."""
+BACKGROUND = "__background__"
 EPS_ZERO = {
     "fasterrcnn_resnet50_fpn",
     "maskrcnn_resnet50_fpn",
@@ -67,6 +68,10 @@ def load_torchvision(request: Request) -> Detector:
         fold_batch_norm(model)
     kind = TwoStageDetector if isinstance(model, detection.generalized_rcnn.GeneralizedRCNN) else DenseDetector
     detector = kind(model, person, name, request.spec, channels_last=request.fold)
+    detector.class_names = known
+    scored_apart = isinstance(model, detection.RetinaNet | detection.FCOS)
+    if scored_apart and (known is None or known[0] != BACKGROUND):
+        detector.first_class = 0
     sizes = (model.transform.min_size, model.transform.max_size, model.transform.fixed_size)
     detector.source = {"model": name, "transform": str(sizes), "person": person}
     detector.packages = ("torchvision",)

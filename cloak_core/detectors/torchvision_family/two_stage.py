@@ -1,6 +1,7 @@
 """Faster, Mask and Keypoint R-CNN: person scores of every proposal, before threshold and non-maximum suppression."""
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
@@ -8,6 +9,7 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.rpn import concat_box_prediction_layers
 from torchvision.ops import batched_nms, clip_boxes_to_image, remove_small_boxes
 
+from cloak_core.detectors.outcomes import best_other
 from cloak_core.detectors.protocol import Detections, at_least_float32
 from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
@@ -25,16 +27,44 @@ class TwoStageDetector(TorchvisionDetector):
         features = self.features(batch)
         proposals, objectness = self.propose(batch, features, *self.of_anchors(features))
         logits, deltas = self.of_proposals(batch, features, proposals)
-        coder, size = self.model.roi_heads.box_coder, batch.image_sizes[0]
-        boxes = clip_boxes_to_image(coder.decode_single(deltas[:, self.person], torch.cat(proposals)), size)
-        scores = logits.softmax(dim=-1)[:, self.person]
-        scores = scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
-        counts = [len(part) for part in proposals]
-        return Detections(
-            boxes=pad_sequence(placement.restore(boxes).split(counts), batch_first=True),
-            scores=pad_sequence(scores.split(counts), batch_first=True),
+        size, places, counts = batch.image_sizes[0], torch.cat(proposals), [len(part) for part in proposals]
+
+        def padded(rows: Tensor) -> Tensor:
+            return pad_sequence(rows.split(counts), batch_first=True)
+
+        classes = logits.softmax(dim=-1)
+        boxes, scores = self._boxes(deltas[:, self.person], places, classes[:, self.person], size)
+        found = Detections(
+            boxes=padded(placement.restore(boxes)),
+            scores=padded(scores),
             proposal_scores=pad_sequence(objectness, batch_first=True),
         )
+        other = best_other(classes[None], self.person, self.first_class)
+        if other.scores is None:
+            return found
+        # A box for each class: what else a proposal may be has rows of its own.
+        number = other.number[0]
+        own = deltas.gather(1, number[:, None, None].expand(-1, 1, 4))[:, 0]
+        boxes, scores = self._boxes(own, places, other.scores[0], size)
+        more, count = padded(scores), found.scores.shape[1]
+        return Detections(
+            boxes=torch.cat([found.boxes, padded(placement.restore(boxes))], dim=1),
+            scores=F.pad(found.scores, (0, count)),
+            proposal_scores=found.proposal_scores.repeat(1, 2),
+            other=F.pad(more, (count, 0)),
+            other_class=F.pad(padded(number), (count, 0)),
+        )
+
+    def _boxes(
+        self,
+        deltas: Float[Tensor, "n 4"],
+        places: Float[Tensor, "n 4"],
+        scores: Float[Tensor, "n"],
+        size: tuple[int, int],
+    ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n"]]:
+        """Boxes in the network's input, and their scores, 0 for boxes that the model drops."""
+        boxes = clip_boxes_to_image(self.model.roi_heads.box_coder.decode_single(deltas, places), size)
+        return boxes, scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
 
     def features(self, batch: ImageList) -> dict[str, Float[Tensor, "B C _ _"]]:
         """Feature maps by level."""

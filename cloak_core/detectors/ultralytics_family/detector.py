@@ -45,10 +45,7 @@ class UltralyticsDetector(Detector):
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         inputs, placement = fit(images, self.input_size, self.letterbox, YOLO_GREY)
         found = self.answer(inputs)
-        person = found.classes[..., self.person]
-        scores = person if found.objectness is None else person * found.objectness
-        likeliest = None if found.objectness is None else person >= found.classes.amax(dim=-1)
-        return Detections(placement.restore(found.boxes), scores, found.objectness, likeliest)
+        return found.of_person(self.person, placement)
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
         """What the network says of its own input."""
@@ -75,10 +72,12 @@ def load_ultralytics(request: Request) -> UltralyticsDetector:
         fold_batch_norm(network)
         network = network.to(memory_format=torch.channels_last)
     size = _size(request, checkpoint, int(max(network.stride)))
-    person = _person(request, checkpoint, architecture)
+    names = _names(checkpoint, architecture)
+    person = person_index(names, request.person, int(architecture["nc"]), request.what)
     # The package stretches images for RT-DETR and letterboxes them for all others.
     letterbox = request.letterbox or not (request.stretch or architecture["head"][-1][2] == QUERIES)
     detector = UltralyticsDetector(network, size, letterbox, person, Path(where).stem, request.spec)
+    detector.class_names = names
     content = {"file": checkpoint.digest} if checkpoint else {"yaml": sha256_record(architecture), "seed": SEED}
     detector.source = content | {"input_size": list(size), "letterbox": letterbox, "person": person}
     detector.freeze()
@@ -138,12 +137,10 @@ def _as_in_the_file(network: nn.Module, checkpoint: Checkpoint) -> None:
             module.eps = eps
 
 
-def _person(request: Request, checkpoint: Checkpoint | None, architecture: dict) -> int:
-    """Which class it is; of those without names, COCO's of 80, and the only one of a network for poses."""
-    count = int(architecture["nc"])
+def _names(checkpoint: Checkpoint | None, architecture: dict) -> tuple[str, ...] | None:
+    """The file's class names; without them COCO's for 80, and the only one of a network for poses."""
     usual = {len(COCO): COCO, 1: ("person",) if "Pose" in architecture["head"][-1][2] else None}
-    names = (checkpoint and checkpoint.names) or usual.get(count)
-    return person_index(names, request.person, count, request.what)
+    return (checkpoint and checkpoint.names) or usual.get(int(architecture["nc"]))
 
 
 def _size(request: Request, checkpoint: Checkpoint | None, stride: int) -> tuple[int, int]:

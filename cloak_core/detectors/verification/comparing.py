@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
@@ -15,6 +15,9 @@ SCORES, BOXES_PX = 1e-4, 0.05
 """The largest differences that count as none."""
 FAINT = 0.01
 """Where rows do not correspond one to one, those below this score are left out: padding, and what was cut off."""
+
+NAMED = 0.5
+"""Of exclusive classes only one has a higher score: from here on its number must agree."""
 
 
 class Apart(NamedTuple):
@@ -31,8 +34,15 @@ class Apart(NamedTuple):
 
 def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
     """Of one image each, (height, width) `size`: row by row where that agrees, else every clear row and the one most
-    like it on the other side."""
-    a, b = _rows(some, size), _rows(others, size)
+    like it on the other side. Persons first, then what else is told; infinite where one side alone tells of it."""
+    persons = _rows_apart(*(_rows(found.boxes, found.scores, size) for found in (some, others)))
+    if some.other is None or others.other is None:
+        return persons if some.other is others.other else Apart(math.inf, math.inf)
+    rest = _rows_apart(*(_rows(found.boxes, found.other, size, found.other_class) for found in (some, others)))
+    return Apart(*map(max, persons, rest))
+
+
+def _rows_apart(a: Float[Tensor, "N C"], b: Float[Tensor, "M C"]) -> Apart:
     if a.shape == b.shape:
         straight = _worst((a - b).abs())
         if straight.same:
@@ -44,24 +54,32 @@ def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
     return Apart(*map(max, _nearest(a, b), _nearest(b, a)))
 
 
-def _rows(found: Detections, size: tuple[int, int]) -> Float[Tensor, "N 5"]:
-    """Boxes and score."""
-    most = torch.tensor([size[1], size[0]] * 2, device=found.boxes.device)
-    boxes = found.boxes[0].detach().double()
-    clipped = torch.minimum(boxes.clamp(min=0), most)
-    return torch.cat([clipped, found.scores[0, :, None].detach().double()], dim=1).cpu()
+def _rows(
+    boxes: Float[Tensor, "1 N 4"],
+    scores: Float[Tensor, "1 N"],
+    size: tuple[int, int],
+    number: Int[Tensor, "1 N"] | None = None,
+) -> Float[Tensor, "N C"]:
+    """Boxes, score and, where there is one, the class's number where it is clear; one image's."""
+    most = torch.tensor([size[1], size[0]] * 2, device=boxes.device)
+    clipped = torch.minimum(boxes[0].detach().double().clamp(min=0), most)
+    columns = [clipped, scores[0, :, None].detach().double()]
+    if number is not None:
+        # Which of two faint classes is ahead may hang on rounding; nothing is reported there.
+        columns.append(torch.where(scores[0] > NAMED, number[0], 0)[:, None].double())
+    return torch.cat(columns, dim=1).cpu()
 
 
-def _nearest(rows: Float[Tensor, "N 5"], others: Float[Tensor, "M 5"]) -> Apart:
+def _nearest(rows: Float[Tensor, "N C"], others: Float[Tensor, "M C"]) -> Apart:
     """Each of these against the most alike of the others."""
-    limits = torch.tensor([BOXES_PX] * 4 + [SCORES], dtype=rows.dtype)
+    limits = torch.tensor(([BOXES_PX] * 4 + [SCORES] * 2)[: rows.shape[1]], dtype=rows.dtype)
     index = [(((row - others).abs() / limits).amax(dim=1)).argmin() for row in rows]
     return _worst((rows - others[torch.stack(index)]).abs())
 
 
-def _worst(differences: Float[Tensor, "N 5"]) -> Apart:
+def _worst(differences: Float[Tensor, "N C"]) -> Apart:
     if not len(differences):
         return Apart(0.0, 0.0)
     if not bool(differences.isfinite().all()):
         return Apart(math.inf, math.inf)
-    return Apart(float(differences[:, 4].max()), float(differences[:, :4].max()))
+    return Apart(float(differences[:, 4:].max()), float(differences[:, :4].max()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import torch
@@ -46,14 +46,13 @@ def verify(detector: Detector, images: Images | None = None, original: Detector 
     from the original, "gradient_error": relative, against a finite difference, "batch_invariant", "forward_ratio": time
     beside the original's, "operating_point", "operating_point_assumed", "person_class": its index, "failed": names of
     the checks that failed, "images": how many, "checks": {NAME: {"passed", "words"}}}; None where there is nothing to
-    compare with or to differentiate. What the detector raises fails the check that met it.
+    compare with or to differentiate. What the detector raises fails the check that met it, and ends them.
     """
     images = usual_images(natural_size(detector)) if images is None else images
     images = torch.cat([images] * -(-BATCH // len(images)))[: max(BATCH, len(images))]
     subject = Subject(detector, images, original or original_of(detector))
     before = state_hash(detector)
-    findings = {name: _asked(check, subject) for name, check in CHECKS.items()}
-    findings["state"] = _asked(lambda s: _unchanged(s.detector, before), subject)
+    findings = _in_turn(CHECKS | {"state": lambda s: _unchanged(s.detector, before)}, subject)
     figures = {key: value for finding in findings.values() for key, value in finding.figures.items()}
     family = detector.spec.partition(":")[0].partition("@")[0]
     return {
@@ -97,15 +96,26 @@ def framed(picture: Float[Tensor, "3 H W"], size: tuple[int, int]) -> Float[Tens
     return fit(picture[None], size, letterbox=True)[0][0]
 
 
-def _asked(check: Callable[[Subject], Finding], subject: Subject) -> Finding:
-    """What a check finds; anything that a wrapper raises is one of the ways in which it fails."""
-    try:
-        return check(subject)
-    except (MemoryError, torch.OutOfMemoryError):
-        raise
-    except Exception as error:
-        _log.info("%s", subject.detector.spec, exc_info=error)
-        return Finding(False, f"{type(error).__name__}: {first_line(error)[:200]}")
+def _in_turn(checks: Mapping[str, Callable[[Subject], Finding]], subject: Subject) -> dict[str, Finding]:
+    """What each check finds. After the first one that the detector answers with an error, or with answers of no
+    possible shape, the rest would only meet the same cause again, and are not asked."""
+    findings: dict[str, Finding] = {}
+    cause = ""
+    for name, check in checks.items():
+        if cause:
+            findings[name] = Finding(None, f"not asked: {cause} failed")
+            continue
+        try:
+            findings[name] = check(subject)
+        except (MemoryError, torch.OutOfMemoryError):
+            raise
+        except Exception as error:  # anything that a wrapper raises is one of the ways in which it fails
+            _log.info("%s", subject.detector.spec, exc_info=error)
+            findings[name] = Finding(False, f"{type(error).__name__}: {first_line(error)[:200]}")
+            cause = name
+        if name == "shapes" and findings[name].passed is False:
+            cause = name
+    return findings
 
 
 def _unchanged(detector: Detector, before: str) -> Finding:

@@ -1,13 +1,15 @@
-"""Many cards as one Markdown table: written by `cloak assess`, never by hand."""
+"""The card's tables: the attacks on its page, its line in a leaderboard, and many cards as one Markdown table.
+
+To add a figure, compute it in `statistics_card` and give it a column here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cloak_core.evaluation.card.protocol import VERSION
-from cloak_core.evaluation.card.words import leaderboard_row
-from cloak_core.evaluation.report.words import file_name
+from cloak_core.evaluation.report.words import file_name, interval, percent, short_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
@@ -24,9 +26,75 @@ Low is good for whoever runs the detector, but for clean recall and AP. Rows of 
 """
 
 
+def name_of(card: dict) -> str:
+    """The detector's name, as pages call it."""
+    return card.get("label") or short_name(card["spec"])
+
+
+def _points(value: float) -> str:
+    """0.512 -> "51.2", as average precision is printed."""
+    return f"{100 * value:.1f}"
+
+
+def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
+    """The columns of the table of attacks: head -> the cell of a row of `attack_record`."""
+    return {
+        f"hidden at its own {card['operating_point']}": lambda row: percent(row["success_own"]),
+        "95 %": lambda row: interval(row["ci95_own"]),
+        "hidden at 0.6": lambda row: percent(row["success"]),
+        "95 % at 0.6": lambda row: interval(row["ci95"]),
+        "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
+        "AP50": lambda row: _points(row["ap50"]),
+        "AP50:95": lambda row: _points(row["ap50_95"]),
+        "of these renamed": lambda row: percent(row.get("renamed_own")),  # earlier versions' cards do not tell
+        "random colours": lambda row: percent(row["random_own"]),
+        "own clothing": lambda row: percent(row["clothing_own"]),
+        "images": lambda row: str(row["n"]),
+    }
+
+
+def attack_rows(card: dict) -> list[tuple[str, list[str]]]:
+    """The lines of the table of attacks: the cloak's name and its cells."""
+    columns, around = attack_columns(card).values(), card.get("around")
+    rows = [(f"{percent(row['area'])} of the body", row) for row in card["white_box"]]
+    rows += [("full circle", around)] if around else []
+    return [(name, [cell(row) for cell in columns]) for name, row in rows]
+
+
+def leaderboard_row(card: dict) -> dict[str, str]:
+    """The card's line in a leaderboard, column by column."""
+    clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
+    return {
+        "detector": name_of(card),
+        "protocol": f"{card['protocol']}, {card['budget']}",
+        "threshold": f"{card['operating_point']:g}",
+        "clean recall": _both(clean, "recall_own"),
+        "AP50": _points(clean["ap50"]),
+        "AP50:95": _points(clean["ap50_95"]),
+        "false alarms": percent(clean["false_alarms_own"]),
+        **{f"hidden, {percent(row['asked'])}": _both(row, "success_own") for row in attacks},
+        "mASR": percent(attacks[-1]["masr"]) if attacks else "–",
+        "all around": _both(around, "success_own") if around else "–",
+        "others' cloaks": percent(black["success_own"]) if black["counted"] else "–",
+    }
+
+
+def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
+    """The heads and the cells of all cards' lines; a card without a column has "–" there."""
+    rows = [leaderboard_row(card) for card in cards]
+    heads = list(dict.fromkeys([*max(rows, key=len), *(key for row in rows for key in row)]))
+    return heads, [[row.get(head, "–") for head in heads] for row in rows]
+
+
+def _both(row: dict, key: str) -> str:
+    return f"{percent(row[key])} ({interval(row['ci95_own'])})"
+
+
+# --- many cards
+
+
 def gather(folder: Path) -> dict[str, dict]:
-    """The cards in FOLDER/NAME/card.json, by their folder's name. InputError: there is none, or one of another
-    protocol."""
+    """Read the cards in FOLDER/NAME/card.json, by their folder's name. InputError: none, or of another protocol."""
     cards = {path.parent.name: read_card(path) for path in sorted(folder.glob("*/card.json"))}
     if not cards:
         raise InputError(f"{folder}: holds no card; name a detector to assess")
@@ -34,8 +102,7 @@ def gather(folder: Path) -> dict[str, dict]:
 
 
 def folder_names(specs: Sequence[str]) -> dict[str, str]:
-    """A folder's name for each detector: what it is called in short, and where that may be said of others too, a mark
-    of its spec."""
+    """Name a folder for each detector: its short name, and a hash of its spec where others may share that name."""
     short = {spec: file_name(spec) for spec in specs}
     whole = {spec: set("@=") & set(spec) or list(short.values()).count(short[spec]) > 1 for spec in specs}
     return {
@@ -44,7 +111,7 @@ def folder_names(specs: Sequence[str]) -> dict[str, str]:
 
 
 def read_card(path: Path) -> dict:
-    """A card.json. InputError: it is something else, or of another version."""
+    """Read a card.json. InputError: it is something else, or of another version."""
     card = read_json(path)
     if not str(card.get("format", "")).startswith("cloak card") or card.get("protocol") != VERSION:
         raise InputError(f"{path}: a card of protocol {card.get('protocol')!r}; this version has {VERSION!r}")
@@ -52,16 +119,14 @@ def read_card(path: Path) -> dict:
 
 
 def markdown_rows(cards: list[dict]) -> list[str]:
-    """A Markdown table of cards, one line each."""
-    rows = [leaderboard_row(card) for card in cards]
-    longest = max(rows, key=len)
-    heads = list(dict.fromkeys([*longest, *(key for row in rows for key in row)]))
-    lines = [heads, ["---"] * len(heads), *([row.get(head, "–") for head in heads] for row in rows)]
+    """Make a Markdown table of cards, one line each."""
+    heads, rows = leaderboard_table(cards)
+    lines = [heads, ["---"] * len(heads), *rows]
     return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
 
 
 def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
-    """All cards, the most robust first: by how few people the white-box cloaks hide, those without one last."""
+    """Write all cards, the most robust first: by how few people the white-box cloaks hide; those without one last."""
     ranked = sorted(cards.values(), key=lambda card: (not card["white_box"], _hidden(card), card["spec"]))
     made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ranked)
     write_text(path, "\n".join([HEAD, *markdown_rows(ranked), "", f"Made with {'; '.join(made)}."]) + "\n")

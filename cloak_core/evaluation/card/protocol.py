@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import Float, Int64
+
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.geometry import face_areas, face_centres
+from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
+from cloak_core.scene.logos.logo import front_faces
+
 VERSION = "1"
-"""Raised whenever a card of the same detector would come out otherwise."""
+"""Raise it whenever a card of the same detector would come out otherwise."""
 
 AREAS = (0.05, 0.20, 0.40, 0.76)
 """Shares of the body's area that the white-box cloaks cover."""
@@ -20,7 +28,7 @@ CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
 
 @dataclass(frozen=True)
 class Budget:
-    """How much of it: steps of the attacks and numbers of images."""
+    """How much a card costs: steps of the attacks and numbers of images."""
 
     name: str
     steps: int
@@ -39,13 +47,43 @@ class Budget:
 
     @property
     def front_angles(self) -> tuple[float, ...]:
+        """Test azimuths of the front, degrees."""
         return tuple(float(a) for a in range(-10, 11, self.front_step))
 
     @property
     def circle_angles(self) -> tuple[float, ...]:
+        """Test azimuths all around, degrees."""
         return tuple(float(a) for a in range(0, 360, self.circle_step))
 
 
 QUICK = Budget("quick", 150, 1, 4, 30, 2, 240)
 DEFAULT = Budget("default", 600, 1, 2, 20, 3, 720)
 FULL = Budget("full", 1500, 3, 1, 15, 4, 1920)
+
+
+def nested_areas(bodies: Bodies, shares: tuple[float, ...]) -> list[Int64[np.ndarray, " L"]]:
+    """Choose faces of shirt and trousers for each share of the body's area (0 to 1): sorted face ids.
+
+    The front comes before the back, each from the middle of the chest outwards, so every larger logo holds the smaller
+    ones; none is more than the garments.
+    """
+    garments, areas, centres = shirt_trousers(bodies), face_areas(bodies), face_centres(bodies)
+    behind = ~front_faces(bodies)[garments]
+    away = np.linalg.norm(centres[garments] - _chest(bodies, centres, areas), axis=1)
+    order = garments[np.lexsort((garments, away, behind))]
+    covered = np.cumsum(areas[order]) / areas.sum()
+    counts = (max(1, int(np.searchsorted(covered, share, side="right"))) for share in shares)
+    return [np.sort(order[:count]) for count in counts]
+
+
+def _chest(
+    bodies: Bodies, centres: Float[np.ndarray, "F 3"], areas: Float[np.ndarray, " F"]
+) -> Float[np.ndarray, " 3"]:
+    """The chest's middle: of the region of that name, or of the upper half of what a scene has for it."""
+    if "chest" in bodies.regions:
+        chest = np.flatnonzero(bodies.regions["chest"] & front_faces(bodies))
+    else:
+        chest = chest_thighs(bodies)
+        height = centres[chest, 1]
+        chest = chest[height > (height.min() + height.max()) / 2]
+    return np.average(centres[chest], axis=0, weights=areas[chest])

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from cloak_core.evaluation.report.words import interval, percent, short_name
+from cloak_core.evaluation.card.leaderboard import name_of
+from cloak_core.evaluation.report.words import interval, percent
 
 HALF = 0.5
 ALWAYS = (
@@ -15,35 +14,27 @@ ALWAYS = (
 )
 
 
-def name_of(card: dict) -> str:
-    """The detector's name, as the page calls it."""
-    return card.get("label") or short_name(card["spec"])
-
-
 def headline(card: dict) -> str:
-    """One sentence: how little a cloak needs, at the threshold at which the detector is run."""
-    name = name_of(card)
-    rows = card["white_box"]
+    """Say in one sentence how little a cloak needs, at the threshold at which the detector is run."""
+    name, rows, black = name_of(card), card["white_box"], card["black_box"]
+    if not rows and black["counted"]:
+        return f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
     if not rows:
-        black = card["black_box"]
-        if black["counted"]:
-            return (
-                f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
-            )
         return f"Nothing attacked {name} here: it gives no gradients, and there was no cloak to show it."
     half = next((row for row in rows if row["success_own"] >= HALF), None)
     row = half or max(rows, key=lambda row: row["success_own"])
-    what = f"on {percent(row['area'])} of the body"
+    what, hidden = f"on {percent(row['area'])} of the body", percent(row["success_own"])
     own = f"In their own clothing it misses {percent(row['clothing_own'])} of the same."
     if half is None:
-        least = f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid"
-        return f"{least} {percent(row['success_own'])}. {own}"
-    return f"A cloak {what}, made against {name}, hides {percent(row['success_own'])} of people from it. {own}"
+        return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}. {own}"
+    return f"A cloak {what}, made against {name}, hides {hidden} of people from it. {own}"
 
 
 def verdict(card: dict) -> tuple[str, str]:
-    """(kind, words) of the badge, by the least area that hides half of the people: good, bad, or unknown where there
-    was no attack or the intervals reach beyond half."""
+    """Judge by the least area that hides half of the people: kind (good, bad, unknown) and words of the badge.
+
+    unknown: there was no attack, or the intervals reach beyond half.
+    """
     rows = card["white_box"]
     if not rows:
         return "unknown", "white box not tested"
@@ -55,13 +46,11 @@ def verdict(card: dict) -> tuple[str, str]:
 
 
 def tiles(card: dict) -> list[dict]:
-    """The large figures: what, value, interval, and whether low or high is good for whoever runs the detector."""
-    clean, black = card["clean"], card["black_box"]
-    rows = card["white_box"]
+    """List the large figures: what, value, interval, and whether that is good for whoever runs the detector."""
+    clean, black, rows = card["clean"], card["black_box"], card["white_box"]
+    ends = [rows[k] for k in sorted({0, len(rows) - 1})] if rows else []
     found = [_tile("finds people in own clothing", clean, "recall_own", "up")]
-    found += [
-        _tile(f"hidden by {percent(rows[k]['area'])} of the body", rows[k], "success_own", "down") for k in _ends(rows)
-    ]
+    found += [_tile(f"hidden by {percent(row['area'])} of the body", row, "success_own", "down") for row in ends]
     if card.get("around"):
         found.append(_tile("hidden all around", card["around"], "success_own", "down"))
     if black["counted"]:
@@ -69,11 +58,6 @@ def tiles(card: dict) -> list[dict]:
         found.append(_tile("hidden by others' cloaks", worst, "success_own", "down"))
     found.append(_tile("false alarms on bare scenes", clean, "false_alarms_own", "down"))
     return found
-
-
-def _ends(rows: Sequence[dict]) -> list[int]:
-    """The smallest and the largest area."""
-    return sorted({0, len(rows) - 1}) if rows else []
 
 
 def _tile(what: str, row: dict, key: str, good: str) -> dict:
@@ -84,7 +68,7 @@ def _tile(what: str, row: dict, key: str, good: str) -> dict:
 
 
 def lede(card: dict) -> str:
-    """What stands under the headline: the detector without any attack."""
+    """Describe the detector without any attack: what stands under the headline."""
     clean = card["clean"]
     return (
         f"Without a cloak it finds {percent(clean['recall_own'])} of people at its own threshold of "
@@ -96,36 +80,12 @@ def lede(card: dict) -> str:
 
 
 def not_tested(card: dict) -> list[str]:
-    """Everything a reader must not take for tested: this card's own, then what no card tests."""
-    steps = card["counts"]["steps"]
-    said = list(card["not_tested"])
+    """List everything a reader must not take for tested: this card's own, then what no card tests."""
+    steps, said = card["counts"]["steps"], list(card["not_tested"])
     if card["white_box"]:
+        once = "" if card["counts"]["seeds"] > 1 else ", once"
         said.append(
-            f"Longer attacks: each cloak had {steps} updates ({2 * steps} for the full circle) from one start"
-            f"{'' if card['counts']['seeds'] > 1 else ', once'}. An attacker with more time does as well or better."
+            f"Longer attacks: each cloak had {steps} updates ({2 * steps} for the full circle) from one start{once}. "
+            "An attacker with more time does as well or better."
         )
     return said + list(ALWAYS)
-
-
-def leaderboard_row(card: dict) -> dict[str, str]:
-    """The card's line in a leaderboard, column by column."""
-    clean, rows, black = card["clean"], card["white_box"], card["black_box"]
-    by_area = {f"hidden, {percent(row['asked'])}": _both(row, "success_own", "ci95_own") for row in rows}
-    around = _both(card["around"], "success_own", "ci95_own") if card.get("around") else "–"
-    return {
-        "detector": name_of(card),
-        "protocol": f"{card['protocol']}, {card['budget']}",
-        "threshold": f"{card['operating_point']:g}",
-        "clean recall": _both(clean, "recall_own", "ci95_own"),
-        "AP50": f"{100 * clean['ap50']:.1f}",
-        "AP50:95": f"{100 * clean['ap50_95']:.1f}",
-        "false alarms": percent(clean["false_alarms_own"]),
-        **by_area,
-        "mASR": percent(rows[-1]["masr"]) if rows else "–",
-        "all around": around,
-        "others' cloaks": percent(black["success_own"]) if black["counted"] else "–",
-    }
-
-
-def _both(row: dict, key: str, bounds: str) -> str:
-    return f"{percent(row[key])} ({interval(row[bounds])})"

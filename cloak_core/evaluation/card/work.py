@@ -11,16 +11,16 @@ from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 
 OnWork = Callable[[str, float, float], None]
-"""Told what is being done, how much of all is done, and how much there is in all."""
+"""Called with what is being done, how much of all is done, and how much there is in all."""
 TRAINED = 3
-"""An image that is trained on costs about so many that are only looked at: forward, and backward twice that."""
+"""Cost of an image that is trained on, in images that are only looked at: forward, and backward twice that."""
 
 
 class Work:
-    """The parts of an assessment with what each costs; told by trainings and evaluations as they go on.
+    """The parts of an assessment with their costs; trainings and evaluations tell it how far they are.
 
-    `seconds` of every part are kept in a file, so that what an earlier, stopped call spent counts too; a part that was
-    done already costs nothing more. `asked` names what is assessed: of another, earlier times mean nothing.
+    The seconds of every part are kept in a file, so that an earlier, stopped call counts too; a part that was done
+    already adds none. `asked` names what is assessed: earlier times of anything else are dropped.
     """
 
     def __init__(
@@ -31,8 +31,8 @@ class Work:
         on_work: OnWork | None = None,
         seeds: int = 1,
     ) -> None:
+        """costs: by part, the images of its trainings (one for each seed) and of its evaluations."""
         self.costs, self.on_work, self.seeds = costs, on_work, seeds
-        """By part: its trainings' (one for each seed) and its evaluations' images."""
         self.total = sum(map(sum, costs.values()))
         self._file, self._record = file, {"asked": asked, "seconds": {}, "done": []}
         earlier = read_json(file) if file.exists() else {}
@@ -42,31 +42,28 @@ class Work:
 
     @property
     def seconds(self) -> float:
+        """Time of all parts, over all calls."""
         return round(sum(self._record["seconds"].values(), 0.0), 1)
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[None]:
-        """What is done inside is this part."""
-        self._name, self._ended, started = name, 0, time.monotonic()
+        """Count what is done inside as this part."""
+        self._name, self._ended, started, done = name, 0, time.monotonic(), False
         self._tell(0.0)
         try:
             yield
-            self._finish(name, started, done=True)
-        except BaseException:
-            self._finish(name, started, done=False)
-            raise
+            done = True
+        finally:
+            seconds, finished = self._record["seconds"], self._record["done"]
+            if name not in finished:
+                seconds[name] = seconds.get(name, 0.0) + time.monotonic() - started
+                finished += [name] * done
+                write_json(self._file, self._record)
         self._before += sum(self.costs[name])
         self._tell(0.0)
 
-    def _finish(self, name: str, started: float, done: bool) -> None:
-        seconds, finished = self._record["seconds"], self._record["done"]
-        if name not in finished:
-            seconds[name] = seconds.get(name, 0.0) + time.monotonic() - started
-            finished += [name] * done
-            write_json(self._file, self._record)
-
     def on_event(self, event: dict) -> None:
-        """Of a training."""
+        """Take an event of a training."""
         if event.get("type") in ("start", "resume"):
             self._steps = event.get("steps") or 1
         elif event.get("type") == "step":
@@ -76,7 +73,7 @@ class Work:
             self._ended += 1
 
     def on_images(self, done: int, total: int) -> None:
-        """Of an evaluation."""
+        """Take the progress of an evaluation."""
         trained, looked = self.costs[self._name]
         self._tell(trained + looked * done / total)
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
+import pandas as pd
 
 from cloak_core.evaluation.film.settings import MOST_FRAMES, FilmSettings
 from cloak_core.files.errors import InputError
@@ -15,54 +14,42 @@ from cloak_core.files.tables import number, read_table
 KINDS = ("still", "orbit", "approach")
 COLUMNS = ("time", "azimuth", "elevation", "distance")
 LEAST_SECONDS = 4.0
-"""Of a take with a moving camera, where nobody says how long it is."""
+"""Length of a take with a moving camera where the settings name none."""
 
 
-@dataclass(frozen=True, eq=False)
-class CameraPath:
-    """The camera at T frames. Azimuths count from where a take begins."""
+def camera_path(settings: FilmSettings, poses: int) -> pd.DataFrame:
+    """Compute the camera of every frame of a take: `COLUMNS` in seconds, degrees, degrees and metres.
 
-    time: Float64[np.ndarray, T]
-    """Seconds."""
-    azimuth: Float32[np.ndarray, T]
-    """Degrees."""
-    elevation: Float32[np.ndarray, T]
-    """Degrees."""
-    distance: Float32[np.ndarray, T]
-    """Metres."""
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    @property
-    def approaches(self) -> bool:
-        """Whether it comes nearer, and never goes back."""
-        return bool((np.diff(self.distance) <= 0).all() and self.distance[-1] < self.distance[0])
-
-
-def camera_path(settings: FilmSettings, poses: int) -> CameraPath:
-    """The path that the settings ask for, of a motion with so many poses.
-
-    InputError: a camera of another name, a file of keyframes that is none, too many frames.
+    Azimuths count from where the take begins. poses: how many the motion has. InputError: no such camera, a bad file
+    of keyframes, too many frames.
     """
     keys = None if settings.camera in KINDS else read_keyframes(Path(settings.camera), settings)
     seconds = settings.seconds or _usual_seconds(settings, poses, keys)
     count = max(1, round(seconds * settings.fps))
     if count * len(settings.angles) > MOST_FRAMES:
         raise InputError(f"--seconds: {count * len(settings.angles):,} frames in all, more than {MOST_FRAMES:,}")
-    time = np.arange(count) / settings.fps
+    path = pd.DataFrame({"time": np.arange(count) / settings.fps})
     if keys is not None:
-        return CameraPath(time, *(_row(np.interp(time, keys["time"], keys[name])) for name in COLUMNS[1:]))
-    share = np.arange(count) / count  # a full turn ends where it began, so its last frame is one before
-    azimuth = 360 * settings.turns * share if settings.camera == "orbit" else np.zeros(count)
-    distance = np.full(count, settings.distance)
-    if settings.camera == "approach":
-        distance = np.linspace(settings.far, settings.near, count)
-    return CameraPath(time, _row(azimuth), _row(np.full(count, settings.elevation)), _row(distance))
+        moving = {name: np.interp(path["time"], keys["time"], keys[name]) for name in COLUMNS[1:]}
+    else:
+        share = np.arange(count) / count  # a full turn ends where it began, so its last frame is one before
+        approaching = np.linspace(settings.far, settings.near, count)
+        moving = {
+            "azimuth": 360 * settings.turns * share if settings.camera == "orbit" else 0.0,
+            "elevation": settings.elevation,
+            "distance": approaching if settings.camera == "approach" else settings.distance,
+        }
+    return path.assign(**moving).astype(dict.fromkeys(COLUMNS[1:], np.float32))
+
+
+def approaches(path: pd.DataFrame) -> bool:
+    """Tell whether the camera comes nearer and never goes back."""
+    distance = path["distance"].to_numpy()
+    return bool((np.diff(distance) <= 0).all() and distance[-1] < distance[0])
 
 
 def read_keyframes(path: Path, settings: FilmSettings) -> dict[str, np.ndarray]:
-    """The columns of a CSV file of keyframes, in the order of time; what is not in it stays as the settings have it."""
+    """Read the keyframes of a CSV file by column, in the order of time; missing columns stay as the settings say."""
     if path.suffix.lower() != ".csv":
         raise InputError(f"--camera: '{path}' is none of {', '.join(KINDS)}, nor a file NAME.csv of keyframes")
     rows = read_table(path, COLUMNS, ["time"])
@@ -80,7 +67,3 @@ def _usual_seconds(settings: FilmSettings, poses: int, keys: dict | None) -> flo
         return max(float(keys["time"][-1]), 1 / settings.fps)
     once = poses / (settings.poses_per_second or settings.fps)
     return once if settings.camera == "still" else max(once, LEAST_SECONDS)
-
-
-def _row(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values, np.float32)

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cloak_core.attack.settings import check_settings
 from cloak_core.attack.settings.values import Angles, Positive, Within
 from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation.film.tracking import Rule
 from cloak_core.files.errors import InputError
+from cloak_core.render.settings import RenderOptions
 
 MOST_FRAMES = 20_000
 
 
+@dataclass(frozen=True)
+class Rule:
+    """When boxes make a track."""
+
+    hits: int = 3
+    """Frames in a row that confirm a track; one miss before that ends it."""
+    misses: int = 5
+    """Frames in a row without a box that a confirmed track outlives."""
+    iou: float = 0.3
+    """Least overlap of a box with the track's last one."""
+
+
 @dataclass(frozen=True, kw_only=True)
-class FilmSettings:
+class FilmSettings(RenderOptions):
     """How to film. The defaults are the paper's camera and threshold."""
 
     camera: str = "still"
@@ -43,7 +55,7 @@ class FilmSettings:
     fps: Annotated[float, Within(0.1, 240)] = 25.0
     """Frames of the film a second."""
     poses_per_second: Positive | None = None
-    """Poses of the scene a second (default: one a frame)."""
+    """Poses of the scene a second (default: one a frame of a motion; single poses are held for a second each)."""
     seconds: Positive | None = None
     """Length of a take (default: once through the poses or the keyframes; a moving camera takes at least 4 s)."""
     outfit: Annotated[int, Within()] = 0
@@ -58,8 +70,6 @@ class FilmSettings:
     """Frames in a row without it that a confirmed track outlives."""
     track_iou: Annotated[float, Within(0, 1, "()")] = 0.3
     """Overlap from which a box goes on with a track."""
-    samples: Literal[1, 4, 16, 64] | None = None
-    """Samples per pixel; None takes the renderer's default."""
     batch: Annotated[int, Within(1)] = 8
     """Images the detectors see at once."""
 

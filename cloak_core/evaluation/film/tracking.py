@@ -1,8 +1,8 @@
 """A plain tracker of boxes by their overlap: would a camera with the simplest of trackers ever follow the person?
 
-Boxes go on with the track whose last box they overlap most (greedily, best pairs first), as in Bochinski, Eiselein and
-Sikora, "High-speed tracking-by-detection without using image information", AVSS 2017; confirming and losing a track are
-SORT's rules (Bewley et al., ICIP 2016). There is no motion model and no appearance.
+Boxes continue the track whose last box they overlap most (greedily, best pairs first), as in Bochinski, Eiselein and
+Sikora, "High-speed tracking-by-detection without using image information", AVSS 2017; confirming and losing a track
+are SORT's rules (Bewley et al., ICIP 2016). There is no motion model and no appearance model.
 """
 
 from __future__ import annotations
@@ -11,24 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
-
-@dataclass(frozen=True)
-class Rule:
-    """When a track is one."""
-
-    hits: int = 3
-    """Frames in a row that confirm it; one miss before that ends it."""
-    misses: int = 5
-    """Frames in a row without a box that a confirmed track outlives."""
-    iou: float = 0.3
-    """Overlap of a box with the track's last one, at least."""
+from cloak_core.detectors.scoring import box_iou
+from cloak_core.evaluation.film.settings import Rule
 
 
 @dataclass(eq=False)
 class Track:
-    """One track: the frames in which it had a box, and which."""
+    """One track: the frames in which it has a box, and which box."""
 
     number: int = 0
     """From 1 in the order of confirmation; 0 while it is not confirmed."""
@@ -39,7 +31,7 @@ class Track:
 
 
 def track(frames: Sequence[Float[np.ndarray, "_ 5"]], rule: Rule) -> list[Track]:
-    """The confirmed tracks through frames of boxes (x1, y1, x2, y2, score), in the order of confirmation.
+    """Find the confirmed tracks through frames of boxes (x1, y1, x2, y2, score), in the order of confirmation.
 
     A track's boxes include those before it was confirmed.
     """
@@ -61,11 +53,11 @@ def track(frames: Sequence[Float[np.ndarray, "_ 5"]], rule: Rule) -> list[Track]
 
 
 def _match(live: Sequence[Track], boxes: Float[np.ndarray, "n 5"], least: float) -> dict[int, int]:
-    """Track's position -> box's index, the largest overlaps first."""
+    """Match tracks (by position) to boxes (by index), the largest overlaps first."""
     if not live or not len(boxes):
         return {}
-    last = np.stack([one.last for one in live])
-    overlap = overlaps(last, boxes)
+    last, found_boxes = (torch.from_numpy(rows[:, :4]) for rows in (np.stack([one.last for one in live]), boxes))
+    overlap = box_iou(last[:, None], found_boxes).numpy()
     found: dict[int, int] = {}
     for flat in np.argsort(-overlap, axis=None, kind="stable"):
         position, box = divmod(int(flat), len(boxes))
@@ -74,11 +66,3 @@ def _match(live: Sequence[Track], boxes: Float[np.ndarray, "n 5"], least: float)
         if position not in found and box not in found.values():
             found[position] = box
     return found
-
-
-def overlaps(a: Float[np.ndarray, "n k"], b: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "n m"]:
-    """Intersection over union of every xyxy box of one list with every one of the other."""
-    low, high = np.maximum(a[:, None, :2], b[:, :2]), np.minimum(a[:, None, 2:4], b[:, 2:4])
-    shared = np.clip(high - low, 0, None).prod(2)
-    area = [np.clip(boxes[:, 2:4] - boxes[:, :2], 0, None).prod(1) for boxes in (a, b)]
-    return shared / np.maximum(area[0][:, None] + area[1] - shared, 1e-12)

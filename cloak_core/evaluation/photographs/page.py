@@ -1,138 +1,136 @@
-"""The report on photographs: one HTML file that opens offline, in the look of the run's report."""
+"""The report on photographs: what the template judge.html shows."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure
+import pandas as pd
 
-from cloak_core.evaluation.figures import SERIES, legend_above, new_figure, percent_axis, style
-from cloak_core.evaluation.photographs.counting import make_sample
 from cloak_core.evaluation.photographs.listing import NOBODY, WITH, WITHOUT
-from cloak_core.evaluation.photographs.looking import Looks
-from cloak_core.evaluation.report import page as report
+from cloak_core.evaluation.report import page, plots
 from cloak_core.evaluation.report.words import interval, percent, short_name
-from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
-from cloak_core.files.writing import write_text
+from cloak_core.evaluation.statistics import hidden
+from cloak_core.evaluation.statistics_photographs import find_partners
 
-HERE = Path(__file__).parent
 PAIRS, WORST = 8, 6
 LABELS = {WITH: "with the cloak", WITHOUT: "without"}
+GROUPS = {"by_person": "person", "by_scene": "scene", "by_distance": "distance (m)"}
 
 
-def write_page(path: Path, name: str, summary: dict, looks: Looks) -> Path:
-    """Write the report and return its path."""
-    with style(**{"svg.fonttype": "none"}):
-        detectors = [_detector(summary, looks, d) for d in range(len(looks.specs))]
-    page = {
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One photograph, or one frame of a video, as the detectors saw it."""
+
+    file: str
+    frame: int
+    """0 for photographs."""
+    width: int
+    height: int
+    scale: float
+    """Of the file's pixels."""
+    boxes: dict[str, list[list[float]]]
+    """By detector: x1, y1, x2, y2, score above the lower of both thresholds, best first, pixels as shown."""
+    thumbnail: bytes
+    """JPEG; empty where there are too many."""
+
+
+def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictures: Sequence[Picture]) -> Path:
+    """Write the report of `judge` and return its path; rows, pictures: what `look` returned."""
+    by_detector = {
+        str(spec): mine.reset_index(drop=True) for spec, mine in rows.groupby("detector", sort=False, observed=True)
+    }
+    subjects = next(iter(by_detector.values()))
+    scores = [(short_name(spec), mine["score"].to_numpy()) for spec, mine in by_detector.items()]
+    shot = lambda i: _shot(subjects.loc[i], pictures, [(name, float(score[i])) for name, score in scores])
+    with page.page_style():
+        detectors = [_detector(summary, spec, mine, shot) for spec, mine in by_detector.items()]
+    values = {
         "name": name,
-        "css": Markup(read_text(report.HERE / "style.css", MAX_TEXT_BYTES)),
         "summary": summary,
         "lede": lede(summary),
         "detectors": detectors,
-        "pairs": [[_shot(looks, i) for i in pair] for pair in shown_pairs(looks)],
+        "pairs": [[shot(i) for i in pair] for pair in shown_pairs(subjects)],
         "settings": [(key.replace("_", " "), f"{value:g}") for key, value in summary["settings"].items()],
     }
-    write_text(path, report.environment(HERE).get_template("judge.html").render(page))
-    return path
+    return page.write_page(path, "judge.html", values)
 
 
 def lede(summary: dict) -> str:
-    """The first detector's result in a sentence."""
+    """Say the first detector's result in a sentence."""
     spec, told = next(iter(summary["detectors"].items()))
     cloaked, clean, name = told[WITH], told[WITHOUT], short_name(spec)
     found = f"Without the cloak {name} finds {percent(clean['detected'])} of {clean['n_all']} people in the pictures"
+    hidden_too = f"with it {percent(cloaked['detected'])} of {cloaked['n_all']}"
     if cloaked["conditional"] is None:
-        hidden = f"with it {percent(cloaked['detected'])} of {cloaked['n_all']}; no clean picture to compare with"
-        return f"{found}, {hidden}."
+        return f"{found}, {hidden_too}; no clean picture to compare with."
     return (
         f"Where {name} finds a person without the cloak, it misses the same person in the cloak in "
         f"{percent(cloaked['conditional'])} of {cloaked['n_conditional']} pictures (95 % interval "
-        f"{interval(cloaked['ci95_conditional'])}). {found}, with it {percent(cloaked['detected'])} of "
-        f"{cloaked['n_all']}."
+        f"{interval(cloaked['ci95_conditional'])}). {found}, {hidden_too}."
     )
 
 
-def shown_pairs(looks: Looks) -> list[tuple[int, int]]:
-    """(without, with): the first pair of each person and scene, at most eight of these, evenly spaced; nobody has
-    looked at a score."""
-    sample, first = make_sample(looks.subjects), {}
-    for i, one in enumerate(looks.subjects):
-        if one.garment == WITH and len(sample.partners[i]):
-            first.setdefault((one.person, one.place), (int(sample.partners[i][0]), i))
+def shown_pairs(subjects: pd.DataFrame) -> list[tuple[int, int]]:
+    """Choose (without, with): the first pair of each person and place, at most eight, evenly spaced, not by score."""
+    partners, first = find_partners(subjects), {}
+    for i, (garment, *key) in enumerate(subjects[["garment", "person", "place"]].itertuples(index=False)):
+        if garment == WITH and len(partners[i]):
+            first.setdefault(tuple(key), (int(partners[i][0]), i))
     pairs = list(first.values())
     chosen = np.unique(np.linspace(0, len(pairs) - 1, min(PAIRS, len(pairs))).round().astype(int))
     return [pairs[k] for k in chosen]
 
 
-def _detector(summary: dict, looks: Looks, d: int) -> dict:
-    spec = looks.specs[d]
-    told, threshold = summary["detectors"][spec], summary["threshold"]
-    rows = [(LABELS[WITH], told[WITH], "--c0"), (LABELS[WITHOUT], told[WITHOUT], "--c1")]
-    rows += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(told["controls"].items())]
-    worn = [i for i, one in enumerate(looks.subjects) if one.garment == WITH and looks.score[d, i] > threshold]
-    clean = [i for i, one in enumerate(looks.subjects) if one.garment == WITHOUT and looks.score[d, i] <= threshold]
-    alarms = [i for i, one in enumerate(looks.subjects) if one.garment == NOBODY and looks.score[d, i] > threshold]
-    order = lambda indices, sign: sorted(indices, key=lambda i: (sign * float(looks.score[d, i]), i))[:WORST]
-    groups = {
-        title: list(told[key].items())
-        for title, key in (("person", "by_person"), ("scene", "by_scene"), ("distance (m)", "by_distance"))
-        if len(told.get(key, {})) > 1
-    }
+def _detector(summary: dict, spec: str, rows: pd.DataFrame, shot: object) -> dict:
+    told = summary["detectors"][spec]
+    table = [(LABELS[WITH], told[WITH], "--c0"), (LABELS[WITHOUT], told[WITHOUT], "--c1")]
+    table += [(name, rates, f"--c{2 + k % 4}") for k, (name, rates) in enumerate(told["controls"].items())]
+    gone = hidden(rows, summary["threshold"])
+
+    def worst(garment: str, missed: bool) -> list[dict]:
+        mine = rows[(rows["garment"] == garment).to_numpy() & (gone == missed)]
+        return [shot(i) for i in mine.sort_values("score", ascending=missed, kind="stable").index[:WORST]]
+
+    by_distance = told.get("by_distance", {})
     return {
         "spec": spec,
         "name": short_name(spec),
-        "own": looks.own[d],
+        "own": summary["operating_points"][spec],
         "hash": summary["detector_hashes"][spec],
-        "rows": rows,
+        "rows": table,
         "told": told,
-        "groups": groups,
-        "figure": report.svg(by_distance(told["by_distance"])) if len(told.get("by_distance", {})) > 1 else None,
-        "found": [_shot(looks, i) for i in order(worn, -1)],
-        "missed": [_shot(looks, i) for i in order(clean, 1)],
-        "alarms": [_shot(looks, i) for i in order(alarms, -1)],
+        "groups": {title: list(told[key].items()) for key, title in GROUPS.items() if len(told.get(key, {})) > 1},
+        "figure": page.svg(plots.found_by_distance(by_distance, LABELS)) if len(by_distance) > 1 else None,
+        "found": worst(WITH, missed=False),
+        "missed": worst(WITHOUT, missed=True),
+        "alarms": worst(NOBODY, missed=False),
     }
 
 
-def by_distance(groups: dict[str, dict]) -> Figure:
-    """Share of people found over the distance, with and without the cloak, with 95 % bands."""
-    figure, (axis,) = new_figure()
-    for side, look in ((WITH, SERIES["logo"]), (WITHOUT, SERIES["clothing"])):
-        rates = [(float(key), told[side]) for key, told in groups.items() if told[side]["detected"] is not None]
-        metres, values = [x for x, _ in rates], [told["detected"] for _, told in rates]
-        axis.plot(metres, values, color=look.color, marker=look.marker, ls=look.dash, label=LABELS[side], clip_on=False)
-        low, high = zip(*(told["ci95_detected"] for _, told in rates), strict=True) if rates else ((), ())
-        axis.fill_between(metres, low, high, color=look.color, alpha=0.18, lw=0)
-    percent_axis(axis, "found")
-    axis.set_xlabel("distance (m)")
-    legend_above(figure)
-    return figure
-
-
-def _shot(looks: Looks, i: int) -> dict:
-    """A subject's picture with all boxes, and what each detector makes of the subject."""
-    one, picture = looks.subjects[i], looks.pictures[looks.picture[i]]
+def _shot(subject: pd.Series, pictures: Sequence[Picture], scores: list[tuple[str, float]]) -> dict:
+    """Prepare a subject's picture with all boxes, and what each detector makes of the subject."""
+    picture = pictures[subject["picture"]]
     scale = min(1.0, 480 / max(picture.width, picture.height))
     data = base64.b64encode(picture.thumbnail).decode()
-    boxes = [(d, box) for d, spec in enumerate(looks.specs) for box in picture.boxes[spec]]
-    words: Sequence[str] = (one.person, one.scene, "" if one.distance is None else f"{one.distance:g} m")
+    told = subject["box"] and page.box(0, [scale * picture.scale * x for x in subject["box"]], 0.0)
+    metres = "" if np.isnan(subject["distance"]) else f"{subject['distance']:g} m"
+    boxes = [
+        page.box(d, [scale * x for x in box[:4]], box[4])
+        for d, found in enumerate(picture.boxes.values())
+        for box in found
+    ]
     return {
         "image": f"data:image/jpeg;base64,{data}" if data else "",
         "width": round(picture.width * scale),
         "height": round(picture.height * scale),
-        "told": None if one.box is None else _drawn(0, [scale * picture.scale * x for x in one.box], 0.0),
-        "boxes": [_drawn(d, [scale * x for x in box[:4]], box[4]) for d, box in boxes],
-        "label": " · ".join(filter(None, words)) or one.file,
-        "garment": LABELS.get(one.garment, one.garment),
-        "file": one.file + (f" frame {picture.frame}" if picture.frame else ""),
-        "scores": [(short_name(spec), float(looks.score[d, i])) for d, spec in enumerate(looks.specs)],
+        "told": told,
+        "boxes": boxes,
+        "label": " · ".join(filter(None, (subject["person"], subject["scene"], metres))) or subject["file"],
+        "garment": LABELS.get(subject["garment"], subject["garment"]),
+        "file": subject["file"] + (f" frame {picture.frame}" if picture.frame else ""),
+        "scores": scores,
     }
-
-
-def _drawn(d: int, corners: list[float], score: float) -> dict:
-    x1, y1, x2, y2 = corners
-    return {"d": d, "x": x1, "y": y1, "w": max(x2 - x1, 0), "h": max(y2 - y1, 0), "score": f"{score:.2f}"}

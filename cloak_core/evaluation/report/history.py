@@ -1,4 +1,4 @@
-"""What a run's events.jsonl tells about its training."""
+"""Read the curves of a training from its events.jsonl."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class History:
 
 
 def read_history(run: Path) -> History:
-    """Losses and success over the steps; empty where the run has no events."""
+    """Read losses and success over the steps; empty where the run has no events."""
     path = run / "events.jsonl"
     events = read_events(path) if path.exists() else []
     steps = [e for e in events if e.get("type") == "step"]

@@ -1,4 +1,4 @@
-"""The report's sentences, labels and numbers as people read them."""
+"""Format numbers, names and sentences for reports and tables."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterable
 from pathlib import PureWindowsPath
 
 from cloak_core.detectors.defended.table import split_defence
-from cloak_core.evaluation.figures import SERIES
 from cloak_core.evaluation.report.history import History
+from cloak_core.evaluation.report.style import SERIES
 from cloak_core.files.specs import split_spec
 
 
 def percent(value: float | None) -> str:
-    """0.964 -> "96 %"; between 0 and 1 % or 99 and 100 % one more digit, so that "100 %" means all."""
+    """Format a share: 0.964 -> "96 %"; near 0 and 100 % with one more digit, so that "100 %" means all."""
     if value is None:
         return "–"
     digits = 1 if 0 < value < 0.01 or 0.99 < value < 1 else 0
@@ -25,23 +25,26 @@ def percent(value: float | None) -> str:
 
 
 def interval(bounds: list[float | None]) -> str:
-    """[0.88, 0.99] -> "88 – 99 %"."""
+    """Format bounds: [0.88, 0.99] -> "88 – 99 %"."""
     low, high = bounds
     return "–" if low is None or high is None else f"{percent(low).removesuffix(' %')} – {percent(high)}"
 
 
-def degrees(angle: float) -> str:
-    """-10.0 -> "−10°"."""
-    return f"{angle:g}°".replace("-", "−")
+def degrees(angle: float | None) -> str:
+    """Format an angle: -10.0 -> "−10°"; nothing for none."""
+    return "" if angle is None else f"{angle:g}°".replace("-", "−")
 
 
 def control_label(control: str) -> str:
-    """What a control is called in words."""
+    """Name a control in words."""
     return SERIES[control].label if control in SERIES else control
 
 
 def short_name(spec: str) -> str:
-    """A detector's spec without folders: jpeg=75:darknet:/a/b.cfg:/a/b.weights@224 -> jpeg=75 darknet b @224."""
+    """Shorten a detector's spec to its name without folders.
+
+    jpeg=75:darknet:/a/b.cfg:/a/b.weights@224 becomes "jpeg=75 darknet b @224".
+    """
     if (defended := split_defence(spec)) is not None:
         return f"{defended[0]} {short_name(defended[1])}"
     family, _, rest = spec.partition(":")
@@ -55,7 +58,7 @@ def short_name(spec: str) -> str:
 
 
 def short_names(specs: Iterable[str]) -> dict[str, str]:
-    """The short name of each spec; where several have the same, with the folder of its file, or else the whole spec."""
+    """Shorten several specs; equal names get the folder of the file, or else the whole spec."""
     names = {spec: short_name(spec) for spec in dict.fromkeys(specs)}
     for told in (_with_folder, str):
         count = Counter(names.values())
@@ -69,30 +72,43 @@ def _with_folder(spec: str) -> str:
 
 
 def said(row: dict) -> str:
-    """A row's success with its interval and count."""
+    """Say a row's success with its interval and count."""
     return f"{percent(row['success'])} (95 % interval {interval([row['low'], row['high']])}, n = {row['n']:,})"
 
 
 def file_name(spec: str) -> str:
-    """A detector's name as part of a file's."""
+    """Make a detector's name part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", short_name(spec).lower()).strip("-")
 
 
 def lede(summary: dict) -> str:
-    """The result of the first detector in one sentence, with its interval and its controls."""
+    """Say the result of the first detector: at its own threshold, then at the paper's, with interval and control.
+
+    Also says whether the colours were trained against it, and of how many detectors it is the first.
+    """
     spec, rates = next(iter(summary["detectors"].items()))
     logo, clothing = rates["logo"], rates["clothing"]
-    bodies = len(rates["by_body"])
-    return (
-        f"With the trained colours, {short_name(spec)} finds no person in {percent(logo['success'])} of "
-        f"{logo['n']:,} images of {bodies} {'body' if bodies == 1 else 'bodies'} (95 % interval "
-        f"{interval(logo['ci95'])}). In the bodies' own clothing it misses the person in "
-        f"{percent(clothing['success'])} of the same images."
+    own, threshold = summary.get("operating_points", {}).get(spec), summary["settings"]["threshold"]
+    box = {True: " (white box: trained against it)", False: " (black box: never trained against it)", None: ""}
+    bodies, others = len(rates["by_body"]), len(summary["detectors"]) - 1
+    shown = f" of {bodies} {'body' if bodies == 1 else 'bodies'}" if bodies else ""
+    at_paper = f"in {percent(logo['success'])} above {threshold:g} (95 % interval {interval(logo['ci95'])})"
+    if own is None or logo.get("success_own") is None:
+        found, missed = at_paper, percent(clothing["success"])
+    else:
+        bounds = logo.get("ci95_own")
+        sure = f" (95 % interval {interval(bounds)})" if bounds else ""
+        found = f"in {percent(logo['success_own'])} above {own:g}, where it is usually run{sure}, and {at_paper}"
+        missed = f"{percent(clothing['success_own'])} and {percent(clothing['success'])}"
+    words = (
+        f"With the trained colours, {short_name(spec)}{box[summary.get('white_box', {}).get(spec)]} finds no person "
+        f"{found}, of {logo['n']:,} images{shown}. In own clothing it misses the person in {missed} of the same images."
     )
+    return words + (f" Below are {others} more detector{'s' * (others > 1)}." if others else "")
 
 
 def badges(summary: dict) -> list[tuple[str, str]]:
-    """(kind, text) with kind good, bad or unknown: whether bodies and backgrounds were kept from training."""
+    """List (kind, text) with kind good, bad or unknown: whether bodies and backgrounds are unseen."""
     words = {True: ("good", "unseen {}"), False: ("bad", "{} seen in training"), None: ("unknown", "{}: not known")}
     marks = []
     for part in ("bodies", "backgrounds"):
@@ -102,13 +118,13 @@ def badges(summary: dict) -> list[tuple[str, str]]:
 
 
 def setting_rows(config: dict) -> list[tuple[str, str]]:
-    """The training settings, name and value."""
+    """List the training settings, name and value."""
     settings = config.get("settings")
     return [(str(k).replace("_", " "), _value(v)) for k, v in settings.items()] if isinstance(settings, dict) else []
 
 
 def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
-    """What was trained, on what, how long, with which versions."""
+    """List what was trained, on what, how long, with which versions."""
     parts = (config.get(key) for key in ("scene", "logo", "environment", "backgrounds"))
     scene, logo, environment, backgrounds = (part if isinstance(part, dict) else {} for part in parts)
     rows = [
@@ -131,7 +147,7 @@ def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
 
 
 def _colors(config: dict) -> str:
-    """Which colours there may be, where they were not free: "at most 8 distinct, learnt; patches of at least 2 cm"."""
+    """Say which colours are allowed: "at most 8 distinct, learnt; patches of at least 2 cm"."""
     settings, palette, words = config.get("settings"), config.get("palette"), []
     settings = settings if isinstance(settings, dict) else {}
     if settings.get("colors_at_most"):
@@ -145,21 +161,22 @@ def _colors(config: dict) -> str:
 
 
 def measured_rows(summary: dict) -> list[tuple[str, str]]:
-    """How the evaluation was made."""
+    """List how the evaluation was made."""
     settings, inputs = summary["settings"], summary["inputs"]
     rows = [
         ("images", f"{summary['n']} under each pattern"),
-        ("bodies", ", ".join(inputs["bodies"])),
-        ("angles", ", ".join(degrees(a) for a in settings["angles"])),
-        ("distances", ", ".join(f"{d:g} m" for d in settings["distances"])),
-        ("backgrounds", f"{inputs['backgrounds']} to draw from"),
+        ("bodies", ", ".join(inputs.get("bodies", []))),
+        ("angles", ", ".join(degrees(a) for a in settings.get("angles", []))),
+        ("distances", ", ".join(f"{d:g} m" for d in settings.get("distances", []))),
+        ("backgrounds", f"{inputs['backgrounds']} to draw from" if "backgrounds" in inputs else ""),
     ]
+    rows = [(name, value) for name, value in rows if value]
     shown = {"distances", "angles", "controls"}
     return rows + [(key.replace("_", " "), _value(value)) for key, value in settings.items() if key not in shown]
 
 
 def duration(seconds: float | int) -> str:
-    """75.2 -> "1 min 15 s"."""
+    """Format seconds: 75.2 -> "1 min 15 s"."""
     whole = round(seconds)
     if whole < 60:
         return f"{seconds:.1f} s"

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import replace_file, write_text
-from cloak_core.output.print_sheets import PAGES, draw_foot
+from cloak_core.output.print_sheets import draw_foot
+from cloak_core.output.tiling import PAGES
 
 COLUMNS, ROWS = 16, 22
 LEVELS = 7

@@ -10,7 +10,7 @@ from scipy.linalg import solve
 
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
-from cloak_core.output.calibration.difference import mean_difference
+from cloak_core.scene.color_difference import mean_difference
 
 STEPS = 9
 """Of the table, along each channel."""

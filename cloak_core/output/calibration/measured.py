@@ -12,7 +12,7 @@ from jaxtyping import Float
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes, read_text
-from cloak_core.output.calibration.difference import TO_XYZ, mean_difference
+from cloak_core.scene.color_difference import TO_XYZ, mean_difference
 from cloak_core.scene.meshes.mesh_file import to_srgb
 
 MAX_BYTES = 4 << 20

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Integer
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.pretrain.clothing.draping import Person, skinned
 from cloak_core.pretrain.clothing.garments import Garment
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 
 CAMERAS = tuple(Camera(azimuth=azimuth, elevation=up) for azimuth in range(0, 360, 60) for up in (0, 25))
@@ -36,7 +37,7 @@ def hidden_seen(
 def _faces_seen(vertices: np.ndarray, quads: Integer[np.ndarray, "F 4"]) -> tuple[list[np.ndarray], list[float]]:
     """In each view: how much of every face is seen, pixels under the light; and how long the view took, seconds."""
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    bank = ViewBank(Bodies(vertices, triangles, np.repeat(np.arange(len(quads)), 2)), samples=4)
+    bank = ViewCache(Bodies(vertices, triangles, np.repeat(np.arange(len(quads)), 2)), RenderSettings(samples=4))
     seen, took = [], []
     for pose in range(len(vertices)):
         for camera in CAMERAS:

@@ -37,7 +37,10 @@ class DecodedImages:
     def __init__(self, folder: Path | None, limit: int = LIMIT_BYTES) -> None:
         self._files = DiskCache(folder, ".rgb", limit, "decoded images")
         self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
-        decoder = [code_hash("scene/backdrops/backgrounds.py", "files/likeness.py"), package_versions("pillow")]
+        decoder = [
+            code_hash("scene/backdrops/backgrounds.py", "files/likeness.py", "files/crops.py"),
+            package_versions("pillow"),
+        ]
         self._decoder = sha256_record(decoder)[:8]
 
     def get(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:

@@ -6,6 +6,7 @@ its centre is seen from there, nothing of the body before it, and lies on ink; s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from jaxtyping import Bool, Float, Int64
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.logo import area_share
 from cloak_core.scene.pictures import read_picture
 
 # Of the body's height: where a stamp's centre sits and how large it is at most, between collar and waistband.
@@ -161,3 +163,27 @@ def in_front(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "m 3
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (wa * a[:, 2] + wb * b[:, 2] + wc * c[:, 2]) / area
     return covers & (area != 0) & (depth > points[:, None, 2])
+
+
+def sized_stamp(
+    make: Callable[..., Int64[np.ndarray, " logo"]], bodies: Bodies, share: float
+) -> Int64[np.ndarray, " logo"]:
+    """Stamp at the height that covers about this share (0 to 1) of the body's area, found by bisection up to 1 m.
+
+    make: `project_text` or `project_mask` but for the height, metres. InputError: no such stamp fits.
+    """
+    low, high = 0.0, 1.0
+    best, distance = None, np.inf
+    for _ in range(14):
+        height = (low + high) / 2
+        try:
+            ids = make(height=height)
+            found = area_share(bodies, ids)
+        except InputError:  # too small to cover the centre of any face
+            ids, found = None, 0.0
+        if ids is not None and abs(found - share) < distance:
+            best, distance = ids, abs(found - share)
+        low, high = (height, high) if found < share else (low, height)
+    if best is None:
+        raise InputError(f"scene '{bodies.name}': no stamp of {share:.1%} of its area fits on the chest")
+    return best

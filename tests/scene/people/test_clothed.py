@@ -3,7 +3,8 @@ import pytest
 
 from cloak_core.exchange.scenes import read_scene, write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.render.views import ViewBank
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import connected_parts, face_areas
 from cloak_core.scene.logos.logo import load_logo, select_region
@@ -95,7 +96,7 @@ def shown_skin(tight: bool) -> np.ndarray:
     bodies = clothed_bodies("unseen", tight)
     skin = bodies.regions["body"].copy()
     skin[select_region(bodies, "head+hands+feet+forearms")] = False
-    bank, shares = ViewBank(bodies, samples=1), []
+    bank, shares = ViewCache(bodies, RenderSettings(samples=1)), []
     for pose in range(0, bodies.pose_count, 7):
         for view in bank.views(
             [(pose, Camera(azimuth=azimuth, width=160, height=160)) for azimuth in range(0, 360, 90)]

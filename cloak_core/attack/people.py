@@ -1,0 +1,58 @@
+"""Photographs of people as training sees them: another part, scale, light and fit each time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloak_core.attack.settings.people import PeopleSettings
+from cloak_core.render.photographs.fitting import Fit
+from cloak_core.render.photographs.views import Framing, Looseness, logo_positions, photograph_view, shares_of
+from cloak_core.render.types import BakedView
+from cloak_core.scene.logos.logo import Logo
+
+
+class PeopleViews:
+    """Views of fitted people who wear one logo. `InputError`: the logo's topology is none that the rig knows."""
+
+    def __init__(self, fits: Sequence[Fit], logo: Logo, settings: PeopleSettings, size: int) -> None:
+        self.fits, self.settings, self.size = tuple(fits), settings, size
+        self._position = logo_positions(logo.topology, logo.face_ids)
+        self._count = len(logo)
+
+    def __len__(self) -> int:
+        return len(self.fits)
+
+    def view(self, person: int, seed: int) -> BakedView:
+        """A view of one person; all that is random about it follows from `seed`."""
+        fit, random = self.fits[person], np.random.default_rng([seed, person])
+        framing = draw_framing(random, fit, self.settings, self.size)
+        looseness = draw_looseness(random, self.settings)
+        return photograph_view(fit, shares_of(fit, self._position, self._count, looseness), framing, looseness)
+
+
+def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings, size: int) -> Framing:
+    """A square about the person that keeps her box nearly whole, moved into the photograph where it fits there."""
+    x0, y0, x1, y1 = fit.person.box
+    tall = max(y1 - y0, x1 - x0)
+    side = tall * random.uniform(settings.people_context.low, settings.people_context.high)
+    away = random.uniform(-1, 1, 2)
+    mirror, softness = bool(random.random() < settings.people_mirror), 1 + random.uniform(0, settings.people_soft)
+    starts = []
+    for low, high, most, move in (
+        (x0, x1, fit.person.mask.shape[1], away[0]),
+        (y0, y1, fit.person.mask.shape[0], away[1]),
+    ):
+        free = max(side - (high - low), 0) / 2 + settings.people_shift * tall
+        start = (low + high - side) / 2 + move * min(free, 0.5 * side)
+        starts.append(min(max(start, 0.0), most - side) if side <= most else (most - side) / 2)
+    return Framing(starts[0], starts[1], side, size, mirror, softness)
+
+
+def draw_looseness(random: np.random.Generator, settings: PeopleSettings) -> Looseness:
+    """What the fit may have got wrong."""
+    far, light = settings.people_loose, settings.people_light
+    move, stretch = random.uniform(-far, far, 2), 1 + random.uniform(-2 * far, 2 * far, 2)
+    folds, exposure = 1 + random.uniform(-2 * light, 2 * light), 1 + random.uniform(-light, light / 2)
+    return Looseness(tuple(move.tolist()), tuple(stretch.tolist()), max(folds, 0.0), exposure)

@@ -1,0 +1,92 @@
+"""`cloak wear`: real people in photographs, dressed in trained colours or in anybody's picture, and judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from rich.table import Table
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command, out, require_new
+from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.progress import counted
+from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.files.errors import InputError
+
+
+@dataclass(kw_only=True)
+class Wear(Command):
+    """Dress the people in photographs in trained colours or in any picture, and say which detectors still find them.
+
+    Photographs show real people: measure, publish no faces, identify nobody.
+    """
+
+    colors: Positional[tuple[str, ...]]
+    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres), FILE.png@patch=0.3
+    (a patch on the chest)."""
+    people: str
+    """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
+    images: Path | None = None
+    """Folder of the photographs (default: beside the file, or images/ beside it)."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors that judge."""
+    out: Path | None = None
+    """New folder for the pictures, a contact sheet and the table of scores."""
+    backgrounds: str = "procedural:test"
+    """Images without people, for false alarms."""
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+    settings: Annotated[OmitArgPrefixes[WearSettings], arg(name="judging")] = field(default_factory=WearSettings)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def run(self) -> dict:
+        prepare_process(self.compute)
+        if not self.colors:
+            raise InputError("wear: which colours? (a run, zoo:NAME, FILE.png@tile=0.5)")
+        if not self.detector:
+            raise InputError("--detector: none given")
+        if self.out is not None:
+            require_new(self.out)
+        from cloak_core.library import wear
+
+        specs = tuple(dict.fromkeys(self.detector))
+        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
+        with counted("dressing") as tell:
+            return wear(
+                self.colors,
+                self.people,
+                detectors,
+                self.backgrounds,
+                images=self.images,
+                out=self.out,
+                settings=self.settings,
+                on_progress=tell,
+            )
+
+    def show(self, result: dict) -> None:
+        show_worn(result, self.settings.threshold)
+
+
+def show_worn(result: dict, threshold: float | int) -> None:
+    """A table for each detector: who is not found in what."""
+    for spec, told in result["detectors"].items():
+        point = result["operating_points"][spec]
+        table = Table(title=f"{spec}: share of people who are not found")
+        for head in ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone"):
+            table.add_column(head, justify="right" if head else "left")
+        for name, s in told.items():
+            low, high = s["ci95"]
+            rest = (_share(s[key]) for key in ("success_own", "renamed", "gone"))
+            table.add_row(name, _share(s["success"]), f"{low:.2f}–{high:.2f}", *rest)
+        out.print(table)
+    left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
+    out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")
+    if "out" in result:
+        out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"

@@ -1,0 +1,134 @@
+"""Users' code in our process: what it raises becomes one line of theirs, and the files that it reads are known."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import os
+import re
+import sys
+import threading
+import traceback
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.identity import imported_files
+from cloak_core.files.reading import MAX_TEXT_BYTES, read_bytes
+
+MAX_DATA_BYTES = 64 << 20
+"""Of one file of data beside the code that counts for what a detector is; weights are hashed as tensors anyway."""
+_SUFFIX = re.compile(r"\.\w{1,16}\Z")
+_loaded: dict[str, str] = {}
+_opened: dict[Path, set[Path]] = defaultdict(set)
+_watching = threading.local()
+
+
+@contextlib.contextmanager
+def excused(spec: str, file: Path | None) -> Iterator[None]:
+    """Whatever the user's code raises, or its leaving the process, becomes an InputError with the line of their file.
+
+    Only a keyboard's interrupt and memory that is full pass as they are: these are not the code's doing.
+    """
+    if file is not None:
+        _loaded[str(file)] = spec
+    try:
+        yield
+    except (InputError, MemoryError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        if type(error).__name__ == "OutOfMemoryError":  # torch's
+            raise
+        raise InputError(_words(spec, str(file), error)) from error
+
+
+def culprit(error: BaseException) -> str | None:
+    """What to say of an error that went through a user's file (a backward pass calls it unasked); None for no such."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if frame.filename in _loaded:
+            return _words(_loaded[frame.filename], frame.filename, error)
+    return None
+
+
+def _words(spec: str, file: str, error: BaseException) -> str:
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    if isinstance(error, SyntaxError) and error.filename == file:
+        lines.append(error.lineno)
+    place = f"{file}:{lines[-1]}: " if lines else ""
+    words = f"it ends the process with {error.code}" if isinstance(error, SystemExit) else first_line(error)
+    return f"{spec}: {place}{type(error).__name__}: {words}"
+
+
+@contextlib.contextmanager
+def watched(file: Path) -> Iterator[None]:
+    """Remember which files beside `file` the block opens for reading: see `data_beside`."""
+    _listen()
+    _watching.paths = paths = []
+    try:
+        yield
+    finally:
+        del _watching.paths
+        folder = file.resolve().parent
+        found = {Path(os.path.realpath(path)) for path in paths}
+        _opened[file.resolve()] |= {path for path in found if folder in path.parents}
+
+
+def data_beside(file: Path) -> dict[str, str]:
+    """SHA-256 (hex) of each data file in a Python file's folder that the code reads, by its place there.
+
+    Counted are files that were opened while it was loaded, and files that its source (or what it imports from there)
+    names in a text: `open(HERE / "anchors.json")`, `Path(__file__).with_suffix(".json")`.
+    """
+    folder, file = file.resolve().parent, file.resolve()
+    sources = set(imported_files(file).values())
+    found = {path for path in _opened[file] | set(_named(file, sources)) if path not in sources}
+    data = {}
+    for path in sorted(found):
+        if path.suffix in (".py", ".pyc") or not path.is_file() or path.stat().st_size > MAX_DATA_BYTES:
+            continue
+        data[path.relative_to(folder).as_posix()] = hashlib.sha256(read_bytes(path, MAX_DATA_BYTES)).hexdigest()
+    return data
+
+
+def _named(file: Path, sources: set[Path]) -> Iterator[Path]:
+    """Files below the folder that texts in the sources name, in it or in folders that they name."""
+    texts = {text for source in sources for text in _texts(source)}
+    folders = [file.parent]
+    for folder in folders:  # grows by the folders that are named, up to a depth
+        if len(folder.relative_to(file.parent).parts) < 3:
+            folders += [folder / text for text in sorted(texts) if "/" not in text and (folder / text).is_dir()]
+    for text in texts:
+        places = [folder / text for folder in folders]
+        places += [file.with_suffix(text)] if _SUFFIX.match(text) else []
+        for path in places:
+            if file.parent in Path(os.path.normpath(path)).parents and path.is_file():
+                yield path
+
+
+def _texts(source: Path) -> Iterator[str]:
+    """Texts in a Python file that could be a path."""
+    try:
+        tree = ast.parse(read_bytes(source, MAX_TEXT_BYTES))
+    except (SyntaxError, ValueError):  # whoever runs it will say so
+        return
+    texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    yield from (text for text in texts if len(text) < 256 and text.isprintable() and text.strip("./"))
+
+
+def _listen() -> None:
+    """Python tells of every file that is opened, once asked to; it cannot be asked to stop."""
+    if not getattr(_listen, "done", False):
+        _listen.done = True
+        sys.addaudithook(_hear)
+
+
+def _hear(event: str, arguments: tuple) -> None:
+    paths = getattr(_watching, "paths", None) if event == "open" else None
+    if paths is None or not isinstance(arguments[0], (str, bytes)):
+        return
+    path, mode, flags = arguments
+    writes = set(mode or "") & set("wax+") or (flags or 0) & (os.O_WRONLY | os.O_RDWR)
+    if not writes:
+        paths.append(os.path.abspath(os.fsdecode(path)))

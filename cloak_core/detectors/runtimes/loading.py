@@ -1,0 +1,140 @@
+"""From a file of another runtime to a black-box detector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
+from cloak_core.detectors.described import read_description
+from cloak_core.detectors.extras import require
+from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier
+from cloak_core.detectors.onnx_family.layouts import Decode, Decoded, Layout, Size
+from cloak_core.detectors.onnx_family.networks import BlackBox
+from cloak_core.detectors.onnx_family.parity import sample_images
+from cloak_core.detectors.runtimes import openvino_file, tflite_file
+from cloak_core.detectors.runtimes.layouts import AFTER_SUPPRESSION, RUNTIME_LAYOUTS, runtime_layout
+from cloak_core.detectors.runtimes.model import RuntimeModel
+from cloak_core.detectors.specs import Request
+from cloak_core.files.errors import InputError, first_line
+
+FRACTIONS = 2.0
+"""Boxes whose coordinates all lie below this are parts of the input's sides, not pixels."""
+
+
+class RuntimeDetector(OnnxDetector):
+    """A network that another runtime runs on the CPU: scores and boxes, no gradients."""
+
+    def original(self) -> None:
+        """It is that already."""
+        return None
+
+
+def load_openvino(request: Request) -> RuntimeDetector:
+    """`openvino:FILE.xml[:LAYOUT]`: an OpenVINO IR as a black box; see `_load`."""
+    return _load(request, openvino_file.PACKAGE, openvino_file.read_openvino)
+
+
+def load_tflite(request: Request) -> RuntimeDetector:
+    """`tflite:FILE.tflite[:LAYOUT]`: a TensorFlow Lite file as a black box; see `_load`."""
+    return _load(request, tflite_file.PACKAGE, tflite_file.read_tflite)
+
+
+def _load(
+    request: Request, package: str, read: Callable[[Path, tuple[int, int] | None], RuntimeModel]
+) -> RuntimeDetector:
+    """Layout, pixels, names and confidence are the spec's, else the file's, else those of a JSON file beside it, else
+    what the layout usually has. InputError names what is missing or ambiguous."""
+    require(package, request.spec)
+    name, named = (*request.parts, "")[:2]
+    path = Path(name).expanduser()
+    model, said = read(path, request.input_size), read_description(path)
+    network = BlackBox(model.run, model.digest, model.channels_last, one_by_one=True)
+    outputs = _first_outputs(model, network)
+    layout_name, layout, decode = _layout(model, outputs, request, named or said.layout)
+    letterbox = request.letterbox or (layout.letterbox and not request.stretch)
+    told = request.pixels or model.pixels or said.pixels
+    detector = RuntimeDetector(network, decode, model.size, told or layout.pixels, letterbox, request.spec)
+    detector.fill, detector.pixels_assumed = layout.fill, told is None
+    detector.name, detector.path = path.stem, path
+    count = None if layout_name in AFTER_SUPPRESSION else decode(outputs, model.size).classes.shape[-1]
+    detector.class_names = _names(model, said.names, count, layout_name)
+    detector.person = _person(detector.class_names, said.person, count, request, path)
+    confidence = request.confidence or model.confidence or said.confidence
+    detector.operating_point = confidence or layout.confidence
+    detector.operating_point_assumed = not confidence
+    options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
+    detector.source = {"file": model.digest, "input_size": list(model.size), "person": detector.person} | options
+    detector.packages = (package.replace("_", "-"),)
+    return detector.freeze()
+
+
+@torch.no_grad()
+def _first_outputs(model: RuntimeModel, network: BlackBox) -> list[Tensor]:
+    """What it says of one sample image."""
+    try:
+        return network(sample_images(model.size)[:1])
+    except Exception as error:  # the runtime's own
+        raise InputError(f"{model.path}: does not run ({first_line(error)[:160]})") from None
+
+
+def _layout(
+    model: RuntimeModel, outputs: list[Tensor], request: Request, named: str | None
+) -> tuple[str, Layout, Decode]:
+    """The layout, its name, and what decodes such outputs."""
+    labelled = dict(zip(model.output_names, outputs, strict=True))
+    shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
+    if is_classifier(labelled, ""):
+        raise InputError(f"{model.path}: not a detector: one output, {shapes}")
+    name, layout = request.layout or named, None
+    if not name and model.layout is not None:
+        name, layout = model.layout
+    name = name or runtime_layout([tuple(output.shape) for output in outputs])
+    name = name or guess_layout(labelled, model.size, model.names and len(model.names))
+    layout = layout or RUNTIME_LAYOUTS.get(name or "")
+    if layout is None:
+        known = f"say FILE:LAYOUT ({', '.join(RUNTIME_LAYOUTS)})"
+        what = f"unknown layout {name!r}" if name else f"outputs {shapes} are of no known layout"
+        raise InputError(f"{model.path}: {what}; {known}")
+    try:
+        decode = layout.decoder(outputs)
+        found = decode(outputs, model.size)
+    except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
+        raise InputError(f"{model.path}: its outputs {shapes} are not laid out as {name}") from error
+    if name in ("yolov5", "yolov8") and float(found.boxes.abs().max()) < FRACTIONS:
+        return name, replace(layout), _in_fractions(decode)
+    return name, layout, decode
+
+
+def _in_fractions(decode: Decode) -> Decode:
+    """The same of exports whose boxes are parts of the input's sides."""
+
+    def scaled(outputs: list[Tensor], size: Size) -> Decoded:
+        found = decode(outputs, size)
+        return found._replace(boxes=found.boxes * found.boxes.new_tensor([size[1], size[0]] * 2))
+
+    return scaled
+
+
+def _names(model: RuntimeModel, said: tuple[str, ...] | None, count: int | None, layout: str) -> tuple[str, ...] | None:
+    """Class names: the file's, of its description, of a list beside it, COCO's numbering of TFLite's SSD."""
+    for names in (model.names, said):
+        if names and (count is None or len(names) == count):
+            return names
+    if count is not None:
+        return names_beside(model.path, count)
+    return COCO_IDS[1:] if layout == "tflite-ssd" else None
+
+
+def _person(names: tuple[str, ...] | None, said: int | None, count: int | None, request: Request, path: Path) -> int:
+    """The class asked for, else the described one, else the only or first one of a file without names."""
+    if request.person_class is None and said is not None:
+        return said
+    if request.person_class is None and names is None and count in (None, 1):
+        return 0
+    return person_index(names, request.person, count or len(names or ()) or 91, str(path))

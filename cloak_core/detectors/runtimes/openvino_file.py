@@ -1,0 +1,131 @@
+"""OpenVINO's IR, FILE.xml with FILE.bin beside it, read and run by the package openvino on the CPU."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from cloak_core.detectors.onnx_family.layouts import Layout
+from cloak_core.detectors.runtimes.layouts import OPEN_MODEL_ZOO, SsdHead
+from cloak_core.detectors.runtimes.model import RuntimeModel, image_size
+from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import read_bytes
+
+if TYPE_CHECKING:
+    import openvino
+
+PACKAGE = "openvino"
+TELEMETRY = "openvino_telemetry"
+
+
+def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
+    """Read an IR and compile it for one image of the size wanted (None: its own).
+
+    Where it ends in SSD's DetectionOutput, that layer is left out and its inputs are the outputs: all boxes, before any
+    threshold. InputError: no such file, one that OpenVINO does not read, an input that is no RGB image.
+    """
+    with without_telemetry():
+        import openvino
+
+    parts = [read_bytes(part) for part in (path, path.with_suffix(".bin"))]
+    core = openvino.Core()
+    try:
+        network = core.read_model(model=parts[0], weights=parts[1])
+    except Exception as error:  # the runtime's own
+        raise InputError(f"{path}: not an OpenVINO network ({_words(error)})") from None
+    if len(network.inputs) != 1:
+        raise InputError(f"{path}: has {len(network.inputs)} inputs, not one of images")
+    shape = [None if d.is_dynamic else d.get_length() for d in network.input().get_partial_shape()]
+    channels_last, size = image_size(shape, wanted, path)
+    head = None
+    try:
+        network.reshape([1, *size, 3] if channels_last else [1, 3, *size])
+        network, head = _before_suppression(network)
+        threads = {"INFERENCE_NUM_THREADS": torch.get_num_threads(), "INFERENCE_PRECISION_HINT": "f32"}
+        compiled = core.compile_model(network, "CPU", threads | {"NUM_STREAMS": 1})
+    except Exception as error:
+        raise InputError(f"{path}: OpenVINO cannot run it at {size[0]}x{size[1]} ({_words(error)})") from None
+    request = compiled.create_infer_request()
+
+    def run(image: np.ndarray) -> list[np.ndarray]:
+        request.infer([image])
+        return [np.array(request.get_output_tensor(k).data, np.float32) for k in range(len(compiled.outputs))]
+
+    return RuntimeModel(
+        path,
+        sha256_arrays(*(np.frombuffer(part, np.uint8) for part in parts)),
+        run,
+        channels_last,
+        size,
+        tuple(next(iter(output.names), f"output {k}") for k, output in enumerate(compiled.outputs)),
+        names=_said_names(network),
+        confidence=_said_confidence(network),
+        layout=None if head is None else ("ssd-head", Layout(head, 0.5, pixels=OPEN_MODEL_ZOO)),
+    )
+
+
+def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHead | None]:
+    """The network up to its DetectionOutput layer, and what that would do; as it is where it has none that is plain."""
+    import openvino
+    import openvino.opset13
+
+    layers = [op for op in network.get_ordered_ops() if op.get_type_name() == "DetectionOutput"]
+    if len(layers) != 1 or len(layers[0].inputs()) != 3:
+        return network, None
+    said = layers[0].get_attributes()
+    if not said["share_location"] or not said["normalized"] or said["decrease_label_id"]:
+        return network, None
+    offsets, scores = (port.get_shape()[-1] for port in layers[0].inputs()[:2])
+    head = SsdHead(
+        scores * 4 // offsets,
+        int(said["background_label_id"]),
+        said["code_type"].endswith("CENTER_SIZE"),
+        not said["variance_encoded_in_target"],
+    )
+    # Weights in half precision give outputs in it, which would round scores.
+    sources = [openvino.opset13.convert(port.get_source_output(), "f32") for port in layers[0].inputs()]
+    return openvino.Model(sources, network.get_parameters(), network.get_friendly_name()), head
+
+
+def _said_names(network: openvino.Model) -> tuple[str, ...] | None:
+    """Class names as OpenVINO's Model API writes them, joined by spaces."""
+    place = ["model_info", "labels"]
+    if not network.has_rt_info(place):
+        return None
+    return tuple(str(network.get_rt_info(place).value).split()) or None
+
+
+def _said_confidence(network: openvino.Model) -> float | None:
+    place = ["model_info", "confidence_threshold"]
+    try:
+        value = float(network.get_rt_info(place).value) if network.has_rt_info(place) else 0.0
+    except ValueError:
+        return None
+    return value if 0 < value < 1 else None
+
+
+def _words(error: Exception) -> str:
+    """The runtime's reason: its first lines name only its own sources."""
+    lines = [
+        line for line in str(error).splitlines() if line.strip() and not line.startswith(("Exception from", "Check"))
+    ]
+    return (lines[0].strip() if lines else first_line(error))[:160]
+
+
+@contextmanager
+def without_telemetry():
+    """Import openvino without the package that reports its use; it does without."""
+    before = sys.modules.get(TELEMETRY)
+    if before is None:
+        sys.modules[TELEMETRY] = None
+    try:
+        yield
+    finally:
+        if before is None:
+            sys.modules.pop(TELEMETRY, None)

@@ -1,0 +1,162 @@
+"""Make a film from beginning to end: what the camera sees, what detectors report, the figures and the file."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float32
+
+from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.evaluation.film.camera_path import COLUMNS, approaches, camera_path
+from cloak_core.evaluation.film.drawing import draw_frames
+from cloak_core.evaluation.film.settings import FilmSettings
+from cloak_core.evaluation.measure import OnProgress, measure
+from cloak_core.evaluation.renderer import BodyRenderer, check_inputs
+from cloak_core.evaluation.statistics_film import frame_rows, summarize_film
+from cloak_core.evaluation.trials import make_trials
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.cameras import Camera
+from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.videos import check_film, save_film, save_gif
+
+CONTROLS = (LOGO, CLOTHING)
+"""What is filmed side by side."""
+VIEW_BYTES = 1 << 30
+"""Memory for views between measuring a film and drawing it."""
+TURNTABLE_FRAMES, LEAST_FRAMES, TURNTABLE_FPS = 24, 8, 8.0
+TURNTABLE_SHARE = 8
+"""A turntable has at most one image for so many of the evaluation's own."""
+TURNTABLE_SIDE = 256
+"""Most pixels along a turntable picture's side."""
+
+
+STEP = 0.12
+"""Metres that a body's vertices move in the mean from one frame of a motion to the next, at most: 3 m/s at 25 frames a
+second. Single poses, standing and walking, are further apart."""
+HELD_SECONDS = 1.0
+
+
+def usual_pace(vertices: Float32[np.ndarray, "P V 3"], fps: float) -> float:
+    """Choose the poses a second of a film: one a frame of a motion; single poses are held for a second each."""
+    around = vertices - vertices.mean(axis=1, keepdims=True)  # wherever the body as a whole goes
+    steps = [float(np.linalg.norm(b - a, axis=1).mean()) for a, b in itertools.pairwise(around)]
+    return fps if not steps or float(np.median(steps)) <= STEP else 1 / HELD_SECONDS
+
+
+def make_film(
+    colors: Float32[np.ndarray, "L 3"],
+    logo: Logo,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    detectors: dict[str, Detector],
+    out: Path,
+    settings: FilmSettings | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict:
+    """Film the bodies' poses in their order, cloaked and in own clothing; write `out` and its figures beside it.
+
+    out: NAME.mp4, NAME.gif, or a folder of PNGs; NAME.json (or film.json in the folder) takes the figures of every
+    frame. Returns contract C7's figures (see `summarize_film`) with `out` and `numbers`, where those are.
+    InputError: as for `evaluate`, and what `camera_path` and `save_film` refuse.
+    """
+    settings = settings or FilmSettings()
+    if settings.poses_per_second is None:
+        settings = replace(settings, poses_per_second=usual_pace(bodies.vertices, settings.fps))
+    kind = check_film(out)
+    check_inputs(colors, logo, bodies, backgrounds, detectors, settings.angles)
+    path = camera_path(settings, bodies.pose_count)
+    device = next(iter(detectors.values())).device
+    renderer = film_renderer(colors, logo, bodies, backgrounds, path, settings, device)
+    hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
+    results = measure(renderer, detectors, CONTROLS, batch=settings.batch, on_progress=on_progress)
+    for spec, detector in detectors.items():
+        detector.verify(hashes[spec])
+    told = summarize_film(results, settings.threshold, approaches(path), settings.rule) | {"out": str(out)}
+    save_film(out, draw_frames(renderer, results, settings), settings.fps)
+    numbers = out / "film.json" if kind == "folder" else out.with_suffix(".json")
+    inputs = {"scene": bodies.name, "topology": bodies.topology, "detector_hashes": hashes}
+    plain = asdict(settings) | {"angles": list(settings.angles)}
+    rows = frame_rows(results, settings.threshold)
+    write_json(numbers, told | {"settings": plain, "inputs": inputs, "by_frame": rows})
+    return told | {"numbers": str(numbers)}
+
+
+def film_renderer(
+    colors: Float32[np.ndarray, "L 3"],
+    logo: Logo,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    path: pd.DataFrame,
+    settings: FilmSettings,
+    device: torch.device | str = "cpu",
+) -> BodyRenderer:
+    """Make the renderer of all takes' frames; the camera looks at the motion's middle, or follows each pose."""
+    if settings.outfit >= bodies.outfit_count:
+        raise InputError(f"--outfit: there is no outfit {settings.outfit}, the scene has {bodies.outfit_count}")
+    trials = film_trials(path, settings, bodies.pose_count, len(backgrounds), bodies.outfit_count)
+    viewpoint = Camera(field_of_view=settings.field_of_view, width=settings.size, height=settings.size)
+    if not settings.follow:
+        middles = (bodies.vertices.min(1).astype(np.float64) + bodies.vertices.max(1)) / 2
+        viewpoint = replace(viewpoint, pivot=tuple(middles.mean(0).tolist()))
+    # Nothing else can use a film's views, so none is written to files.
+    view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, memory_bytes=VIEW_BYTES))
+    return BodyRenderer(colors, logo, bodies, backgrounds, trials, viewpoint, view_cache)
+
+
+def film_trials(path: pd.DataFrame, settings: FilmSettings, poses: int, backgrounds: int, outfits: int) -> pd.DataFrame:
+    """Make the table of trials of all takes: `trials.COLUMNS`, and `take` (from 0) and `time` (seconds in the take).
+
+    The poses follow one another, again and again; every take has the next background and the next outfit.
+    """
+    take = np.repeat(np.arange(len(settings.angles)), len(path))
+    shown = pd.concat([path] * len(settings.angles), ignore_index=True)
+    time, angle, elevation, distance = (shown[name].to_numpy() for name in COLUMNS)
+    pose = np.floor(time * (settings.poses_per_second or settings.fps) + 1e-6).astype(np.int64) % poses
+    angle = angle + np.asarray(settings.angles, np.float32)[take]
+    outfit = (settings.outfit + take) % outfits
+    still = np.zeros((len(take), 2), np.int64)
+    trials = make_trials(pose, angle, elevation, distance, take % backgrounds, still, outfit)
+    return trials.assign(take=take, time=time)
+
+
+def write_turntable(
+    path: Path, renderer: BodyRenderer, trial: int, detectors: dict[str, Detector], threshold: float, controls: int
+) -> bool:
+    """Write a GIF of one trial's body turning, in own clothing and cloaked, with what every detector reports.
+
+    controls: how many patterns the evaluation looked at. Returns whether there is one: a small evaluation would spend
+    more on it than on itself.
+    """
+    frames = min(TURNTABLE_FRAMES, len(renderer.trials) * controls // (2 * TURNTABLE_SHARE))
+    if frames < LEAST_FRAMES:
+        return False
+    view, shown = renderer.viewpoint, renderer.trials.iloc[trial]
+    settings = FilmSettings(
+        camera="orbit",
+        elevation=float(view.elevation),
+        distance=float(shown["distance"]),
+        field_of_view=float(view.field_of_view),
+        size=min(TURNTABLE_SIDE, view.width),
+        fps=TURNTABLE_FPS,
+        seconds=frames / TURNTABLE_FPS,
+        outfit=int(shown["outfit"]),
+        threshold=threshold,
+    )
+    bodies = renderer.bodies.select_poses(np.array([int(shown["pose"])]))
+    backdrop = renderer.backdrops.subset([int(shown["background"])])
+    orbit, device = camera_path(settings, 1), renderer.view_cache.device
+    turning = film_renderer(renderer.colors, renderer.logo, bodies, backdrop, orbit, settings, device)
+    results = measure(turning, detectors, CONTROLS, batch=settings.batch)
+    save_gif(path, list(draw_frames(turning, results, settings)), TURNTABLE_FPS)
+    return True

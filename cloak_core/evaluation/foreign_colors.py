@@ -1,0 +1,51 @@
+"""Read colours that were made elsewhere for a logo: a row per face, a run, or a picture on the UV map."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+
+from cloak_core.evaluation.trained_run import read_run
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError
+from cloak_core.render.texture import look_up
+from cloak_core.scene.geometry import sum_by_face
+from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.pictures import read_picture
+from cloak_core.zoo.shelf import run_path
+
+
+def colors_of(
+    named: str | os.PathLike, logo: Logo, bodies: Bodies
+) -> tuple[Float32[np.ndarray, "L 3"], dict | None, str]:
+    """Read colours for the logo's faces, the config.json of their run (None where there is none), and their name.
+
+    named: a .npy of colours [L, 3], a picture on the UV map, a run folder, or zoo:NAME. InputError: another number of
+    faces, no UV map, a run of another logo.
+    """
+    path = run_path(named)
+    if path.is_dir():
+        config = read_run(path)
+        return read_colors(path / "colors.npy", len(logo)), config, path.name
+    if path.suffix.lower() == ".npy":
+        return read_colors(path, len(logo)), None, path.stem
+    return from_texture(read_picture(path), logo, bodies, path), None, path.stem
+
+
+def from_texture(picture: np.ndarray, logo: Logo, bodies: Bodies, path: Path) -> Float32[np.ndarray, "L 3"]:
+    """Look up a picture [h, w, 3] uint8 at the centre of each of the logo's faces, by the scene's UV map."""
+    if bodies.uv is None:
+        raise InputError(f"{path}: scene '{bodies.name}' has no UV map to put a picture on")
+    corners = bodies.uv[bodies.triangle_uv].astype(np.float64)  # [T, 3, 2]
+    # Of a polygon, the mean over its triangles by their area on the map.
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = np.maximum(np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]), 1e-12)
+    total = sum_by_face(bodies, area)
+    centre = sum_by_face(bodies, corners.mean(1) * area[:, None]) / np.maximum(total, 1e-300)[:, None]
+    uv = torch.from_numpy(centre[logo.face_ids].T.astype(np.float32))
+    return look_up(torch.from_numpy(np.array(picture)), uv).numpy()

@@ -1,0 +1,79 @@
+"""Measure false alarms on pictures of patterned cloth that nobody wears."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
+from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.scoring import max_person_score
+from cloak_core.evaluation.trained_run import read_run
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.logo import load_logo
+from cloak_core.zoo.shelf import MARK, run_path, shelved
+
+COUNT, BATCH = 200, 8
+CLOAK, RANDOM = "cloak", "random"
+"""Kinds of pattern: flat panels and other shapes in the colours of trained cloaks, and in patterns nobody trained."""
+
+
+@torch.no_grad()
+def pattern_scores(
+    detectors: Mapping[str, Detector],
+    backgrounds: Backgrounds,
+    bodies: Bodies,
+    *,
+    count: int = COUNT,
+    size: int = 416,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """Score pictures without people, with patterned cloth and without it.
+
+    Half of the `count` pictures show a cloak of the zoo that these bodies can wear (where there is one), the others a
+    random pattern. Returns a row for each detector and picture: detector, image, pattern (kind), score (best person
+    score), plain (the same without the cloth).
+    """
+    rng, rows = np.random.default_rng([seed, 0xDEC0]), []
+    drawn = _pictures(backgrounds, cloak_textures(bodies), count, size, rng)
+    for first in range(0, count, BATCH):
+        batch = [next(drawn) for _ in range(min(BATCH, count - first))]
+        with_cloth, without = (torch.stack([one[k] for one in batch]) for k in (0, 1))
+        for spec, detector in detectors.items():
+            scores = [max_person_score(detector(i.to(detector.device))).cpu().numpy() for i in (with_cloth, without)]
+            rows += [
+                {"detector": spec, "image": first + k, "pattern": batch[k][2], "score": score, "plain": plain}
+                for k, (score, plain) in enumerate(zip(*scores, strict=True))
+            ]
+    return pd.DataFrame(rows)
+
+
+def _pictures(
+    backgrounds: Backgrounds, cloaks: Sequence[Texture], count: int, size: int, rng: np.random.Generator
+) -> Iterator[tuple[Float[Tensor, "3 H W"], Float[Tensor, "3 H W"], str]]:
+    """Pictures with cloth, without it, and the kind of pattern."""
+    for number in range(count):
+        plain = backgrounds.image(number % len(backgrounds), (size, size)).float() / 255
+        worn = bool(cloaks) and number % 2 == 0
+        texture = cloaks[rng.integers(len(cloaks))] if worn else random_texture(rng, plain)
+        yield draw_decoy(plain, [texture], rng), plain, CLOAK if worn else RANDOM
+
+
+def cloak_textures(bodies: Bodies) -> list[Texture]:
+    """Lay the zoo's cloaks that these bodies can wear flat, by name."""
+    textures, centres, normals = [], face_centres(bodies), face_normals(bodies)
+    for name in sorted(shelved()):
+        folder = run_path(MARK + name)
+        if read_run(folder).get("topology") == bodies.topology:
+            logo = load_logo(bodies, folder / "logo.npy")
+            flat = FlatCloth(centres[logo.face_ids], normals[logo.face_ids])
+            textures.append(flat.texture(read_colors(folder / "colors.npy", len(logo))))
+    return textures

@@ -1,0 +1,178 @@
+"""Set the style of every plot: colours safe for colour-blind eyes and in grey, one font, one set of sizes."""
+
+from __future__ import annotations
+
+import io
+import re
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
+from matplotlib.ticker import MultipleLocator
+
+from cloak_core.files.writing import replace_file
+
+
+@dataclass(frozen=True)
+class Series:
+    """How one series is drawn; marker and dash tell it apart in grey."""
+
+    label: str
+    color: str
+    marker: str
+    dash: str | tuple
+
+
+# Colours by Okabe and Ito (2008), ordered so that their greys differ too.
+SERIES = {
+    "logo": Series("trained colours", "#0072b2", "o", "-"),
+    "clothing": Series("own clothing", "#d55e00", "s", "--"),
+    "grey": Series("grey", "#7a7a7a", "D", ":"),
+    "random": Series("random colours", "#cc79a7", "^", "-."),
+    "stripes": Series("stripes", "#009e73", "v", (0, (5, 1, 1, 1, 1, 1))),
+    "checks": Series("checks", "#b8860b", "P", (0, (1, 1))),
+}
+"""Of the logo and its controls."""
+CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a7a")
+MARKERS = "osD^vPX"
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+INK, FAINT = "#1f2328", "#d5d9de"
+TITLES = 80
+"""Letters of the titles of panels beside each other, in one line over all of them."""
+WIDTH = 6.4
+"""Of a full-width figure, inches."""
+LEGEND = 8
+"""Size of a legend's text, points."""
+
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": LEGEND,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "lines.markersize": 4.5,
+    "figure.dpi": 100,
+    "savefig.dpi": 200,
+    "svg.hashsalt": "cloak",
+}
+
+
+@contextmanager
+def style(**changes: object) -> Iterator[None]:
+    """Give figures made inside the project's style, whatever the caller's matplotlib is set to."""
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, "backend": "agg", **_STYLE, **changes}):
+        yield
+
+
+def new_figure(width: float = WIDTH, height: float = 2.9, columns: int = 1, **axes: object) -> tuple[Figure, list]:
+    """Make a figure of this size in inches and its axes, in one row. Call it inside `style`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, list(figure.subplots(1, columns, squeeze=False, **axes)[0])
+
+
+def percent_axis(axis: object, label: str = "attack success") -> None:
+    """Set up rates along y, from 0 to 100 %."""
+    axis.set_ylim(-0.03, 1.03)
+    axis.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    axis.set_ylabel(label)
+
+
+def percent_along_x(axis: object) -> None:
+    """Set up rates along x, with marks short enough for panels beside each other."""
+    axis.set_xlim(-0.02, 1.02)
+    axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
+    axis.set_xticks([0.25, 0.75], minor=True)
+    axis.grid(axis="x", which="minor")
+    axis.set_xlabel("attack success")
+
+
+def panel_title(axis: object, name: str, panels: int = 1) -> None:
+    """Name one of several panels beside each other; the more panels, the smaller the text."""
+    if panels > 1:
+        lines = textwrap.wrap(name, TITLES // panels, break_long_words=False, break_on_hyphens=False)
+        axis.set_title("\n".join(lines), fontsize=8 if panels == 2 else 7)
+    else:
+        axis.set_title(name)
+
+
+def azimuth_axis(axis: object) -> None:
+    """Set up whole degrees along x, at steps people count in. Call it when everything is drawn."""
+    axis.set_xlabel("azimuth (degrees)")
+    low, high = axis.get_xlim()
+    steps = (1, 2, 5, 10, 15, 30, 45, 60, 90)
+    axis.xaxis.set_major_locator(MultipleLocator(next((s for s in steps if (high - low) / s <= 13), 90)))
+    axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "\u2212"))
+
+
+def legend_above(figure: Figure) -> None:
+    """Draw one legend above the figure's axes, in as many columns as its width holds; none without labels."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    if not labels:
+        return
+    texts = [TextPath((0, 0), label, size=LEGEND).get_extents().width for label in labels]  # points
+    widths = [text / 72 + 0.62 for text in texts]  # inches, with handle and space
+    room = figure.get_figwidth() - 0.1
+    columns = len(labels) if sum(widths) <= room else max(1, int(room / max(widths)))
+    figure.set_figheight(figure.get_figheight() + 0.17 * (-(-len(labels) // columns) - 1))  # not at the axes' cost
+    figure.legend(handles, labels, loc="outside upper left", ncols=columns, handlelength=2.6, columnspacing=1.6)
+
+
+def save_figure(figure: Figure, path: Path) -> list[Path]:
+    """Write PATH.png and PATH.svg, white behind, the same bytes for the same figure."""
+    written = []
+    for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+        target = path.with_name(f"{path.name}.{suffix}")
+        draw = partial(figure.savefig, format=suffix, metadata=metadata, facecolor="white")
+        replace_file(target, draw)
+        written.append(target)
+    return written
+
+
+def inline_svg(figure: Figure) -> str:
+    """Convert a figure to an <svg> element: text stays text in the page's font, colours follow the page's theme.
+
+    Every colour of the style becomes a CSS variable (--ink, --faint, --c0 ...), so the page decides light and dark.
+    """
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r'<svg ([^>]*?)width="[^"]*" ([^>]*?)height="[^"]*"', r"<svg \1\2", svg, count=1)
+    svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.S)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
+    svg = re.sub(r"'DejaVu Sans'(, '[^']*')*(, sans-serif)?", "var(--font)", svg)
+    for color, variable in css_colors().items():
+        svg = svg.replace(color, f"var({variable})")
+    return svg
+
+
+def css_colors() -> dict[str, str]:
+    """List the style's colours and the CSS variables that stand for them."""
+    named = {INK: "--ink", FAINT: "--faint"}
+    colors = dict.fromkeys([*(s.color for s in SERIES.values()), *CYCLE])
+    return named | {color: f"--c{i}" for i, color in enumerate(colors)}

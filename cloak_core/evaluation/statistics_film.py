@@ -1,0 +1,131 @@
+"""Count films: hidden frames, runs of visible ones, first sight and tracks, from the results table.
+
+A film's images have further columns: take (from 0), time (seconds in the take) and the body's true box; its boxes have
+corners (see `Results`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from cloak_core.evaluation.film.tracking import Rule, track
+from cloak_core.evaluation.results import CORNERS, TRUE_BOX, Results
+from cloak_core.evaluation.statistics import by_value, finite, hidden, interval, operating_point, rate, share
+
+CLUSTERS = ("take", "background")
+"""Frames of one take, and those before one background, succeed and fail together."""
+LEAST_PIXELS = 8
+"""A body whose true box is narrower or lower than this is not in the picture."""
+
+
+def summarize_film(results: Results, threshold: float, approaches: bool, rule: Rule) -> dict:
+    """Contract C7's figures, those of the first detector on the cloaked body, and all of them in `detectors`.
+
+    approaches: the camera comes nearer all the time. frames: of all takes; left_out: of these, without the body in
+    the picture, counted in nothing else.
+    """
+    rows = {spec: {control: results.rows(spec, control) for control in results.controls} for spec in results.detectors}
+    detectors = {
+        spec: {name: film_record(results, mine, threshold, approaches, rule) for name, mine in by_control.items()}
+        for spec, by_control in rows.items()
+    }
+    spec = results.detectors[0]
+    first = rows[spec][results.controls[0]]
+    told = detectors[spec][results.controls[0]]
+    return {
+        "frames": len(first),
+        **{key: told[key] for key in ("hidden", "longest_run", "first_sight_m", "tracks")},
+        "takes": int(first["take"].max()) + 1,
+        "threshold": threshold,
+        "left_out": int((~in_picture(first)).sum()),
+        "detectors": detectors,
+        "operating_points": {spec: operating_point(mine[results.controls[0]]) for spec, mine in rows.items()},
+    }
+
+
+def film_record(results: Results, frames: pd.DataFrame, threshold: float, approaches: bool, rule: Rule) -> dict:
+    """Figures of one detector and control, at the film's threshold and (`_own`) at the detector's own.
+
+    hidden: share of frames without any reported person; hidden_iou: without one on the body; conditional: hidden where
+    the same frame in own clothing is not; ci95: over takes, null for a single one. longest_run: frames in a row with a
+    person, the median over takes. first_sight_m: distance of a take's first one where the camera approaches, likewise
+    (takes without any are counted in never_seen). tracks: confirmed at the detector's own threshold, in all takes.
+    """
+    own, body = operating_point(frames), in_picture(frames)
+    shown = frames[body]
+    seen_clean = shown[(shown["clean"] > threshold).to_numpy()]
+    several = shown["take"].nunique() > 1
+    told = {
+        "hidden": finite(share(shown, threshold)),
+        "hidden_own": finite(share(shown, own)),
+        "hidden_iou": finite(share(shown, threshold, "score_on")),
+        "conditional": finite(share(seen_clean, threshold)),
+        "ci95": interval(rate(shown, hidden(shown, threshold), CLUSTERS)) if several else None,
+        "n": len(shown),
+    }
+    for suffix, at in (("", threshold), ("_own", own)):
+        takes = [(take, ~hidden(take, at) & in_picture(take)) for _, take in by_value(frames, "take")]
+        run = float(np.median([longest_run(seen) for _, seen in takes]))
+        told[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
+        first = [take["distance"].to_numpy()[seen][:1] for take, seen in takes]
+        distances = [float(one[0]) for one in first if len(one)]
+        middle = finite(float(np.median(distances)), 4) if distances else None
+        told[f"first_sight_m{suffix}"] = middle if approaches else None
+        told[f"never_seen{suffix}"] = len(first) - len(distances) if approaches else None
+    return told | _tracks_record(results, frames, rule)
+
+
+def _tracks_record(results: Results, frames: pd.DataFrame, rule: Rule) -> dict:
+    """How many tracks are confirmed, in how many takes, and in what share of frames one of them has a box."""
+    takes = [take for _, take in by_value(frames, "take")]
+    by_take = [track(frame_boxes(results, take, operating_point(frames)), rule) for take in takes]
+    tracked = sum(len(set().union(*(one.boxes for one in tracks))) for tracks in by_take)
+    return {
+        "tracks": sum(map(len, by_take)),
+        "tracked_takes": sum(map(bool, by_take)),
+        "tracked": finite(tracked / len(frames)),
+    }
+
+
+def in_picture(frames: pd.DataFrame) -> Bool[np.ndarray, " N"]:
+    """Mark the frames that show enough of the body to be found."""
+    x1, y1, x2, y2 = (frames[name].to_numpy() for name in TRUE_BOX)
+    return (x2 - x1 >= LEAST_PIXELS) & (y2 - y1 >= LEAST_PIXELS)
+
+
+def longest_run(seen: Bool[np.ndarray, " T"]) -> int:
+    """Count the most frames in a row that are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def frame_boxes(results: Results, frames: pd.DataFrame, above: float) -> list[Float[np.ndarray, "_ 5"]]:
+    """List each frame's boxes (x1, y1, x2, y2, score) with a score above `above`, best first."""
+    boxes = results.boxes_of(frames)
+    boxes = boxes[boxes["score"].to_numpy() > above]
+    found = {image: mine[[*CORNERS, "score"]].to_numpy() for image, mine in boxes.groupby("image")}
+    return [found.get(image, np.zeros((0, 5), np.float32)) for image in frames["image"]]
+
+
+def frame_rows(results: Results, threshold: float) -> list[dict]:
+    """Tell what every frame shows and what every detector says of it, ready for JSON."""
+    rows = {(s, c): results.rows(s, c) for s in results.detectors for c in results.controls}
+    told = {key: _frame_verdicts(results, mine, threshold) for key, mine in rows.items()}
+    frames = []
+    for k, frame in enumerate(next(iter(rows.values())).to_dict("records")):
+        place = {name: round(float(frame[name]), 4) for name in ("angle", "elevation", "distance")}
+        label = {"take": int(frame["take"]), "time": round(float(frame["time"]), 4), "body": frame["body"]}
+        detectors = {s: {c: told[s, c][k] for c in results.controls} for s in results.detectors}
+        true_box = [float(frame[name]) for name in TRUE_BOX]
+        frames.append(label | place | {"true_box": true_box, "detectors": detectors})
+    return frames
+
+
+def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
+    boxes: Sequence[np.ndarray] = frame_boxes(results, rows, min(threshold, operating_point(rows)))
+    columns = zip(rows["score"], hidden(rows, threshold), boxes, strict=True)
+    return [{"score": round(float(s), 4), "hidden": bool(h), "boxes": b.round(4).tolist()} for s, h, b in columns]

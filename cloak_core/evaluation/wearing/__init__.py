@@ -1,0 +1,1 @@
+"""Real people in photographs, dressed in trained colours or in anybody's picture, and judged."""

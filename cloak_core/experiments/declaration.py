@@ -1,0 +1,98 @@
+"""What an experiment declares: the cells of its table, its figures, its caption and the paper's values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from PIL import Image
+
+from cloak_core.evaluation.report.charts import Chart
+from cloak_core.evaluation.report.tables import Rows
+from cloak_core.evaluation.results import Results
+from cloak_core.evaluation.store import RunStore, Trained
+from cloak_core.experiments.logos import FaceIds
+
+SINGLE, MULTI = "0", "-10:10:5"
+"""Training azimuths of the paper, degrees."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cell:
+    """One training, repeated by seed, and the evaluation that judges it."""
+
+    label: Mapping[str, object]
+    """First columns of its rows."""
+    faces: FaceIds | None = None
+    """What the logo covers; None: chest + thighs."""
+    specs: Sequence[str] = ()
+    """Detectors trained against; the first where none are named."""
+    training: Mapping[str, object] = field(default_factory=dict)
+    """Further arguments of `RunStore.train`: settings, bodies, precision."""
+    judges: Sequence[str] = ()
+    """Detectors that judge, a row each; those trained against where none are named."""
+    judge_column: str = "detector"
+    angles: Sequence[float] = ()
+    """Test azimuths, degrees; the paper's where none are given."""
+    test: Mapping[str, object] = field(default_factory=dict)
+    """Further arguments of `RunStore.evaluate`: settings, bodies."""
+    columns: Sequence[str] = ()
+    """Of `statistics.operating_row`; none: all of `statistics.training_row`, and curves over thresholds."""
+    extra: Callable[[Results, str], dict] = lambda results, spec: {}
+    """Further columns of a judge's row over all images."""
+    timed: bool = False
+    """Whether the rows say how long training took."""
+    area: bool = False
+    """Whether the rows say what share of the body's area the logo covers."""
+    along: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Columns of the trials and their values, for a further row each; the row over all images has "all" there."""
+    baseline: Mapping[str, object] | None = None
+    """Label of a further row for own clothing on the same images."""
+    store: RunStore | None = None
+    """Another store than the experiment's, with more detectors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What an experiment measured: plain values."""
+
+    rows: Rows
+    facts: dict = field(default_factory=dict)
+    thresholds: Rows = field(default_factory=list)
+    """Success at every threshold: a row for each control of each row with curves."""
+    pictures: dict[str, Image.Image] = field(default_factory=dict)
+    """By file name without ending."""
+
+
+Cells = Iterator[Cell]
+Trainings = list[tuple[Cell, list[Trained]]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Experiment:
+    """One experiment: what is trained, what judges, what is plotted, what the paper has."""
+
+    title: str
+    caption: str
+    """What was done and how to read it."""
+    cells: Callable[[RunStore], Cells] = lambda store: iter(())
+    figures: Mapping[str, Chart]
+    """By file name without ending."""
+    paper: Sequence[Mapping[str, object]] = ()
+    pictures: Callable[[RunStore, Trainings], dict[str, Image.Image]] = lambda store, trainings: {}
+    facts: Mapping[str, object] = field(default_factory=dict)
+    counts: Callable[[RunStore], dict] = lambda store: {}
+    """What it does otherwise than the options' counts say."""
+    measure: Callable[[RunStore], Numbers] | None = None
+    """Instead of `cells`, for what these cannot say."""
+    finish: Callable[[Rows], Rows] = lambda rows: rows
+    """Add columns that compare rows."""
+    by_detector: bool = False
+    """Whether trainings for one detector have nothing to do with those for the others."""
+    order: int = 100
+    """Place among the experiments of `all`."""
+
+
+def test_angles(store: RunStore) -> tuple[float, ...]:
+    """The paper's test azimuths: whole degrees in -10..10; every second one when quick."""
+    return tuple(float(a) for a in range(-10, 11, 2 if store.options.quick else 1))

@@ -1,0 +1,24 @@
+"""The options of `cloak reproduce` and the names of the experiments, free of torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import UseAppendAction
+
+from cloak_core.evaluation.store_options import StoreOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(StoreOptions):
+    """How much an experiment does."""
+
+    defence: UseAppendAction[tuple[str, ...]] = ()
+    """Of `defences`: these, as they stand before a detector, jpeg=50 (default: seven of them)."""
+
+
+def names() -> tuple[str, ...]:
+    """List the experiments by name: the declared modules, with dashes."""
+    declared = Path(__file__).parent / "declared"
+    return tuple(sorted(path.stem.replace("_", "-") for path in declared.glob("[!_]*.py")))

@@ -1,0 +1,114 @@
+"""The experiments' tables and figures for people: one page, and Markdown for documentation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from cloak_core.evaluation.controls import LOGO
+from cloak_core.evaluation.report.page import data_uri, write_page
+from cloak_core.evaluation.report.tables import markdown, readable
+from cloak_core.experiments.runner import experiments, finished
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.specs import without_folders
+from cloak_core.files.writing import write_text
+from cloak_core.scene.pictures import open_picture, read_picture, save_picture
+
+SHOWN, FOLDED = 40, 24
+"""Rows of a table on the page, all of them being in numbers.csv; longer ones than the second are folded."""
+ROWS, CURVES = 120, 30
+"""Rows of the table of results in Markdown, and of the table of thresholds."""
+LEFT_OUT = ("clean_detection", "false_alarms", "seeds", "worst_seed", "best_seed", "success_iou", "seconds")
+"""Columns that a narrow table can spare."""
+COLORS = 128
+"""Of a published figure: plots have few, and the files stay small."""
+
+
+def make_page(out: Path) -> Path:
+    """Write OUT/index.html from the experiments in OUT and return its path. InputError: there is none."""
+    records = _finished(out)
+    shown = [
+        {
+            "name": name,
+            "title": record["title"],
+            "words": record["words"],
+            "figures": [figure(out / name / Path(f).name) for f in record["figures"] if not f.endswith(".svg")],
+            "table": readable(record["rows"][:SHOWN]),
+            "thresholds": readable(record.get("thresholds", [])[:SHOWN]),
+            "folded": len(record["rows"]) > FOLDED,
+            "left": max(0, len(record["rows"]) - SHOWN),
+            "paper": readable(record["paper"]),
+            "counts": record["counts"],
+        }
+        for name, record in records.items()
+    ]
+    missing = [name for name in experiments() if name not in records]
+    return write_page(out / "index.html", "experiments.html", {"experiments": shown, "missing": missing})
+
+
+def figure(path: Path) -> dict:
+    """A figure as data, and the width in CSS pixels at which its text has the page's size."""
+    with open_picture(path) as image:
+        width = round(image.width / 200 * 118) if path.suffix == ".png" else image.width
+        return {"data": data_uri(path), "width": width}
+
+
+def publish(out: Path, folder: Path) -> Path:
+    """Write FOLDER/tables.md, a section for every finished experiment of OUT, with plots beside it; returns its path.
+
+    Plots only, no pictures: whether the photographs in those may be published only their owner knows.
+    """
+    records = _finished(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../results.md).\n"]
+    for name, record in records.items():
+        plots = [file for file in record["figures"] if file.endswith(".png") and not file.startswith("pictures")]
+        figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in plots]
+        config = read_json(out / name / "config.json")
+        command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
+        parts.append(_section(name, record, config | {"command": without_folders(command)}, figures))
+    path = folder / "tables.md"
+    write_text(path, "\n".join(parts))
+    return path
+
+
+def _finished(out: Path) -> dict[str, dict]:
+    if not (records := finished(out)):
+        raise InputError(f"{out}: holds no finished experiment")
+    return records
+
+
+def _copy(source: Path, target: Path) -> str:
+    image = Image.fromarray(read_picture(source)).quantize(COLORS, dither=Image.Dither.NONE)
+    save_picture(target, image, optimize=True)
+    return target.name
+
+
+def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> str:
+    lines = [f"## {name}: {record['title']}", ""]
+    for paragraph in record["words"]:
+        lines += [paragraph, ""]
+    lines += [f"![{record['title']}]({file})\n" for file in figures]
+    rows = record["rows"][:ROWS]
+    lines += markdown([{k: v for k, v in row.items() if k not in LEFT_OUT} for row in rows])
+    if len(record["rows"]) > ROWS:
+        lines.append(f"And {len(record['rows']) - ROWS} more rows in numbers.csv.\n")
+    if repeated := [row for row in rows if row.get("seeds", 1) > 1 and "worst_seed" in row]:
+        lines += ["Spread over seeds:", "", *markdown([_spread(row) for row in repeated])]
+    if curves := [row for row in record.get("thresholds", []) if row["control"] == LOGO]:
+        lines += ["Trained colours at other thresholds (controls in thresholds.csv):", "", *markdown(curves[:CURVES])]
+    if record["paper"]:
+        lines += ["The paper's values:", "", *markdown(record["paper"])]
+    counts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record["counts"].items())
+    versions = ", ".join(f"{key} {config[key]}" for key in ("cloak", "torch", "threads") if key in config)
+    lines += [f"`{config['command']}`\n"] if config["command"] else []
+    return "\n".join([*lines, f"{counts}; {versions}.\n"])
+
+
+def _spread(row: dict) -> dict:
+    """A row's label, and the spread over its repetitions."""
+    label = list(row)[: list(row).index("success")]
+    return {key: row[key] for key in (*label, "seeds", "worst_seed", "best_seed")}

@@ -1,0 +1,148 @@
+"""Run experiments: fill the table that a declaration asks for, keep it in a file, and draw it from that file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from itertools import product
+from pathlib import Path
+
+from cloak_core.evaluation import statistics
+from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.report.charts import Thresholds
+from cloak_core.evaluation.report.style import save_figure, style
+from cloak_core.evaluation.report.tables import Rows
+from cloak_core.evaluation.results import Results
+from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
+from cloak_core.experiments.options import names
+from cloak_core.experiments.records import read_numbers, write_numbers
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
+from cloak_core.scene.logos.garments import chest_thighs
+from cloak_core.scene.logos.logo import area_share
+
+
+@cache
+def experiments() -> dict[str, Experiment]:
+    """Load every declaration, by name, in the order in which `all` runs them."""
+    package = "cloak_core.experiments.declared."
+    found = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
+    return dict(sorted(found.items(), key=lambda item: item[1].order))
+
+
+def run_experiment(name: str, store: RunStore) -> dict:
+    """Run one experiment and write OUT/NAME; returns its record: rows, caption, figures, the paper's values.
+
+    InputError: there is no such experiment. Interrupted: a training was stopped in order; the same call continues it.
+    """
+    experiment = _experiment(name)
+    numbers = measure(experiment, store)
+    remove_all_leftovers(store.options.out / name)
+    write_numbers(store.options.out / name, name, numbers, store, experiment.counts(store))
+    return draw_again(name, store.options.out)
+
+
+def prepare_experiment(name: str, store: RunStore) -> None:
+    """Make the trainings and evaluations of an experiment and write nothing of it; raises as `run_experiment`."""
+    measure(_experiment(name), store)
+
+
+def measure(experiment: Experiment, store: RunStore) -> Numbers:
+    """Train and judge every cell of an experiment; rows over all images come first, then rows along a column."""
+    if experiment.measure:
+        return experiment.measure(store)
+    whole, along, thresholds, trainings = [], [], [], []
+    for cell in experiment.cells(store):
+        own = cell.store or store
+        faces, specs = cell.faces, cell.specs or store.specs[:1]
+        faces = chest_thighs(store.split.bodies) if faces is None else faces
+        trained = own.train_repetitions(faces, specs, **cell.training)
+        trainings.append((cell, trained))
+        judges = tuple(cell.judges or specs)
+        results = own.evaluate(trained, cell.angles or test_angles(store), judges, **cell.test)
+        for spec in judges:
+            whole.append(_row(cell, store.split.bodies, trained, results, spec))
+            if not cell.columns:
+                thresholds += threshold_rows(whole[-1], results, spec)
+            if cell.baseline is not None:
+                rate = statistics.hidden_rate(results.rows(spec, CLOTHING))
+                whole.append({**cell.baseline, "detector": spec} | statistics.rate_row(rate))
+            along += _rows_along(cell, results, spec) if cell.along else ()
+    steps = {spec: store.steps([spec], angles=MULTI) for spec in store.specs}
+    facts = {"angles": len(test_angles(store)), "steps": steps, **experiment.facts}
+    return Numbers(experiment.finish(whole + along), facts, thresholds, experiment.pictures(store, trainings))
+
+
+def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, spec: str) -> dict:
+    """The row of one judge over all images of a cell."""
+    label = dict(cell.label)
+    if cell.area:
+        label["area_share"] = round(area_share(bodies, trained[0].logo.face_ids), 4)
+    label |= {column: "all" for column in list(cell.along)[:1]}
+    label |= {} if cell.judge_column in label else {cell.judge_column: spec}
+    label |= training_times(trained) if cell.timed else {}
+    if not cell.columns:
+        row = statistics.training_row(results, spec)
+        return label | {key: value for key, value in row.items() if key != "detector"} | cell.extra(results, spec)
+    row = statistics.operating_row(results, spec)
+    told = {key: row[key] for key in ("success", "low", "high", "n", *cell.columns)}
+    return label | told | cell.extra(results, spec)
+
+
+def _rows_along(cell: Cell, results: Results, spec: str) -> Iterator[dict]:
+    """A row for each value of the columns that a cell's images are told along; the last column is the innermost."""
+    *outer, inner = cell.along
+    for values in product(*(cell.along[column] for column in outer)):
+        where = dict(zip(outer, values, strict=True))
+        for row in statistics.rows_at(results, spec, inner, cell.along[inner], **where):
+            yield {**cell.label, **where} | row
+
+
+def threshold_rows(row: dict, results: Results, spec: str) -> Rows:
+    """Success at every threshold, a row for each control, under the label of a row of the table."""
+    label = {key: row[key] for key in list(row)[: list(row).index("success")]}
+    curves = {control: statistics.threshold_curve(results.rows(spec, control)) for control in results.controls}
+    names = [f"at_{t:g}" for t in statistics.THRESHOLDS]
+    return [
+        label | {"control": control} | dict(zip(names, map(statistics.digits, curve), strict=True))
+        for control, curve in curves.items()
+    ]
+
+
+def draw_again(name: str, out: Path) -> dict:
+    """Draw one experiment from OUT/NAME/numbers.json alone; returns its record.
+
+    InputError: it was never run, or an unreadably early version ran it.
+    """
+    experiment, folder = _experiment(name), out / name
+    record, numbers = read_numbers(folder)
+    with style():
+        figures = {key: chart.draw(numbers.rows, numbers.thresholds) for key, chart in _charts(experiment).items()}
+        files = [path.name for key, f in figures.items() if f for path in save_figure(f, folder / key)]
+    write_text(folder / "words.md", f"# {experiment.title}\n\n{experiment.caption}\n")
+    record |= {"title": experiment.title, "paper": list(experiment.paper), "words": [experiment.caption]}
+    record["figures"] = [*files, *record["pictures"]]
+    write_json(folder / "numbers.json", record)
+    return record
+
+
+def _charts(experiment: Experiment) -> dict:
+    """The declared figures, and success by threshold unless they have their own."""
+    return {**experiment.figures, "thresholds": experiment.figures.get("thresholds", Thresholds())}
+
+
+def _experiment(name: str) -> Experiment:
+    if name not in experiments():
+        raise InputError(f"experiment '{name}': not one of {', '.join(experiments())}, all")
+    return experiments()[name]
+
+
+def finished(out: Path) -> dict[str, dict]:
+    """Read the records of the experiments that OUT holds, in order."""
+    paths = {name: out / name / "numbers.json" for name in experiments()}
+    records = {name: read_json(path) for name, path in paths.items() if path.exists()}
+    return {name: record for name, record in records.items() if "words" in record}

@@ -1,0 +1,112 @@
+"""The stages of rendering as one typed protocol, and the choice of its implementation by device.
+
+Each stage has a numba and a torch implementation, in files of equal names: cpu/ for the CPU, torch/ for any device.
+Both give the same face ids, bit for bit, and the same weights within 1e-6; tests compare them (`compiled.torch_alone`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol, cast, runtime_checkable
+
+import torch
+from jaxtyping import Float, Float32, Float64, Int64, Integer, UInt8
+from torch import Tensor
+
+from cloak_core.render.compiled import use_loops
+from cloak_core.render.cpu import stages as cpu_stages
+from cloak_core.render.torch import stages as torch_stages
+from cloak_core.render.types import BakedView, FlatTriangles, Fragments, Photometric, Screen, Surface, View, Window
+from cloak_core.scene.cameras import Vector
+
+Found = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float[Tensor, " N"], Float64[Tensor, "2 N"]]
+"""Pixel, triangle, share of the pixel, and the centroid of the visible part, pixels; sorted by pixel and triangle."""
+
+
+@runtime_checkable
+class LogoMatrix(Protocol):
+    """The sparse matrix from the logo's colours to its pixels in B images."""
+
+    def paint(
+        self, colors: Float32[Tensor, "*B L 3"], base: Float32[Tensor, "M 3"], target: Int64[Tensor, " M"], rows: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Write base + matrix @ colors into the rows `target` of a canvas. Returns what `gradient` needs of it."""
+
+    def gradient(
+        self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
+    ) -> Float32[Tensor, "*B L 3"]:
+        """The gradient of colours of this shape, from that of the images."""
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """The stages, in the order of a render."""
+
+    def project_rows(
+        self, vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int
+    ) -> Screen:
+        """Project vertices to the snapped screen. rows: each camera's position, axes, focal length and near plane."""
+
+    def cover(
+        self, packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int
+    ) -> None:
+        """Lower packed depth and id to the nearest triangle's, at the samples from row0 and column0 on.
+
+        shift: there are 2^shift grid units between samples.
+        """
+
+    def visible_areas(self, flat: FlatTriangles, window: Window, width: int) -> Iterable[Found]:
+        """The exact visible share of each triangle in each pixel of a window of an image `width` pixels wide."""
+
+    def merge_samples(self, packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
+        """Merge the visible samples of every (pixel, triangle) of one view; packed: [rows, columns]."""
+
+    def build_view(
+        self,
+        bands: Sequence[Fragments],
+        screen: Screen,
+        surface: Surface,
+        normals: Float32[Tensor, "3 V"],
+        light_position: Float32[Tensor, " 3"],
+        count: int,
+    ) -> View:
+        """Light the fragments of one view, in bands from top to bottom, and sum them up to its matrix.
+
+        normals (of the vertices) and light position are in view space; count: CPU threads that may share the bands.
+        """
+
+    def split(
+        self,
+        view: View,
+        logo: Int64[Tensor, " L"],
+        colors: Float32[Tensor, "F 3"],
+        light_color: Vector,
+        texture: UInt8[Tensor, "h w 3"] | None,
+    ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
+        """Split a view into the logo's matrix and the base colours.
+
+        Returns pixels, coverage, base_color and front_count, then row offsets, faces and weights of a `BakedView`.
+        """
+
+    def draw_bodies(
+        self,
+        views: Sequence[BakedView],
+        rows: Float32[Tensor, "P 3"],
+        shifts: Integer[Tensor, "B 2"] | None,
+        change: Photometric | None,
+    ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
+        """Composite B bodies, except the M logo pixels, over the rows of a canvas; change: of the bodies' pixels.
+
+        Returns what the logo's pixels show beside the logo, and their rows: the last for those that left the image.
+        """
+
+    def logo_matrix(self, views: Sequence[BakedView]) -> LogoMatrix:
+        """The matrix of the views' logos."""
+
+    def lay_image(self, own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
+        """Convert one image's bytes to numbers in [0, 1]."""
+
+
+def backend(device: torch.device) -> Backend:
+    """The implementation for a device: numba on the CPU where there is numba, else torch."""
+    return cast(Backend, cpu_stages if use_loops(device) else torch_stages)

@@ -1,0 +1,79 @@
+"""The triangles of one view, those that cross the near plane or leave the guard band clipped (Sutherland-Hodgman).
+
+Clipping is done in view space, float64. Triangles that share an edge stay watertight: they cut it in the same point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float64, Int32, Int64
+from torch import Tensor
+
+from cloak_core.render.screen import GRID, GUARD, snap
+from cloak_core.render.torch.polygons import cut
+from cloak_core.render.types import Cull, FlatTriangles, Screen
+
+
+@dataclass(frozen=True)
+class Soup:
+    """N snapped triangles, corner by corner."""
+
+    x: Int32[Tensor, "3 N"]
+    y: Int32[Tensor, "3 N"]
+    corner: Int64[Tensor, "3 N"]
+    """Where each corner's inverse_depth stands in `inverse_depth`."""
+    inverse_depth: Float64[Tensor, " K"]
+
+
+def clip(
+    corners: Float64[Tensor, "3 xyz=3 N"],
+    focal: Float64[Tensor, " N"],
+    near: Float64[Tensor, " N"],
+    width: int,
+    height: int,
+) -> tuple[Soup, Int64[Tensor, " M"]]:
+    """Cut triangles given in view space to what lies before the near plane and inside the guard band.
+
+    Returns M snapped triangles (none, one or several for each) and the index of the triangle each is a part of.
+    """
+    polygon, size = cut(corners, corners[:, 2] - near)
+    for axis, center in ((0, width / 2), (1, height / 2)):
+        reach = GUARD / GRID - center  # the guard band is centred on the image's corner, the view on its middle
+        for sign in (1.0, -1.0):
+            polygon, now = cut(polygon, polygon[:, axis] * focal * sign + polygon[:, 2] * reach)
+            size = torch.minimum(now, size * len(polygon))  # what was nothing stays that
+    part = torch.arange(1, len(polygon) - 1, device=corners.device).unsqueeze(-1)
+    fan, owner = (part < size - 1).nonzero(as_tuple=True)
+    fan = fan + 1
+    pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
+    x, y = snap(pieces.unbind(-1), focal[owner], near[owner], width, height)
+    inverse_depth = (near[owner] / pieces[..., 2]).view(-1)
+    return Soup(x, y, torch.arange(x.numel(), device=x.device).view(x.shape), inverse_depth), owner
+
+
+def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cull = None) -> FlatTriangles:
+    """List the triangles of one view, without those behind its near plane.
+
+    Parts of clipped triangles come last and keep their triangle's id.
+    """
+    x, y, inverse_depth = (t[view] for t in (screen.x, screen.y, screen.inverse_depth))
+    ids = torch.arange(triangles.shape[1], device=x.device)
+    one_sided = torch.zeros_like(ids, dtype=torch.bool) if cull is None else cull[view].to(x.device).expand(len(ids))
+    if screen.in_guard_band is None:
+        return FlatTriangles(x, y, inverse_depth, triangles, ids, one_sided)
+    whole = screen.in_guard_band[view][triangles].all(0)
+    ahead = (screen.view[2][view] >= screen.near[view])[triangles].any(0)
+    crossing = (ahead & ~whole).nonzero().view(-1)
+    corners = torch.stack([axis[view][triangles[:, crossing]] for axis in screen.view], 1)
+    focal, near = (t[view].expand(len(crossing)) for t in (screen.focal, screen.near))
+    soup, owner = clip(corners, focal, near, screen.width, screen.height)
+    return FlatTriangles(
+        torch.cat([x, soup.x.view(-1)]),
+        torch.cat([y, soup.y.view(-1)]),
+        torch.cat([inverse_depth, soup.inverse_depth]),
+        torch.cat([triangles[:, whole], soup.corner + len(x)], 1),
+        torch.cat([ids[whole], crossing[owner]]),
+        torch.cat([one_sided[whole], one_sided[crossing[owner]]]),
+    )

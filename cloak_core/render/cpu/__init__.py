@@ -1,0 +1,1 @@
+"""The stages of rendering as numba loops, for the CPU."""

@@ -1,0 +1,115 @@
+"""Visibility by exact area, as numba loops, band by band of rows, so that memory is that of one band."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from cloak_core.render.compiled import inner, loop
+from cloak_core.render.cpu.crowded import SIDE, sample_pixel
+from cloak_core.render.cpu.edge_hash import hash_corners
+from cloak_core.render.cpu.hidden_parts import cut_hidden
+from cloak_core.render.cpu.pieces import NOTHING, find_candidates, find_pieces, sort_by_pixel
+from cloak_core.render.cpu.sheets import WHOLE, drop_behind_sheet
+from cloak_core.render.cpu.triangles import PIXEL
+from cloak_core.render.cpu.workspace import Mesh, make_workspace
+from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
+
+MOST_PAIRS = 1 << 20
+"""Pairs of triangle and pixel at most in one band, or those of a single row."""
+
+
+def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
+    """See `Backend.visible_areas`. Warns of `CrowdedPixels`."""
+    x, y, inverse_depth, corner, ids, one_sided = flat.arrays()
+    mesh = Mesh(x, y, inverse_depth, corner, ids, hash_corners(x, y))
+    columns = window.x0, window.x1
+    candidates = find_candidates(x, y, corner, one_sided, *columns, window.y0, window.y1)
+    found, sampled = [], 0
+    for top, bottom in _bands(candidates[-1], window):
+        place, owner, share, edge_sum = find_pieces(mesh, candidates, *columns, top, bottom)
+        pixels = window.x1 - window.x0, bottom - top
+        owner, share, begin = sort_by_pixel(place, owner, share, pixels[0] * pixels[1])
+        sampled += resolve_visibility(mesh, owner, share, begin, edge_sum, window.x0, top, pixels[0])
+        band = _emit(ids, owner, share, begin, window.x0, top, pixels[0], width)
+        found.append(tuple(map(torch.from_numpy, band)))
+    if sampled:
+        warnings.warn(CrowdedPixels(sampled), stacklevel=2)
+    return found
+
+
+def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int]]:
+    """Cut the window into non-empty bands of rows from .. to (exclusive), of at most `MOST_PAIRS` or a single row."""
+    bands, start, held = [], window.y0, 0
+    for row, pairs in enumerate(load.tolist(), window.y0):
+        if held and held + pairs > MOST_PAIRS:
+            bands.append((start, row))
+            held = 0
+        if not held:
+            start = row
+        held += pairs
+    return [*bands, (start, window.y1)] if held else bands
+
+
+@loop
+def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
+    """Reduce the pieces of a band to what is visible of them, in place: share of the pixel (0: hidden) and centroid.
+
+    begin [pixels + 1]: where each pixel's pieces begin. Pixels in which nothing overlaps stay as they are. Returns how
+    many pixels had to be sampled.
+    """
+    most, sampled = 64, 0
+    work, packed, sums = make_workspace(most), np.empty((SIDE, SIDE), np.int64), np.empty((most, 3))
+    for place in range(len(begin) - 1):
+        start, count = begin[place], begin[place + 1] - begin[place]
+        if count < 2:
+            continue
+        total = 0.0
+        for i in range(start, start + count):
+            total += share[0, i]
+        if edge_sum[place] == 0 and abs(total - 1) <= WHOLE:
+            continue
+        if count > most:
+            most = 2 * count
+            work, sums = make_workspace(most), np.empty((most, 3))
+        at = x0 + place % width, y0 + place // width, PIXEL
+        for i in range(count):
+            work.chosen[i] = owner[start + i]
+        left = drop_behind_sheet(mesh, at, owner, share, start, count, work)
+        if cut_hidden(mesh, at, left, work):
+            _write_back(share, start, left, work.visible)
+        else:
+            sampled += 1
+            own = slice(start, start + count)
+            sample_pixel(mesh, at[0], at[1], owner[own], share[:, own], packed, sums)
+    return sampled
+
+
+@inner
+def _write_back(share, start, count, visible):
+    """Visible area and centroid of a pixel's pieces, from area and moments."""
+    for i in range(count):
+        area, at = visible[i, 0], start + i
+        if area >= 0:
+            share[0, at] = area if area > NOTHING else 0.0
+            share[1, at] = min(max(visible[i, 1] / area, 0.0), 1.0) if area > 0 else 0.0
+            share[2, at] = min(max(visible[i, 2] / area, 0.0), 1.0) if area > 0 else 0.0
+
+
+@loop
+def _emit(ids, owner, share, begin, x0, y0, width, image_width):
+    """List the visible pieces: pixel, triangle, area, and the centroid in pixels."""
+    most, count = len(owner), 0
+    pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
+    at = np.empty((2, most))
+    for p in range(len(begin) - 1):
+        column, row = x0 + p % width, y0 + p // width
+        for i in range(begin[p], begin[p + 1]):
+            if share[0, i] > NOTHING:
+                pixel[count], triangle[count], area[count] = row * image_width + column, ids[owner[i]], share[0, i]
+                at[0, count], at[1, count] = column + share[1, i], row + share[2, i]
+                count += 1
+    return pixel[:count].copy(), triangle[:count].copy(), area[:count].copy(), at[:, :count].copy()

@@ -1,0 +1,93 @@
+"""Fragments to a view's matrix, as numba loops: light at every fragment, then a row for each pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from cloak_core.render.compiled import arrays, loop
+from cloak_core.render.cpu.shading import light_all, material_of
+from cloak_core.render.threads import spread
+from cloak_core.render.types import Fragments, Screen, Surface, View
+
+
+def build_view(
+    bands: Sequence[Fragments],
+    screen: Screen,
+    surface: Surface,
+    normals: Float32[Tensor, "3 V"],
+    light_position: Float32[Tensor, " 3"],
+    count: int,
+) -> View:
+    """See `Backend.build_view`."""
+    textured = surface.corner_uv is not None
+    space = np.stack([axis[0].numpy() for axis in screen.view])
+    camera = float(screen.focal), screen.width / 2, screen.height / 2
+    corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)
+    uv_of = arrays(surface.corner_uv)[0] if textured else np.empty((2, 3, 0), np.float32)
+    about = corner, space, camera, normal, position, material_of(surface.light), uv_of, face_of, surface.by_face
+
+    def rows_of(found: Fragments) -> tuple:
+        return _matrix(*arrays(found.pixel, found.triangle, found.area, found.x, found.y), *about)
+
+    parts = spread(rows_of, bands, count)
+    pixels, coverage, specular = (_join([rows[i] for rows, _ in parts]) for i in range(3))
+    face, weight, uv = (_join([entries[i] for _, entries in parts]) for i in range(3))
+    before = np.cumsum([0, *(rows[3][-1] for rows, _ in parts)])
+    crow = _join([rows[3][i > 0 :] + before[i] for i, (rows, _) in enumerate(parts)])
+    return View(screen.height, screen.width, pixels, coverage, specular, crow, face, weight, uv if textured else None)
+
+
+def _join(parts: list[np.ndarray]) -> Tensor:
+    return torch.from_numpy(parts[0] if len(parts) == 1 else np.concatenate(parts, -1))
+
+
+@loop
+def _matrix(
+    pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, face_of, by_face
+):  # fmt: skip
+    """The rows of a view's matrix from its fragments, sorted by pixel: pixel, coverage and highlight of each row; row
+    offsets, face, weight and texture coordinates of its entries. The arguments are those of `light_all` and `fold`."""
+    out = np.empty((4 if uv_of.shape[2] else 2, len(triangle)), np.float32)
+    light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out)
+    return fold(pixel, area, out[1], face_of[triangle], out[0], out[2:], by_face)
+
+
+@loop
+def fold(pixel, area, highlight, face, weight, uv, by_face):
+    """Fragments to the rows of a matrix, one for each pixel (ascending).
+
+    by_face: within a pixel, one entry for each face, ascending; else one for each fragment, as they come.
+    """
+    count = len(pixel)
+    pixels, crow, column = np.empty(count, np.int64), np.empty(count + 1, np.int64), np.empty(count, np.int64)
+    coverage, specular, value = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    rows = entries = begin = 0
+    for i in range(count):
+        if i == 0 or pixel[i] != pixel[i - 1]:
+            pixels[rows] = pixel[i]
+            coverage[rows] = specular[rows] = 0
+            crow[rows] = begin = entries
+            rows += 1
+        coverage[rows - 1] += area[i]
+        specular[rows - 1] += highlight[i]
+        at = entries
+        if by_face:
+            at = begin
+            while at < entries and column[at] < face[i]:
+                at += 1
+            if at < entries and column[at] == face[i]:
+                value[at] += weight[i]
+                continue
+            for j in range(entries, at, -1):
+                column[j], value[j] = column[j - 1], value[j - 1]
+        column[at], value[at] = face[i], weight[i]
+        entries += 1
+    crow[rows] = entries
+    # Copies: what is not used of these arrays should not stay in memory.
+    of_rows = pixels[:rows].copy(), coverage[:rows].copy(), specular[:rows].copy(), crow[: rows + 1].copy()
+    return of_rows, (column[:entries].copy(), value[:entries].copy(), uv)

@@ -1,0 +1,117 @@
+"""The nearest triangle at every sample, as numba loops (torch/sampling.py does the same in torch).
+
+Edge functions are evaluated in int64 throughout: within the guard band nothing overflows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Int64
+from torch import Tensor
+
+from cloak_core.render.compiled import loop
+from cloak_core.render.cpu.triangles import doubled_area, in_order
+from cloak_core.render.packing import DEPTH_BITS, EMPTY, ID_BITS, LIMIT
+from cloak_core.render.types import FlatTriangles
+
+_SCALE = float(1 << DEPTH_BITS)
+_SHORT = 4
+"""Rows of up to so many samples are tried one by one; beyond, a division for each edge is quicker."""
+
+
+def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
+    """See `Backend.cover`."""
+    _cover(packed.numpy(), *flat.arrays(), row0, column0, shift)
+
+
+@loop
+def _cover(packed, x, y, inverse_depth, corner, ids, one_sided, row0, column0, shift):
+    """Draw every triangle of one view into `packed` [rows, columns], the samples from row0 and column0 on.
+
+    x, y: snapped, int32 [K]; inverse_depth: float64 [K]; corner: int64 [3, N]; ids: int64 [N]; one_sided: bool [N],
+    whether they are dropped where they show their back, that is, are clockwise; shift: there are 2^shift grid units
+    between samples.
+    """
+    rows, columns = packed.shape
+    last_row, last_column = row0 + rows - 1, column0 + columns - 1
+    for t in range(corner.shape[1]):
+        a, b, c = corner[0, t], corner[1, t], corner[2, t]
+        c0, c1 = span(x[a], x[b], x[c], shift, column0, last_column)
+        if c0 > c1:
+            continue
+        r0, r1 = span(y[a], y[b], y[c], shift, row0, last_row)
+        if r0 > r1:
+            continue
+        twice = doubled_area(x, y, a, b, c)
+        if twice == 0 or (one_sided[t] and twice > 0):
+            continue
+        cover_box(
+            packed, x, y, inverse_depth, in_order(x, y, a, b, c, twice), ids[t], r0, r1, c0, c1, row0, column0, shift
+        )
+
+
+@loop
+def span(a, b, c, shift, first, last):
+    """First and last sample within a triangle's extent along one axis."""
+    half = (1 << shift) >> 1
+    low = (np.int64(min(a, b, c)) + half - 1) >> shift  # ceil((low - half) / step)
+    high = (np.int64(max(a, b, c)) - half) >> shift
+    return max(low, first), min(high, last)
+
+
+@loop
+def cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, column0, shift):
+    """Test one triangle at the samples of its box; returns how many it covers. name: its id."""
+    p0, p1, p2 = corners
+    x0, y0, step = np.int64(x[p0]), np.int64(y[p0]), 1 << shift
+    half = step >> 1
+    d1x, d1y, d2x, d2y = x[p1] - x0, y[p1] - y0, x[p2] - x0, y[p2] - y0
+    area = d1x * d2y - d1y * d2x
+    n0, size = inverse_depth[p0], float(area)
+    slope1, slope2 = (inverse_depth[p1] - n0) / size, (inverse_depth[p2] - n0) / size
+    across0, across1, across2 = (d1y - d2y) * step, d2y * step, -d1y * step
+    right, held, width = c0 * step + half - x0, 0, c1 - c0 + 1
+    for row in range(r0, r1 + 1):
+        below = row * step + half - y0
+        e1, e2 = d2y * right - d2x * below, d1x * below - d1y * right
+        e0, low, high = area - e1 - e2, 0, width
+        if width > _SHORT:
+            low, high = _run(e0, e1, e2, across0, across1, across2, width)
+        for k in range(low, high):
+            here1, here2 = e1 + k * across1, e2 + k * across2
+            near = float(here1) * slope1 + float(here2) * slope2 + n0
+            depth = min(max(np.int64(near * _SCALE), 0), LIMIT)
+            key = ((LIMIT - depth) << ID_BITS) | name
+            # Branch-free: the branch is unpredictable. In a run all samples are inside.
+            inside = _inside(e0 + k * across0, here1, here2, across0)
+            at = row - row0, c0 + k - column0
+            packed[at] = min(packed[at], key if inside else EMPTY)
+            held += inside
+    return held
+
+
+@loop
+def _run(e0, e1, e2, across0, across1, across2, width):
+    """The run [low, high) of a row's columns that are inside, by the top-left rule: edges 0-2, and 1-2 where it is on
+    the left, own their samples; the others do not."""
+    low, high = 0, min(width, _quotient_up(e2, -across2))
+    if across1 > 0:  # else level on top, and no row of the box lies above it
+        low = max(low, _quotient_up(-e1, across1))
+    if across0 > 0:
+        low = max(low, _quotient_up(-e0, across0))
+    elif across0 < 0:
+        high = min(high, _quotient_up(e0, -across0))
+    elif e0 <= 0:
+        high = 0
+    return low, high
+
+
+@loop
+def _inside(e0, e1, e2, across0):
+    return (e1 >= 0) & (e2 > 0) & ((e0 > 0) | ((e0 == 0) & (across0 > 0)))
+
+
+@loop
+def _quotient_up(value, divisor):
+    """value / divisor, rounded up; divisor > 0."""
+    return -((-value) // divisor)

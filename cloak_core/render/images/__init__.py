@@ -1,1 +1,0 @@
-"""From views to images and back: dressing for a logo, painting, compositing."""

@@ -1,0 +1,1 @@
+"""People in photographs as views: faces laid onto their clothes."""

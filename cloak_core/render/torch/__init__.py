@@ -1,0 +1,1 @@
+"""The stages of rendering in torch operations, for any device."""

@@ -1,0 +1,110 @@
+"""Visibility by exact area, in torch, band by band of rows: memory is that of one band."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from torch import Tensor
+
+from cloak_core.render.screen import GRID
+from cloak_core.render.torch.crowded import sample_pixel
+from cloak_core.render.torch.hidden_parts import cut_hidden
+from cloak_core.render.torch.pieces import NOTHING, Pieces, find_pieces
+from cloak_core.render.torch.polygons import measure
+from cloak_core.render.torch.triangles import Triangles, canonical, chunk_size
+from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
+
+Found = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float[Tensor, " N"], Float64[Tensor, "2 N"]]
+"""Pixel, triangle, share of the pixel, and the centroid of the visible part, pixels; sorted by pixel."""
+
+
+def visible_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[Found]:
+    """See `Backend.visible_areas`. Warns of `CrowdedPixels`."""
+    sampled = 0
+    for parts in visible_parts(flat, window, width):
+        pieces, triangles, crowded = parts.pieces, parts.triangles, parts.crowded
+        found = _measured(pieces, parts.shape, parts.owner, triangles, width)
+        if bool(crowded.any()):
+            places = pieces.place[crowded].unique().tolist()
+            sampled += len(places)
+            more = _sampled(places, pieces, triangles, width)
+            joined = [torch.cat(pair, -1) for pair in zip(found, more, strict=True)]
+            order = torch.argsort(joined[0], stable=True)
+            found = tuple(column[..., order] for column in joined)
+        yield found
+    if sampled:
+        warnings.warn(CrowdedPixels(sampled), stacklevel=2)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What is visible in a band of rows, as convex parts of pieces."""
+
+    triangles: Triangles
+    pieces: Pieces
+    """Sorted by place and triangle."""
+    shape: Float64[Tensor, "C 2 N"]
+    """Corners of N parts, counted from the pixel's corner."""
+    owner: Int64[Tensor, " N"]
+    """The piece of each part."""
+    crowded: Bool[Tensor, " P"]
+    """Pieces of pixels that are too crowded to be exact; they have no parts."""
+
+
+def visible_parts(flat: FlatTriangles, window: Window, width: int) -> Iterator[Parts]:
+    """Cut out what is visible in a window of an image `width` pixels wide, from top to bottom."""
+    triangles = canonical(flat)
+    box = torch.stack([*_touched(triangles.x, window.x0, window.x1), *_touched(triangles.y, window.y0, window.y1)])
+    some = (torch.minimum(box[1] - box[0], box[3] - box[2]) >= 0).nonzero().view(-1)
+    triangles, box = triangles.take(some), box.index_select(1, some)
+    for top, bottom in _bands(box, window, chunk_size(box.device)):
+        pieces = find_pieces(triangles, box, top, bottom, width)
+        names = triangles.ids.index_select(0, pieces.owner)
+        order = torch.argsort(names, stable=True)
+        pieces = pieces.take(order[torch.argsort(pieces.place[order], stable=True)])
+        yield Parts(triangles, pieces, *cut_hidden(pieces, triangles, width))
+
+
+def _sampled(places: list[int], pieces: Pieces, triangles: Triangles, width: int) -> Found:
+    """The visible shares of crowded pixels, by samples."""
+    parts = []
+    for place in places:
+        own = triangles.take(pieces.owner[pieces.place == place])
+        f = sample_pixel(own, place % width, place // width, width)
+        parts.append((f.pixel, f.triangle, f.area.double(), torch.stack([f.x, f.y])))
+    return tuple(torch.cat(column, -1) for column in zip(*parts, strict=True))
+
+
+def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Tensor, Tensor]:
+    """First and last pixel that triangles touch along one axis."""
+    low, high = position.amin(0) // GRID, (position.amax(0) - 1) // GRID
+    return low.clamp(min=first), high.clamp(max=stop - 1)
+
+
+def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tuple[int, int]]:
+    """Rows from .. to (exclusive), each with at most so many pairs of triangle and pixel, or a single row."""
+    left, right, top, bottom = box
+    load = torch.zeros(window.y1 - window.y0 + 1, dtype=torch.int64, device=box.device)
+    load.index_add_(0, top - window.y0, right - left + 1).index_add_(0, bottom + 1 - window.y0, left - right - 1)
+    start, held = window.y0, 0
+    for row, pairs in enumerate(load.cumsum(0)[:-1].tolist(), window.y0):
+        if held and held + pairs > most:
+            yield start, row
+            start, held = row, 0
+        held += pairs
+    if held:
+        yield start, window.y1
+
+
+def _measured(pieces: Pieces, shape: Tensor, owner: Tensor, triangles: Triangles, width: int) -> Found:
+    """Area and centroid of what is seen of each piece."""
+    total = torch.zeros(3, len(pieces.place), dtype=torch.float64, device=owner.device)
+    total.index_add_(1, owner, measure(shape))
+    some = (total[0] > NOTHING).nonzero().view(-1)
+    place, owner, (area, *moments) = pieces.place[some], pieces.owner[some], total[:, some]
+    corner = torch.stack([place % width, torch.div(place, width, rounding_mode="floor")])
+    return place, triangles.ids[owner], area, (torch.stack(moments) / area).clamp(0, 1) + corner

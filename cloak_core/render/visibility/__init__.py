@@ -1,1 +1,0 @@
-"""What is seen: the nearest triangle at samples, or by exact area what is in front of everything else."""

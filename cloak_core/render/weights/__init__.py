@@ -1,1 +1,0 @@
-"""From what is seen to a view's matrix: light, texture coordinates, weights."""

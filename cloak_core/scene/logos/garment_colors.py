@@ -1,0 +1,58 @@
+"""The colours of a garment on the faces of a logo: plain, an outfit's, or a picture as cloth."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+from PIL import Image
+
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.cloth import cloth_coordinates
+from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.pictures import open_picture
+
+TILE = 0.5
+"""Metres that a picture repeats after, unless told."""
+GRAIN = 0.01
+"""Metres: about a face; what is finer in a picture is averaged."""
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+_PLAIN = re.compile(r"#([0-9a-fA-F]{6})")
+
+
+def garment_colors(spec: str, bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"] | None:
+    """Find a garment's colours on the logo, sRGB in [0, 1]; None where `spec` names neither of these.
+
+    spec: "#rrggbb"; "clothing", the body's first outfit; a picture, FILE.png[@tile=METRES], repeated along the body
+    (from the front and the back, on flanks from the side). InputError: no such picture, no width.
+    """
+    if (plain := _PLAIN.fullmatch(spec)) is not None:
+        color = np.frombuffer(bytes.fromhex(plain[1]), np.uint8) / np.float32(255)
+        return np.tile(color.astype(np.float32), (len(logo), 1))
+    if spec == "clothing":
+        return np.ascontiguousarray(bodies.face_colors[0, logo.face_ids], np.float32)
+    file, _, width = spec.partition("@tile=")
+    if Path(file).suffix.lower() not in PICTURES:
+        return None
+    try:
+        tile = float(width or TILE)
+    except ValueError:
+        tile = 0.0
+    if not 0.01 <= tile <= 10:
+        raise InputError(f"{spec}: tile={width} is no width in metres (0.01 to 10)")
+    return _tiled(Path(file).expanduser(), tile, bodies, logo)
+
+
+def _tiled(file: Path, tile: float, bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:
+    with open_picture(file) as picture:
+        across = max(1, round(tile / GRAIN))
+        size = (across, max(1, round(across * picture.height / picture.width)))
+        pixels = np.asarray(picture.convert("RGB").resize(size, Image.Resampling.BOX), np.float32) / 255
+    centres, facing = face_centres(bodies)[logo.face_ids], face_normals(bodies)[logo.face_ids]
+    place = np.floor(cloth_coordinates(centres, facing) / tile * across).astype(int)
+    column, row = (place % size).T
+    return np.ascontiguousarray(pixels[row, column])

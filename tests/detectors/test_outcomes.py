@@ -1,0 +1,103 @@
+"""Person, something else in her place, or nothing: what counts as being on a body."""
+
+import pytest
+import torch
+
+from cloak_core.detectors.outcomes import (
+    as_anything,
+    best_other,
+    class_name,
+    found_as_person,
+    on_body,
+    share_within,
+    share_within_mask,
+)
+from cloak_core.detectors.protocol import Detections, join_detections
+
+BODY = torch.tensor([[10.0, 20.0, 30.0, 80.0]])
+SMALL, OUTSIDE, HALF_OUT = [12.0, 30.0, 18.0, 50.0], [40.0, 20.0, 60.0, 80.0], [27.0, 30.0, 34.0, 50.0]
+NEAR, BARELY = [12.0, 22.0, 31.0, 80.0], [25.0, 60.0, 35.0, 70.0]
+
+
+def test_the_best_other_class_leaves_person_and_background_out() -> None:
+    classes = torch.tensor([[[0.9, 0.2, 0.3, 0.1]]])
+    for person, first, score, number in (
+        (0, 0, 0.3, 2),
+        (2, 0, 0.9, 0),
+        (2, 1, 0.2, 1),
+        (3, 1, 0.3, 2),
+        (1, 1, 0.3, 2),
+    ):
+        found = best_other(classes, person, first)
+        assert (found.scores.item(), found.number.item()) == (pytest.approx(score), number)
+    assert best_other(classes[..., :1], 0) == best_other(classes[..., :2], 1, 1) == (None, None)
+
+
+def test_a_person_box_counts_where_it_fits_the_body_or_lies_within_it() -> None:
+    boxes = torch.tensor([[SMALL, OUTSIDE, HALF_OUT, NEAR, BARELY, [15.0, 30.0, 15.0, 40.0]]])
+    assert found_as_person(boxes, BODY).tolist() == [[True, False, False, True, True, False]]
+    assert share_within(boxes, BODY)[0].tolist() == pytest.approx([1, 0, 3 / 7, 1102 / 1102 * 18 / 19, 0.5, 0])
+
+
+def test_with_a_mask_the_share_within_is_of_the_masks_pixels() -> None:
+    mask = torch.zeros(1, 100, 100, dtype=torch.bool)
+    mask[:, 20:80, 10:30] = True
+    mask[:, 30:50, 12:18] = False  # a hole where the small box lies
+    boxes = torch.tensor([[SMALL, NEAR, [-10.0, 20.0, 30.0, 80.0], [90.0, 90.0, 120.0, 120.0]]])
+    slow = [
+        float(mask[0, max(int(y1), 0) : int(y2), max(int(x1), 0) : int(x2)].sum()) / ((x2 - x1) * (y2 - y1))
+        for x1, y1, x2, y2 in boxes[0].tolist()
+    ]
+    assert share_within_mask(boxes, mask)[0].tolist() == pytest.approx(slow)
+    assert found_as_person(boxes[:, :1], BODY, masks=mask).tolist() == [[False]]
+
+
+def test_outcomes_of_images() -> None:
+    """Found; renamed (a tie on the chest is no dog in her place); gone."""
+    boxes = torch.tensor([[SMALL, NEAR], [NEAR, SMALL], [OUTSIDE, SMALL]])
+    scores = torch.tensor([[0.7, 0.1], [0.1, 0.2], [0.9, 0.0]], requires_grad=True)
+    other = torch.tensor([[0.0, 0.2], [0.8, 0.9], [0.7, 0.6]], requires_grad=True)
+    found = Detections(boxes, scores, other=other, other_class=torch.tensor([[1, 2], [3, 4], [5, 6]]))
+    answer = on_body(found, BODY.expand(3, 4))
+    assert answer.person.tolist() == pytest.approx([0.7, 0.2, 0.0])
+    assert answer.other.tolist() == pytest.approx([0.2, 0.8, 0.0])
+    assert answer.other_class[:2].tolist() == [2, 3]
+    (gradient,) = torch.autograd.grad(answer.other.sum(), other)
+    assert gradient[:2].tolist() == [[0, 1], [1, 0]]
+    assert class_name(("a", "b"), 1) == "b" and class_name(("a", "b"), 7) == class_name(None, 7) == "class 7"
+
+
+def test_as_anything_other_classes_on_the_body_are_persons() -> None:
+    boxes = torch.tensor([[SMALL, NEAR, OUTSIDE, BARELY]])
+    scores, other = torch.tensor([[0.1, 0.8, 0.2, 0.0]]), torch.tensor([[0.7, 0.3, 0.9, 0.4]])
+    is_person = torch.tensor([[False, True, False, False]])
+    found = Detections(boxes, scores, scores, is_person, other=other, other_class=torch.ones(1, 4).long())
+    all_of_it = as_anything(found, BODY)
+    assert all_of_it.scores.tolist()[0] == pytest.approx([0.7, 0.8, 0.2, 0.4])
+    assert all_of_it.is_person.tolist() == [[True, True, False, True]]
+    loose = torch.tensor([[[10.0, 20.0, 30.0, 200.0]]])  # overlaps by a third: counts while training alone
+    one = Detections(loose, torch.zeros(1, 1), other=torch.ones(1, 1), other_class=torch.ones(1, 1).long())
+    assert as_anything(one, BODY).scores.item() == 1 and on_body(one, BODY).other.item() == 0
+    plain = Detections(boxes, scores)
+    assert as_anything(plain, BODY) is plain
+
+
+def test_nothing_told_and_no_boxes() -> None:
+    assert on_body(Detections(torch.zeros(1, 1, 4), torch.zeros(1, 1)), BODY).other is None
+    none = Detections(
+        torch.zeros(1, 0, 4), torch.zeros(1, 0), other=torch.zeros(1, 0), other_class=torch.zeros(1, 0).long()
+    )
+    answer = on_body(none, BODY)
+    assert answer.person.item() == answer.other.item() == answer.other_class.item() == 0
+    joined = join_detections(
+        [
+            none,
+            none._replace(
+                boxes=torch.ones(1, 2, 4),
+                scores=torch.ones(1, 2),
+                other=torch.ones(1, 2),
+                other_class=torch.ones(1, 2).long(),
+            ),
+        ]
+    )
+    assert joined.other.tolist() == [[0, 0], [1, 1]] and joined.other_class.dtype == torch.int64

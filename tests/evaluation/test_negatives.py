@@ -1,0 +1,31 @@
+"""False alarms on cloth that nobody wears, and thresholds that make them equal."""
+
+import numpy as np
+import pytest
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.evaluation.negatives import CLOAK, RANDOM, cloak_textures, pattern_scores
+from cloak_core.evaluation.statistics import matched_threshold
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+from cloak_core.scene.people.samples import sample_bodies
+
+
+def test_thresholds_are_matched_by_false_alarms() -> None:
+    reference, scores = np.array([0.1, 0.2, 0.7, 0.9]), np.array([0.3, 0.4, 0.5, 0.55])
+    assert matched_threshold(scores, reference) == 0.4  # half of the reference is above 0.6
+    assert (scores > 0.4).mean() == (reference > 0.6).mean()
+    assert matched_threshold(reference, reference) == 0.2
+    assert matched_threshold(scores, np.zeros(4)) == 0.55
+    assert matched_threshold(scores, np.ones(4)) == 0.0
+
+
+@pytest.mark.slow
+def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth() -> None:
+    bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test:6")
+    detectors = {"a": load_detector("builtin"), "b": load_detector("builtin")}
+    table = pattern_scores(detectors, backgrounds, bodies, count=12, size=128)
+    assert table["pattern"].value_counts().to_dict() == {CLOAK: 12, RANDOM: 12} and cloak_textures(bodies)
+    first, second = (table[table["detector"] == name].reset_index(drop=True) for name in "ab")
+    assert first.drop(columns="detector").equals(second.drop(columns="detector"))
+    assert (first["score"] != first["plain"]).mean() > 0.5
+    assert np.array_equal(first["plain"][:6], first["plain"][6:])  # the same backgrounds again
