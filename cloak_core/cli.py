@@ -50,8 +50,6 @@ COMMANDS: dict[str, str] = {
     "detectors list": "detectors:List",
     "detectors check": "detectors:Check",
     "detectors verify": "detectors:Verify",
-    "detectors train-builtin": "detectors:TrainBuiltin",
-    "detectors train-segmenter": "detectors:TrainSegmenter",
     "bench views": "bench:Views",
     "bench accuracy": "bench:Accuracy",
     "bench growth": "bench:Growth",

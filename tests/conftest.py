@@ -30,7 +30,6 @@ ROOMS = (
     "experiments",
     "files",
     "output",
-    "pretrain",
     "render",
     "scene",
     "zoo",

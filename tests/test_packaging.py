@@ -96,7 +96,7 @@ def test_the_wheel_does_the_main_job_and_says_once_that_it_compiles(python: Path
     place = run(python, "-c", "import cloak_core; print(cloak_core.__file__)", cwd=tmp_path, env=environment).stdout
     assert Path(place.strip()).is_relative_to(python.parents[1])
     assert json.loads(cloak("zoo list --json").stdout)["zoo"]
-    assert "train-builtin" in cloak("--help").stdout
+    assert "Measure" in cloak("--help").stdout
     cloak("logo select --scene sample --region chest+thighs --out chest.npy")
     small = "--size 96 --samples 1 --threads 1"
     trained = cloak(

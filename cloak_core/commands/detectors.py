@@ -1,8 +1,7 @@
-"""`cloak detectors ...`: is a detector read rightly, what does it see, and how was the built-in one made."""
+"""`cloak detectors ...`: which families there are, what a detector sees, and whether it is read rightly."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, err, load_scene, out, require_new
+from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.files.errors import InputError
@@ -169,71 +168,3 @@ class List(Command):
                 out.print(f"    not installed: {family['install']}")
         for defence in result["defences"]:
             out.print(f"{defence['spec']}: {defence['what']}")
-
-
-def _trained(command: TrainBuiltin | TrainSegmenter, train: Callable[..., dict]) -> dict:
-    """Train a network of our own with the command's options, into a new file. InputError: it is there already."""
-    prepare_process(command.compute)
-    require_new(command.out)
-    if command.steps < 1:
-        raise InputError(f"--steps {command.steps}: at least 1 is needed")
-    given = command.given("out", "compute")
-    return {"out": str(command.out)} | train(command.out, on_event=show_event, **given)
-
-
-@dataclass(kw_only=True)
-class TrainBuiltin(Command):
-    """Train the built-in person detector anew, on renders of the sample bodies."""
-
-    out: Path
-    """New folder for builtin.cfg and builtin.weights."""
-    backgrounds: Path | None = None
-    """Folder of photographs without people, beside the procedural scenes."""
-    steps: int = 2000
-    """Updates of the weights; about half an hour on two cores."""
-    start_from: Path | None = None
-    """Weights to go on from (.weights of the same network)."""
-    seed: int = 0
-    """Every random draw derives from it."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-
-    def run(self) -> dict:
-        from cloak_core.pretrain.builtin_training import train_builtin
-
-        return _trained(self, train_builtin)
-
-    def show(self, result: dict) -> None:
-        out.print(
-            f"wrote {result['out']}: recall {result['recall']:.3f}, false alarms {result['false_alarms']:.3f} "
-            "on held-back scenes"
-        )
-
-
-@dataclass(kw_only=True)
-class TrainSegmenter(Command):
-    """Train the patch segmenter of the defence `segment:SPEC` anew, on renders of the sample bodies."""
-
-    out: Path
-    """File of the weights, .safetensors."""
-    steps: int = 600
-    """Updates of the weights; some five minutes on two cores."""
-    seed: int = 0
-    """Every random draw derives from it."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-
-    def run(self) -> dict:
-        from cloak_core.pretrain.segmenter_training import train_segmenter
-
-        return _trained(self, train_segmenter)
-
-    def show(self, result: dict) -> None:
-        out.print(
-            f"wrote {result['out']}: masks {result['found']:.1%} of patches and {result['clean']:.2%} of all else, on "
-            "bodies and scenes that it never saw"
-        )
-
-
-def show_event(event: dict) -> None:
-    """A line of a training's progress."""
-    figures = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in event.items() if k != "type")
-    err.print(f"{event['type']}: {', '.join(figures)}")

@@ -1,4 +1,4 @@
-"""The detector that comes with Cloak: a small person detector of the YOLOv2 family, trained by cloak_core/pretrain."""
+"""The detector that comes with Cloak: a small person detector of the YOLOv2 family, trained by tools/pretrain."""
 
 from pathlib import Path
 

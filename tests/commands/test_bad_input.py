@@ -94,7 +94,6 @@ TRAIN = "train --scene scene --logo logo.npy --out run --steps 1 "
         ("logo heatmap --scene scene --detector builtin --out heat.npy --pick 2", "--pick 2"),
         ("detectors check builtin", "either --image, or --scene"),
         ("detectors check builtin --image absent.jpg", "absent.jpg: no such file"),
-        ("detectors train-builtin --out new --steps 0", "--steps 0"),
         ("evaluate empty", "empty: not a run folder"),
         ("report absent", "absent: no such folder"),
         ("report net.cfg", "net.cfg: not a folder"),

@@ -164,7 +164,7 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
 
 @pytest.mark.parametrize(
     "name",
-    ["train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "detectors train-builtin", "logo heatmap"],
+    ["train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "logo heatmap"],
 )
 def test_every_command_that_computes_takes_threads_and_device(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")

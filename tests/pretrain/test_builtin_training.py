@@ -17,13 +17,13 @@ from cloak_core.detectors.outcomes import on_body
 from cloak_core.detectors.scoring import THRESHOLD, max_person_score
 from cloak_core.detectors.specs import parse_spec
 from cloak_core.files.errors import InputError
-from cloak_core.pretrain.builtin_training import train_builtin
 from cloak_core.render.compositing import compose, true_boxes
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.people.samples import sample_bodies
+from tools.pretrain.builtin_training import train_builtin
 
 SMALL = {"batch": 4, "views": 6, "scenes": 3, "judged": 32}
 
@@ -70,7 +70,7 @@ def test_a_run_goes_on_from_stored_weights(tmp_path):
 
 
 def test_unknown_options_and_empty_folders_are_refused(tmp_path):
-    with pytest.raises(InputError, match="train-builtin"):
+    with pytest.raises(InputError, match="BuiltinSettings"):
         train_builtin(tmp_path / "out", stepz=3)
     with pytest.raises(InputError, match="no jpg"):
         (tmp_path / "none").mkdir()

@@ -6,7 +6,7 @@ from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.network import build_network
 from cloak_core.detectors.scoring import THRESHOLD
-from cloak_core.pretrain.calibration import apply_calibration, best_cut, calibrate
+from tools.pretrain.calibration import apply_calibration, best_cut, calibrate
 
 
 def test_threshold_lies_between_separable_classes():

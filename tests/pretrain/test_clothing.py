@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from cloak_core.pretrain.bake_clothed import weights_by_bone
-from cloak_core.pretrain.clothing.draping import _closed, outside, part_way, poses_of
-from cloak_core.pretrain.clothing.gaits import CYCLES
-from cloak_core.pretrain.clothing.garments import Garment, rims
-from cloak_core.pretrain.clothing.tables import CLIPS, PEOPLE
 from cloak_core.scene.people.clothed import clothed_bodies
 from cloak_core.scene.people.skeleton import Leg, Pose
+from tools.pretrain.bake_clothed import weights_by_bone
+from tools.pretrain.clothing.draping import _closed, outside, part_way, poses_of
+from tools.pretrain.clothing.gaits import CYCLES
+from tools.pretrain.clothing.garments import Garment, rims
+from tools.pretrain.clothing.tables import CLIPS, PEOPLE
 
 GRID = np.array([[4 * i + j, 4 * i + 4 + j, 4 * i + 5 + j, 4 * i + 1 + j] for i in range(3) for j in range(3)])
 """Quads of a square sheet of 4 x 4 vertices."""

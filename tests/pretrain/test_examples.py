@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.pretrain.examples import Example, ExampleMaker, augment
-from cloak_core.pretrain.outfits import Wardrobe
-from cloak_core.pretrain.people import FRAME, bank_views
-from cloak_core.pretrain.scenery import Scenery
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
+from tools.pretrain.examples import Example, ExampleMaker, augment
+from tools.pretrain.outfits import Wardrobe
+from tools.pretrain.people import FRAME, bank_views
+from tools.pretrain.scenery import Scenery
 
 SIZE = 96
 

@@ -9,7 +9,7 @@ from cloak_core.detectors.builtin import CFG
 from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.heads import Region
 from cloak_core.detectors.darknet.network import build_network
-from cloak_core.pretrain.region_loss import encode, region_loss
+from tools.pretrain.region_loss import encode, region_loss
 
 ANCHORS = [(0.9, 2.3), (1.8, 4.6), (3.4, 7.0)]
 GRID = (8, 8)

@@ -7,7 +7,7 @@ import torch
 
 from cloak_core.detectors.defended.patch_segmenter import SIDE, PatchSegmenter, load_segmenter
 from cloak_core.files.errors import InputError
-from cloak_core.pretrain.segmenter_training import SegmenterSettings, Shown, loss, train_segmenter
+from tools.pretrain.segmenter_training import SegmenterSettings, Shown, loss, train_segmenter
 
 
 @pytest.mark.slow

@@ -65,7 +65,7 @@ class SegmenterMask(Masking):
     """Paints over what a small network takes for a patch with at least this probability.
 
     After SAC (Liu et al., CVPR 2022) and PAD (Jing et al., CVPR 2024), without their completion of shapes; the network
-    is our own, trained by `cloak detectors train-segmenter` on renders alone.
+    is our own, trained by `tools/pretrain/segmenter_training.py` on renders alone.
     """
 
     def __init__(self, probability: float) -> None:

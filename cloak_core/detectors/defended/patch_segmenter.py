@@ -1,4 +1,4 @@
-"""A small network that says which pixels belong to a patch; `cloak detectors train-segmenter` made its weights."""
+"""A small network that says which pixels belong to a patch; `tools/pretrain/segmenter_training.py` made its weights."""
 
 from pathlib import Path
 

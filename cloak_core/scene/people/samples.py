@@ -1,6 +1,6 @@
 """The sample bodies that come with Cloak: posed adults of one topology in plain clothes (CC0).
 
-`cloak_core/pretrain/bake_bodies.py` made them; `data/README.md` tells from what.
+`tools/pretrain/bake_bodies.py` made them; `data/README.md` tells from what.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.pretrain.outfits import Wardrobe
-from cloak_core.pretrain.people import IMAGE, BankedView
-from cloak_core.pretrain.scenery import Scenery
+from tools.pretrain.outfits import Wardrobe
+from tools.pretrain.people import IMAGE, BankedView
+from tools.pretrain.scenery import Scenery
 
 MAX_PEOPLE = 4
 PEOPLE_SHARES = (0.25, 0.48, 0.17, 0.06, 0.04)

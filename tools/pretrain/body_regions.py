@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloak_core.pretrain.body_tables import PARTS
+from tools.pretrain.body_tables import PARTS
 
 FACE_BONES = ("eye", "jaw", "special", "oris", "levator", "temporalis", "oculi", "risorius", "orbicularis")
 BONE_GROUPS = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from cloak_core.pretrain.body_tables import shape
 from cloak_core.scene.cameras import Number
+from tools.pretrain.body_tables import shape
 
 PEOPLE = {
     "p1": shape(0.05, 0.68, 0.55, 0.50, 0.36),

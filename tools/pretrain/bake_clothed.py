@@ -3,7 +3,7 @@
 Not needed to use Cloak. It needs `pip install cloak-core[anny]` here and a Blender, or a Python with bpy
 (`make .venv-blender/.installed`, or CLOAK_BLENDER). Run:
 
-    python -m cloak_core.pretrain.bake_clothed --clips CLIPS --out cloak_core/scene/data/clothed.npz
+    python -m tools.pretrain.bake_clothed --clips CLIPS --out cloak_core/scene/data/clothed.npz
 
 CLIPS keeps each solved clip, so that a run that was stopped goes on. Shapes, motions and seeds are tables in
 `clothing/tables.py`; the solver's result may differ a little between Blender's versions.
@@ -18,14 +18,14 @@ import numpy as np
 
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.pretrain.bake_bodies import quantise
-from cloak_core.pretrain.clothing.checking import hidden_seen
-from cloak_core.pretrain.clothing.draping import Person, draped
-from cloak_core.pretrain.clothing.garments import Garment, bare_faces, cut
-from cloak_core.pretrain.clothing.tables import CLIPS, PEOPLE, Clip
 from cloak_core.scene.people.anny import AnnySource
 from cloak_core.scene.people.clothed import skin_of
 from cloak_core.scene.people.samples import load
+from tools.pretrain.bake_bodies import quantise
+from tools.pretrain.clothing.checking import hidden_seen
+from tools.pretrain.clothing.draping import Person, draped
+from tools.pretrain.clothing.garments import Garment, bare_faces, cut
+from tools.pretrain.clothing.tables import CLIPS, PEOPLE, Clip
 
 STEP = 0.0002
 """Metres that the cloth's distance from the skin is rounded to."""
@@ -121,7 +121,9 @@ def _steps(data: dict, number: int, clip: dict[str, np.ndarray], garments: list[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clips", type=Path, required=True, help="folder that keeps solved clips")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "scene" / "data" / "clothed.npz")
+    parser.add_argument(
+        "--out", type=Path, default=Path(__file__).parents[2] / "cloak_core" / "scene" / "data" / "clothed.npz"
+    )
     given = parser.parse_args()
     given.clips.mkdir(parents=True, exist_ok=True)
     bake(given.out, given.clips)

@@ -1,7 +1,8 @@
-"""How the built-in detector was made: `cloak detectors train-builtin`."""
+"""Train the built-in detector anew, on renders of the sample bodies: `python -m tools.pretrain.builtin_training`."""
 
 from __future__ import annotations
 
+import argparse
 import copy
 import math
 import time
@@ -22,14 +23,14 @@ from cloak_core.detectors.darknet.network import Network, build_network
 from cloak_core.detectors.darknet.weights import read_weights, write_darknet
 from cloak_core.detectors.scoring import box_iou
 from cloak_core.files.errors import InputError
-from cloak_core.pretrain.calibration import Calibration, apply_calibration, calibrate
-from cloak_core.pretrain.examples import Batch, ExampleMaker
-from cloak_core.pretrain.outfits import Wardrobe
-from cloak_core.pretrain.people import bank_views
-from cloak_core.pretrain.region_loss import region_loss
-from cloak_core.pretrain.scenery import PHOTO_SIDE, Scenery
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
+from tools.pretrain.calibration import Calibration, apply_calibration, calibrate
+from tools.pretrain.examples import Batch, ExampleMaker
+from tools.pretrain.outfits import Wardrobe
+from tools.pretrain.people import bank_views
+from tools.pretrain.region_loss import region_loss
+from tools.pretrain.scenery import PHOTO_SIDE, Scenery
 
 OnEvent = Callable[[dict], None]
 HELD_BACK = 6
@@ -88,7 +89,7 @@ def train_builtin(
     try:
         settings = BuiltinSettings(steps=steps, seed=seed, **options)
     except TypeError as error:
-        raise InputError(f"train-builtin: {error}") from None
+        raise InputError(f"BuiltinSettings: {error}") from None
     out = Path(out_dir)
     out.mkdir(parents=True, exist_ok=True)
     cfg = read_cfg_text(CFG)
@@ -258,3 +259,24 @@ def store(network: Network, judging: ExampleMaker, cfg: str, out: Path, seen: in
     apply_calibration(calibrated, calibration)
     write_darknet(cfg, calibrated, out / "builtin", seen)
     return calibration._asdict()
+
+
+def main() -> None:
+    """Train with the options of the command line; progress and figures go to standard output."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="new folder for builtin.cfg and builtin.weights")
+    parser.add_argument("--backgrounds", type=Path, help="folder of photographs without people, beside the procedural")
+    parser.add_argument("--steps", type=int, default=BuiltinSettings.steps, help="updates of the weights")
+    parser.add_argument("--start-from", type=Path, help="weights to go on from (.weights of the same network)")
+    parser.add_argument("--seed", type=int, default=0, help="every random draw derives from it")
+    options = vars(parser.parse_args())
+    out = options.pop("out")
+    if out.exists():
+        parser.error(f"{out}: exists already")
+    if options["steps"] < 1:
+        parser.error(f"--steps {options['steps']}: at least 1 is needed")
+    print(train_builtin(out, on_event=print, **options))
+
+
+if __name__ == "__main__":
+    main()

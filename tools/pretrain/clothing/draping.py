@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.pretrain.clothing.gaits import CYCLES
-from cloak_core.pretrain.clothing.garments import Garment, neighbours, normals, tailored
-from cloak_core.pretrain.clothing.tables import Clip
 from cloak_core.scene.blender.executable import find_blender
 from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
+from tools.pretrain.clothing.gaits import CYCLES
+from tools.pretrain.clothing.garments import Garment, neighbours, normals, tailored
+from tools.pretrain.clothing.tables import Clip
 
 SCRIPT = Path(__file__).parent / "blender" / "inside.py"
 RUN_IN = 12

@@ -1,4 +1,4 @@
-"""How the patch segmenter was made: `cloak detectors train-segmenter`.
+"""Train the patch segmenter of the defence `segment:SPEC` anew: `python -m tools.pretrain.segmenter_training`.
 
 It learns from renders alone: sample bodies before procedural scenes, half of them in cloaks. A cloak is one of those
 that `cloak harden` draws (balls, slabs and regions; grey, noise, blocks, and colours attacked anew against the built-in
@@ -8,6 +8,7 @@ on some images, as patches do in SAC's and PAD's.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -143,3 +144,22 @@ def judge(network: PatchSegmenter, settings: SegmenterSettings) -> dict[str, flo
         seen = F.interpolate(network(images), masks.shape[2:], mode="bilinear", align_corners=False) > 0
         counts += torch.stack([(seen & masks).sum(), masks.sum(), (seen & ~masks).sum(), (~masks).sum()])
     return {"found": round(float(counts[0] / counts[1]), 4), "clean": round(float(counts[2] / counts[3]), 4)}
+
+
+def main() -> None:
+    """Train with the options of the command line; progress and figures go to standard output."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="new file of the weights, .safetensors")
+    parser.add_argument("--steps", type=int, default=SegmenterSettings.steps, help="updates of the weights")
+    parser.add_argument("--seed", type=int, default=0, help="every random draw derives from it")
+    options = vars(parser.parse_args())
+    out = options.pop("out")
+    if out.exists():
+        parser.error(f"{out}: exists already")
+    if options["steps"] < 1:
+        parser.error(f"--steps {options['steps']}: at least 1 is needed")
+    print(train_segmenter(out, on_event=print, **options))
+
+
+if __name__ == "__main__":
+    main()

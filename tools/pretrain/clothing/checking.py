@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Integer
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.pretrain.clothing.draping import Person, skinned
-from cloak_core.pretrain.clothing.garments import Garment
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
+from tools.pretrain.clothing.draping import Person, skinned
+from tools.pretrain.clothing.garments import Garment
 
 CAMERAS = tuple(Camera(azimuth=azimuth, elevation=up) for azimuth in range(0, 360, 60) for up in (0, 25))
 POSES = (0, 3, 6)

@@ -1,1 +1,0 @@
-"""How the sample bodies and the built-in detector were made."""
