@@ -31,12 +31,14 @@ FAMILIES = {
     ".py": "python:{file}:load",
 }
 """How the trainer names a detector by the suffix of its file."""
+BLACK_BOXES = (".xml", ".tflite")
+"""Suffixes of files whose runtimes give no gradients."""
 CHECK = "Detector check"
 
 
 def _changed(self: CloakDetector, context: bpy.types.Context) -> None:
     """What was found out about another file, or another size, counts no more."""
-    self.checked = ""
+    self.checked, self.gradients = "", True
 
 
 class CloakDetector(bpy.types.PropertyGroup):
@@ -80,7 +82,18 @@ class CloakDetector(bpy.types.PropertyGroup):
     )
     checked: StringProperty(name="Checked", description="The detector that the answer is about")
     answer: StringProperty(name="Answer", description="What the trainer found out about it")
-    works: BoolProperty(name="Works", description="Whether it can be trained against")
+    works: BoolProperty(name="Works", description="Whether it passed the check")
+    gradients: BoolProperty(name="Gradients", description="Whether it gives gradients to train with", default=True)
+
+    @property
+    def black_box(self) -> bool:
+        """Whether it gives no gradients, so that training cannot use it."""
+        return not self.gradients or self.file.lower().endswith(BLACK_BOXES)
+
+    @property
+    def only_judges(self) -> bool:
+        """Whether training leaves it out: by the user's choice, or because it is a black box."""
+        return self.judges or self.black_box
 
     @property
     def title(self) -> str:
@@ -121,7 +134,7 @@ def existing(path: str, label: str) -> str:
 
 def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
     """The detectors to hide from. Raises `InputError` where all others only judge."""
-    specs = tuple(detector.full for detector in settings.detectors if not detector.judges)
+    specs = tuple(detector.full for detector in settings.detectors if not detector.only_judges)
     if settings.detectors and not specs:
         raise InputError("All detectors only judge: let one be trained against, or add one")
     return specs or (BUILTIN,)
@@ -129,7 +142,7 @@ def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
 
 def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
     """All detectors of the list, those to hide from first."""
-    ordered = sorted(settings.detectors, key=lambda detector: detector.judges)
+    ordered = sorted(settings.detectors, key=lambda detector: detector.only_judges)
     return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
 
 
@@ -276,13 +289,15 @@ def _told(job: Job, spec: str) -> str | None:
     found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
     for detector in found:
         detector.answer, detector.works = answer, works
+        detector.gradients = not works or record.get("white_box") is not False
         if works and isinstance(point, (int, float)) and not detector.threshold:
             detector.threshold = float(point)
     return f"{found[0].title} {answer}" if found else None
 
 
 def _answer(record: dict, point: object) -> str:
-    parts = [f"reports from {point:g}"] if isinstance(point, (int, float)) else []
+    assumed = " (assumed)" if record.get("operating_point_assumed") is True else ""
+    parts = [f"reports from {point:g}{assumed}"] if isinstance(point, (int, float)) else []
     if record.get("person_class") not in (None, 0):
         parts.append(f"person is class {record['person_class']}")
     if isinstance(record.get("parity_scores"), (int, float)):

@@ -13,13 +13,15 @@ from ..ui.panel_parts import CLOSED, CloakPanel, settings_column, wrapped
 from .detectors import CHECK, active_detector
 from .reasons import kept_reason, train_reason
 
+BLACK_BOX = "It only judges: its runtime gives no gradients to train with"
+
 
 class CLOAK_UL_detectors(bpy.types.UIList):
     """The detectors to hide from, and those that only judge"""
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         split = layout.split(factor=0.7)
-        mark = "HIDE_OFF" if item.judges else "TRACKER"
+        mark = "HIDE_OFF" if item.only_judges else "TRACKER"
         split.label(text=item.title, icon=mark if item.works or not item.answer else "ERROR")
         split.label(text=f"{item.threshold:.2f}" if item.threshold else "")
 
@@ -65,7 +67,10 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
                 column.prop(chosen, name)
         column.prop(chosen, "options")
         column.prop(chosen, "threshold")
-        column.prop(chosen, "judges")
+        if chosen.black_box:
+            wrapped(self.layout, context, BLACK_BOX, icon="HIDE_OFF")
+        else:
+            column.prop(chosen, "judges")
         if chosen.checked and chosen.answer:
             words = f"{chosen.title} {said(chosen.answer)}"
             wrapped(self.layout, context, words, icon="CHECKMARK" if chosen.works else "ERROR")

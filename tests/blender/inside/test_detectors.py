@@ -10,7 +10,7 @@ from cloak.files.errors import InputError
 from cloak.properties import train_request
 from cloak.result import eye
 from cloak.session import session
-from cloak.training import detectors
+from cloak.training import detectors, panel
 from conftest import folder_of, run_job
 from made import add_camera
 from test_eye import watch
@@ -69,6 +69,47 @@ def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "refuse")
     bpy.ops.cloak.detector_check()
     assert run_job().state == "failed" and "no such thing here" in onnx.answer
+
+
+def test_what_gives_no_gradients_only_judges_and_the_panel_says_why(ready, files, monkeypatch):
+    settings = bpy.context.scene.cloak
+    add(files[".xml"], files[".tflite"])
+    with pytest.raises(InputError, match="All detectors only judge"):  # before they are checked
+        train_request(settings)
+    run_job()
+    shop = settings.detectors[0]
+    assert shop.works and shop.answer == "works: reports from 0.25 (assumed)"
+    add(files[".onnx"])
+    run_job()
+    net = settings.detectors[2]
+    assert not net.only_judges and detectors.trained_against(settings) == (net.full,)
+    assert detectors.judges(settings) == (net.full, shop.full, settings.detectors[1].full)
+    monkeypatch.setenv("CLOAK_STUB", "black-box")
+    bpy.ops.cloak.detector_check()
+    run_job()
+    assert net.works and net.only_judges and not net.judges
+    settings.detector_index = 2
+    assert panel.BLACK_BOX in said_by(panel.CLOAK_PT_train)
+    net.options = "640"
+    assert not net.only_judges, "another size is another detector"
+    assert panel.BLACK_BOX not in said_by(panel.CLOAK_PT_train)
+
+
+def said_by(kind: type) -> str:
+    """What the list's panel writes about the chosen detector."""
+    said = []
+
+    class Layout:
+        def __getattr__(self, name):
+            return self._note
+
+        def _note(self, *words, text="", **options):
+            said.append(text)
+            return Layout()
+
+    drawn = type("Drawn", (), {"layout": Layout(), "progress": lambda *_: None})()
+    kind._detectors(drawn, bpy.context, bpy.context.scene.cloak)
+    return " ".join(said)
 
 
 def test_every_button_uses_the_list(dressed, files):
