@@ -85,7 +85,8 @@ def through(command: list[str]) -> list[str]:
     if not kept or not kept.remote.strip() or command[0] != kept.remote_python:
         return command
     script = str(Path(__file__).with_name("remote.py"))
-    return [sys.executable, script, kept.remote, kept.remote_folder, *command]
+    shared = bpy.path.abspath(kept.remote_shared)
+    return [sys.executable, script, kept.remote, kept.remote_folder, shared, *command]
 
 
 def use_python(python: str) -> None:
@@ -125,6 +126,11 @@ class CloakPreferences(bpy.types.AddonPreferences):
     remote_folder: StringProperty(
         name="Folder There", description="Folder on the other machine for scenes and runs", default="/tmp/cloak"
     )
+    remote_shared: StringProperty(
+        name="The Same Folder Here",
+        description="Where this machine sees the other's folder, when they share it; empty: files go by the command",
+        subtype="DIR_PATH",
+    )
     remote_python: StringProperty(
         name="Python There", description="Python on the other machine that has cloak_core", default="python3"
     )
@@ -144,8 +150,8 @@ class CloakPreferences(bpy.types.AddonPreferences):
         box = layout.box()
         box.prop(self, "remote")
         if self.remote.strip():
-            box.prop(self, "remote_folder")
-            box.prop(self, "remote_python")
+            for name in ("remote_folder", "remote_shared", "remote_python"):
+                box.prop(self, name)
         box = layout.box()
         box.label(text="Or run this in the folder of Cloak's sources:")
         row = box.row(align=True)

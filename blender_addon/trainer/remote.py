@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run the trainer on another machine: `python remote.py PREFIX FOLDER PYTHON WORD ...`, a program of its own.
+"""Run the trainer on another machine: `python remote.py PREFIX FOLDER SHARED PYTHON WORD ...`, a program of its own.
 
 PREFIX is what runs a line of shell over there (`ssh box`; `sh -c` for this machine), FOLDER a folder there, PYTHON the
-Python there that has cloak_core. Files that the words name are sent once, unless they changed since; what is
-written comes back: progress and colours every two seconds, everything at the end. A file `cancel` in the run
-folder, or SIGTERM, ends the run in order. The exit code is the trainer's; 255: the machine cannot be reached.
+Python there that has cloak_core. SHARED is FOLDER as this machine sees it; "" sends files through PREFIX instead.
+Files that the words name are sent once, unless they changed since; what is written comes back: progress and colours
+every two seconds, everything at the end. A file `cancel` in the run folder, or SIGTERM, ends the run in order. The
+exit code is the trainer's; 255: the machine cannot be reached.
 
 Plain Python, no Blender: it outlives neither, and holds the run's lock as a trainer on this machine would.
 """
@@ -16,6 +17,7 @@ import hashlib
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -33,10 +35,10 @@ _PART = re.compile(r"[^:=]+")
 
 
 class Remote:
-    """Another machine, behind a prefix that runs a line of shell there."""
+    """Another machine, behind a prefix that runs a line of shell there, and perhaps a folder that it shares."""
 
-    def __init__(self, prefix: str, folder: str) -> None:
-        self.prefix, self.folder = shlex.split(prefix), folder.rstrip("/")
+    def __init__(self, prefix: str, folder: str, shared: str = "") -> None:
+        self.prefix, self.folder, self.shared = shlex.split(prefix), folder.rstrip("/"), shared
         self.paths: dict[str, str] = {}
         """Where local paths lie over there."""
 
@@ -48,25 +50,43 @@ class Remote:
         """The same, waited for; its exit code."""
         return self.start(line, stdin=subprocess.DEVNULL).wait()
 
+    def here(self, remote: str) -> Path:
+        """A path over there as this machine sees it in the shared folder."""
+        return Path(self.shared, os.path.relpath(remote, self.folder))
+
     def send(self, path: Path) -> str:
         """Where a file or folder lies over there; sent unless one that looks the same is there."""
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else beside(path)
-        look = [f"{p} {p.stat().st_size} {p.stat().st_mtime_ns}" for p in files if p.name not in OWN]
+        files = [p for p in files if p.name not in OWN]
+        look = [f"{p} {p.stat().st_size} {p.stat().st_mtime_ns}" for p in files]
         place = f"{self.folder}/{hashlib.sha256(chr(10).join([str(path), *look]).encode()).hexdigest()[:16]}"
-        target = f"{place}/{plain(path.name)}"
-        if self.do(f"test -e {shlex.quote(place)}/.complete") != 0:
-            quoted = shlex.quote(place)
-            process = self.start(f"mkdir -p {quoted} && tar -C {quoted} -xf - && touch {quoted}/.complete", stdin=-1)
-            with tarfile.open(fileobj=process.stdin, mode="w|") as archive:
-                for file in files:
-                    if file.name not in OWN:
-                        first, *rest = file.relative_to(path.parent).parts
-                        archive.add(file, "/".join([plain(first), *rest]))
-            process.stdin.close()
-            if process.wait() != 0:
-                raise OSError(f"{path} cannot be sent to {self.folder}")
-        self.paths[str(path)] = target
+        names = {}
+        for file in files:
+            first, *rest = file.relative_to(path.parent).parts
+            names["/".join([plain(first), *rest])] = file
+        (self._copy if self.shared else self._pipe)(names, place)
+        target = self.paths[str(path)] = f"{place}/{plain(path.name)}"
         return target
+
+    def _copy(self, names: dict[str, Path], place: str) -> None:
+        goal = self.here(place)
+        if not (goal / ".complete").exists():
+            for name, file in names.items():
+                (goal / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, goal / name)
+            (goal / ".complete").touch()
+
+    def _pipe(self, names: dict[str, Path], place: str) -> None:
+        place = shlex.quote(place)
+        if self.do(f"test -e {place}/.complete") == 0:
+            return
+        process = self.start(f"mkdir -p {place} && tar -C {place} -xf - && touch {place}/.complete", stdin=-1)
+        with tarfile.open(fileobj=process.stdin, mode="w|") as archive:
+            for name, file in names.items():
+                archive.add(file, name)
+        process.stdin.close()
+        if process.wait() != 0:
+            raise OSError(f"{', '.join(names)}: cannot be sent to {self.folder}")
 
     def replace(self, source: str, target: str) -> None:
         """Copy a folder over there."""
@@ -75,26 +95,38 @@ class Remote:
 
     def fetch(self, remote: str, local: Path, names: tuple[str, ...] = ()) -> bool:
         """Bring a file or folder back (of a folder only some names); each file is replaced at once."""
-        folder, name = os.path.split(remote)
-        wanted = " ".join(shlex.quote(f"{name}/{n}") for n in names) if names else shlex.quote(name)
-        line = f"cd {shlex.quote(folder)} 2>/dev/null && tar -cf - $(ls -d {wanted} 2>/dev/null)"
         local.parent.mkdir(parents=True, exist_ok=True)
-        process = self.start(line, stdin=subprocess.DEVNULL, stdout=-1, stderr=subprocess.DEVNULL)
         with tempfile.TemporaryDirectory(dir=local.parent, prefix=".cloak ") as temporary:
-            with (
-                contextlib.suppress(tarfile.ReadError),  # nothing there yet
-                tarfile.open(fileobj=process.stdout, mode="r|") as archive,
-            ):
-                archive.extractall(temporary, filter="data")
-            process.stdout.read()
-            process.wait()
+            (self._copy_back if self.shared else self._pipe_back)(remote, names, temporary)
             came = [p for p in Path(temporary).rglob("*") if p.is_file() and p.name not in OWN]
             for file in came:
-                place = local.parent / local.name / file.relative_to(temporary).relative_to(name)
-                place = local if file.relative_to(temporary) == Path(name) else place
+                _, *rest = file.relative_to(temporary).parts
+                place = local.joinpath(*rest)
                 place.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, place)
         return bool(came)
+
+    def _copy_back(self, remote: str, names: tuple[str, ...], temporary: str) -> None:
+        source = self.here(remote)
+        found = [source / name for name in names] or [source, *source.rglob("*")]
+        for file in (path for path in found if path.is_file()):
+            place = temporary / file.relative_to(source.parent)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileNotFoundError):  # a temporary file of the trainer's
+                shutil.copyfile(file, place)
+
+    def _pipe_back(self, remote: str, names: tuple[str, ...], temporary: str) -> None:
+        folder, name = os.path.split(remote)
+        wanted = " ".join(shlex.quote(f"{name}/{n}") for n in names) if names else shlex.quote(name)
+        line = f"cd {shlex.quote(folder)} 2>/dev/null && tar -cf - $(ls -d {wanted} 2>/dev/null)"
+        process = self.start(line, stdin=subprocess.DEVNULL, stdout=-1, stderr=subprocess.DEVNULL)
+        with (
+            contextlib.suppress(tarfile.ReadError),  # nothing there yet
+            tarfile.open(fileobj=process.stdout, mode="r|") as archive,
+        ):
+            archive.extractall(temporary, filter="data")
+        process.stdout.read()
+        process.wait()
 
 
 def plain(name: str) -> str:
@@ -140,9 +172,12 @@ def _sent(remote: Remote, part: str) -> str:
     return part
 
 
-def main(prefix: str, folder: str, python: str, *words: str) -> int:
+def main(prefix: str, folder: str, shared: str, python: str, *words: str) -> int:
     """Send, run, fetch."""
-    remote = Remote(prefix, folder)
+    remote = Remote(prefix, folder, shared)
+    if shared and not Path(shared).is_dir():
+        print(f"cloak: {shared}: the shared folder is not there", file=sys.stderr)
+        return 255
     if remote.do(f"mkdir -p {shlex.quote(remote.folder)}") != 0:
         print(f"cloak: {prefix}: the other machine cannot be reached, or {folder} not made there", file=sys.stderr)
         return 255

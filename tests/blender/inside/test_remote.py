@@ -1,4 +1,7 @@
-"""A trainer on another machine: here the same one, behind a prefix that runs a line of shell, as ssh does."""
+"""A trainer on another machine: here the same one, behind a prefix that runs a line of shell, as ssh does.
+
+Files go through the prefix, or through a folder that both machines see at places of their own.
+"""
 
 import bpy
 import pytest
@@ -9,18 +12,23 @@ from cloak.training import run_states
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
 
 
-@pytest.fixture
-def elsewhere(ready, stub, tmp_path):
+@pytest.fixture(params=["by the command", "by a shared folder"])
+def elsewhere(request, ready, stub, tmp_path):
     """Preferences of somebody whose trainer is on another machine, which starts in another folder."""
     kept, home = preferences(), tmp_path / "other machine"
     home.mkdir()
     ssh = tmp_path / "fake ssh"
-    ssh.write_text(f'#!/bin/sh\ncd "{home}"\nexec sh -c "$2"\n')  # as ssh: its last word goes to a shell there
+    pipes = "exec 0</dev/null" if request.param == "by a shared folder" else ""  # no file comes through the command
+    ssh.write_text(f'#!/bin/sh\ncd "{home}"\n{pipes}\nexec sh -c "$2"\n')  # its last word goes to a shell there
     ssh.chmod(0o755)
+    if request.param == "by a shared folder":
+        (home / "cloak").mkdir()
+        (tmp_path / "mount").symlink_to(home / "cloak")
+        kept.remote_shared = str(tmp_path / "mount")
     kept.remote, kept.remote_folder, kept.remote_python = f"'{ssh}' box", str(home / "cloak"), str(stub)
     kept.python = ""
     yield home
-    kept.remote = ""
+    kept.remote = kept.remote_shared = ""
 
 
 def test_a_training_over_there_shows_its_progress_and_colours_here(elsewhere, ready):
@@ -51,6 +59,12 @@ def test_cancel_and_resume_over_there(elsewhere, ready, monkeypatch):
     bpy.ops.cloak.train_resume()
     assert run_job(200).state == "done" and session.job.progress.step == 150
     assert topology(ready)
+
+
+def test_a_shared_folder_that_is_not_mounted_is_named(elsewhere, ready):
+    preferences().remote_shared = "/no such mount"
+    bpy.ops.cloak.train_start()
+    assert "/no such mount: the shared folder is not there" in run_job(100).message
 
 
 def test_a_machine_that_cannot_be_reached_is_named(elsewhere, ready):
