@@ -20,8 +20,13 @@ LEFT = shutil.ignore_patterns(
 )
 
 
+OUTSIDE = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+"""Of a process that does not see the checkout: pip takes an egg-info on the path for an installed package."""
+
+
 def run(*command: object, **options: object) -> subprocess.CompletedProcess:
     """What it printed; a command that fails shows what it said."""
+    options = {"env": OUTSIDE} | options
     done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return done
@@ -87,8 +92,7 @@ def test_the_sources_hold_the_tests_the_documents_and_the_tools(built: Path) -> 
 @pytest.mark.long
 def test_the_wheel_does_the_main_job_and_says_once_that_it_compiles(python: Path, tmp_path: Path) -> None:
     """In an empty folder; loops are compiled by the first command that draws, and kept."""
-    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
-    environment |= {"CLOAK_CACHE": "off", "OMP_NUM_THREADS": "1"}
+    environment = OUTSIDE | {"CLOAK_CACHE": "off", "OMP_NUM_THREADS": "1"}
 
     def cloak(line: str) -> subprocess.CompletedProcess:
         return run(python.with_name("cloak"), *line.split(), cwd=tmp_path, env=environment)

@@ -7,7 +7,14 @@ import sys
 
 from cloak_core.files.errors import InputError, first_line, one_line
 
-_FULL_MEMORY = ("can't allocate memory", "Cannot allocate memory", "out of memory", "bad_alloc", "bad allocation")
+_FULL_MEMORY = (
+    "can't allocate memory",
+    "Cannot allocate memory",
+    "out of memory",
+    "bad_alloc",
+    "bad allocation",
+    "failed to map segment from shared object",  # the loader, of a module whose file is there
+)
 
 
 def in_words(error: BaseException) -> str | None:
