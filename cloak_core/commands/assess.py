@@ -20,6 +20,7 @@ from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
     from cloak_core.detectors.protocol import Detector
+    from cloak_core.evaluation.card.gate import Bound
     from cloak_core.evaluation.card.protocol import Budget
     from cloak_core.evaluation.store import RunStore
 
@@ -56,6 +57,11 @@ class Assess(Command):
     """Every random draw derives from it."""
     leaderboard: Path | None = None
     """Markdown file that takes a table of all cards in --out."""
+    gate: Path | None = None
+    """TOML file with bounds on figures of card.json, in tables [min] and [max] (clean.recall_own = 0.95); exit code 1
+    where one is broken."""
+    junit: Path | None = None
+    """JUnit XML file of the bounds in --gate, for CI."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
     sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
@@ -63,12 +69,14 @@ class Assess(Command):
     )
 
     def run(self) -> dict:
+        from cloak_core.evaluation.card.gate import check, write_junit
         from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
         from cloak_core.evaluation.card.page import write_card, write_comparison
         from cloak_core.evaluation.report.words import short_names
         from cloak_core.evaluation.store import Interrupted
 
         self._budget()
+        bounds = self._bounds()
         try:
             self.sharing.spread(self._parts(), self.compute)
             cards = self.work() if self.specs else gather(self.out)
@@ -81,13 +89,29 @@ class Assess(Command):
         if self.leaderboard is not None:
             write_leaderboard(gather(self.out), self.leaderboard)
             pages.append(self.leaderboard)
-        files = {"files": [str(path) for path in pages]}
+        more = {"files": [str(path) for path in pages]}
+        if bounds:
+            checked = {card["spec"]: check(card, bounds) for card in cards.values()}
+            more["broken"] = [words for said in checked.values() for words in said.values() if words]
+            if self.junit is not None:
+                write_junit(self.junit, checked)
         if len(cards) == 1:
-            return next(iter(cards.values())) | files
-        return {"cards": {card["spec"]: card for card in cards.values()}} | files
+            return next(iter(cards.values())) | more
+        return {"cards": {card["spec"]: card for card in cards.values()}} | more
+
+    def failures(self, result: dict) -> list[str]:
+        return result.get("broken", [])
+
+    def _bounds(self) -> list[Bound]:
+        """Read the gate, before anything is measured."""
+        if self.junit is not None and self.gate is None:
+            raise InputError("--junit: needs --gate FILE")
+        from cloak_core.evaluation.card.gate import read_gate
+
+        return [] if self.gate is None else read_gate(self.gate)
 
     def _parts(self) -> list[tuple[str, Assess]]:
-        alone = replace(self, sharing=SharingOptions(), leaderboard=None)
+        alone = replace(self, sharing=SharingOptions(), leaderboard=None, gate=None, junit=None)
         return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
     def _budget(self) -> Budget:

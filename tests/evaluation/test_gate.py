@@ -1,0 +1,84 @@
+"""Bounds on a card's figures: read, checked, written for CI."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from cloak_core.cli import main
+from cloak_core.commands import assess
+from cloak_core.evaluation.card import gate, leaderboard, page
+from cloak_core.files.errors import InputError
+
+CARD = {
+    "spec": "builtin",
+    "clean": {"recall_own": 0.97, "ci95_own": [0.95, 0.99], "false_alarms_own": None},
+    "white_box": [{"asked": 0.05, "success_own": 0.1}, {"asked": 0.2, "success_own": 0.6}],
+    "black_box": {"zoo": [{"name": "demo", "success": 0.3}]},
+}
+BOUNDS = """
+[min]
+clean.recall_own = 0.95
+clean.ci95_own.0 = 0.96
+[max]
+white_box.5.success_own = 0.3
+white_box.20.success_own = 0.3
+clean.false_alarms_own = 0.01
+black_box.zoo.demo.success = 0.3
+"""
+
+
+def test_each_broken_bound_is_named(tmp_path: Path) -> None:
+    (tmp_path / "gate.toml").write_text(BOUNDS)
+    bounds = gate.read_gate(tmp_path / "gate.toml")
+    said = gate.check(CARD, bounds)
+    assert [words for words in said.values() if words] == [
+        "builtin: clean.ci95_own.0 is 0.95; the gate asks for clean.ci95_own.0 >= 0.96",
+        "builtin: white_box.20.success_own is 0.6; the gate asks for white_box.20.success_own <= 0.3",
+        "builtin: clean.false_alarms_own was not measured; the gate asks for clean.false_alarms_own <= 0.01",
+    ]
+    gate.write_junit(tmp_path / "gate.xml", {"builtin": said})
+    (suite,) = ElementTree.parse(tmp_path / "gate.xml").getroot()
+    assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("builtin", "6", "3")
+    assert len(suite.findall("testcase/failure")) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("max = ", "not valid TOML"),
+        ("", "holds no bound"),
+        ("[most]\na = 1", "expected the tables"),
+        ("min = 3", "expected the tables"),
+        ("[max]\nclean.recall = 'high'", "'high', not a number"),
+        ("[max]\nclean.recall = true", "not a number"),
+    ],
+)
+def test_a_bad_gate_is_one_line_before_anything_is_measured(
+    text: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "gate.toml").write_text(text)
+    with pytest.raises(SystemExit, match="2"):
+        main(["assess", "builtin", "--out", str(tmp_path / "cards"), "--gate", str(tmp_path / "gate.toml")])
+    words = capsys.readouterr().err
+    assert said in words and "gate.toml" in words and words.count("\n") == 1 and not (tmp_path / "cards").exists()
+
+
+def test_a_broken_bound_ends_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(leaderboard, "gather", lambda _: {"builtin": CARD})
+    monkeypatch.setattr(page, "write_card", lambda folder: folder / "card.html")
+    monkeypatch.setattr(assess.Assess, "show", lambda *_: None)
+    (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.3")
+    call = ["assess", "--out", str(tmp_path), "--gate", str(tmp_path / "gate.toml")]
+    with pytest.raises(SystemExit) as end:
+        main([*call, "--junit", str(tmp_path / "gate.xml")])
+    assert end.value.code == 1 and 'failures="1"' in (tmp_path / "gate.xml").read_text()
+    assert "builtin: white_box.20.success_own is 0.6" in capsys.readouterr().err
+    (tmp_path / "gate.toml").write_text("[max]\nwhite_box.20.success_own = 0.7")
+    with pytest.raises(SystemExit) as end:
+        main(call)
+    assert end.value.code == 0
+    with pytest.raises(InputError, match="--junit: needs --gate"):
+        assess.Assess(out=tmp_path, junit=tmp_path / "gate.xml").run()
