@@ -16,52 +16,65 @@ from cloak_core.commands.failures import in_words
 from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
 from cloak_core.files.errors import InputError
 
-COMMANDS: dict[str, str] = {
-    "train": "train:Train",
-    "evaluate": "evaluate:Evaluate",
-    "report": "evaluate:Report",
-    "film": "film:Film",
-    "look": "look:Look",
-    "judge": "judge:Judge",
-    "wear": "wear:Wear",
-    "demo": "demo:Demo",
-    "scene import": "scene:Import",
-    "scene import-smpl": "scene:ImportSmpl",
-    "scene import-anny": "scene:ImportAnny",
-    "scene sample": "scene:Sample",
-    "scene info": "scene:Info",
-    "logo select": "logo:Select",
-    "logo project": "logo:Project",
-    "logo heatmap": "logo:Heatmap",
-    "logo transfer": "logo:Transfer",
-    "print": "printing:Print",
-    "calibrate": "calibrate:Calibrate",
-    "sweep": "sweep:Sweep",
-    "transfer": "transfer:Transfer",
-    "assess": "assess:Assess",
-    "export coco": "export:Coco",
-    "reproduce": "reproduce:Reproduce",
-    "harden": "harden:Harden",
-    "zoo list": "zoo:List",
-    "zoo show": "zoo:Show",
-    "zoo reproduce": "zoo:Reproduce",
-    "zoo export": "zoo:Export",
-    "zoo add": "zoo:Add",
-    "detectors list": "detectors:List",
-    "detectors check": "detectors:Check",
-    "detectors verify": "detectors:Verify",
-    "bench views": "bench:Views",
-    "bench accuracy": "bench:Accuracy",
-    "bench growth": "bench:Growth",
-    "bench stability": "bench:Stability",
-    "bench step": "bench:Step",
-    "bench ranks": "bench:Ranks",
-    "bench jobs": "bench:Jobs",
-    "bench intervals": "bench:Intervals",
-    "bench printing": "bench:Printing",
-    "bench detectors": "bench:Detectors",
+GROUPS: dict[str, dict[str, str]] = {
+    "Start": {
+        "demo": "demo:Demo",
+        "train": "train:Train",
+        "evaluate": "evaluate:Evaluate",
+        "report": "evaluate:Report",
+        "zoo list": "zoo:List",
+        "zoo show": "zoo:Show",
+        "zoo export": "zoo:Export",
+    },
+    "Bodies and logos": {
+        "scene sample": "scene:Sample",
+        "scene import": "scene:Import",
+        "scene import-smpl": "scene:ImportSmpl",
+        "scene import-anny": "scene:ImportAnny",
+        "scene info": "scene:Info",
+        "logo select": "logo:Select",
+        "logo project": "logo:Project",
+        "logo heatmap": "logo:Heatmap",
+        "logo transfer": "logo:Transfer",
+    },
+    "Measure": {
+        "detectors list": "detectors:List",
+        "detectors check": "detectors:Check",
+        "detectors verify": "detectors:Verify",
+        "wear": "wear:Wear",
+        "judge": "judge:Judge",
+        "film": "film:Film",
+        "transfer": "transfer:Transfer",
+        "sweep": "sweep:Sweep",
+        "export coco": "export:Coco",
+    },
+    "Defend": {
+        "assess": "assess:Assess",
+        "harden": "harden:Harden",
+    },
+    "Wear and print": {
+        "print": "printing:Print",
+        "calibrate": "calibrate:Calibrate",
+    },
+    "Developers": {
+        "reproduce": "reproduce:Reproduce",
+        "zoo reproduce": "zoo:Reproduce",
+        "zoo add": "zoo:Add",
+        "look": "look:Look",
+        "bench views": "bench:Views",
+        "bench accuracy": "bench:Accuracy",
+        "bench growth": "bench:Growth",
+        "bench stability": "bench:Stability",
+        "bench step": "bench:Step",
+        "bench ranks": "bench:Ranks",
+        "bench jobs": "bench:Jobs",
+        "bench intervals": "bench:Intervals",
+        "bench printing": "bench:Printing",
+        "bench detectors": "bench:Detectors",
+    },
 }
-"""Command words -> module:class in cloak_core.commands; imported only when asked for, so that `--help` is quick."""
+"""Group of the help -> command words -> module:class in cloak_core.commands; imported only when asked for."""
+COMMANDS: dict[str, str] = {name: place for group in GROUPS.values() for name, place in group.items()}
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -162,7 +175,7 @@ def find(arguments: list[str]) -> tuple[str, list[str]]:
     if len(given) > 1:
         raise InputError(f"unknown command '{words}' (known: {', '.join(group)})")
     print_help(group or COMMANDS)
-    sys.exit(0 if {"-h", "--help"} & set(arguments) else 2)
+    sys.exit(0 if {"-h", "--help", "--help-all"} & set(arguments) else 2)
 
 
 def load(name: str) -> type[Command]:
@@ -171,9 +184,11 @@ def load(name: str) -> type[Command]:
 
 
 def print_help(commands: dict[str, str]) -> None:
-    print("usage: cloak COMMAND [OPTIONS]   (cloak COMMAND --help says what it takes)\n")
-    for name in commands:
-        print(f"  cloak {name:<24} {(load(name).__doc__ or '').strip().splitlines()[0]}")
+    """The help of `cloak`, or of a group of commands such as `cloak scene`."""
+    from cloak_core.commands.help import all_commands
+
+    groups = {title: {n: load(n) for n in members if n in commands} for title, members in GROUPS.items()}
+    print(all_commands({title: members for title, members in groups.items() if members}), end="")
 
 
 def parse(name: str, arguments: list[str]) -> Command:

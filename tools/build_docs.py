@@ -80,31 +80,23 @@ def unbroken(text: str) -> str:
 def commands_page() -> str:
     """Every command's help, as a terminal shows it."""
     os.environ["COLUMNS"] = WIDTH
-    from cloak_core.cli import COMMANDS, load
+    from cloak_core.cli import COMMANDS, GROUPS, load
+    from cloak_core.commands.help import summary
     from cloak_core.commands.parsing import parse
 
-    lines = ["# Command line", "", "What `--help` of each command says; it is made of the code.", ""]
+    lines = ["# Command line", "", "What `--help-all` of each command says; it is made of the code.", ""]
     lines += ["| command | what it does |", "|---|---|"]
-    for name in COMMANDS:
-        first = first_sentence(load(name).__doc__ or "").replace("|", "\\|")
-        lines.append(f"| [`cloak {name}`](#cloak-{name.replace(' ', '-')}) | {first} |")
+    for title, group in GROUPS.items():
+        lines.append(f"| **{title}** | |")
+        for name in group:
+            first = summary(load(name).__doc__ or "").replace("|", "\\|")
+            lines.append(f"| [`cloak {name}`](#cloak-{name.replace(' ', '-')}) | {first} |")
     for name in COMMANDS:
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
-            parse(load(name), name, ["--help"])
-        told = [
-            line
-            for long in said.getvalue().rstrip().splitlines()
-            for line in textwrap.wrap(long, int(WIDTH), break_on_hyphens=False) or [""]
-        ]
-        lines += ["", f"## cloak {name}", "", "```text", *told, "```"]
+            parse(load(name), name, ["--help-all"])
+        lines += ["", f"## cloak {name}", "", "```text", *said.getvalue().rstrip().splitlines(), "```"]
     return "\n".join(lines) + "\n"
-
-
-def first_sentence(words: str) -> str:
-    """Of a docstring: up to the first full stop that a capital follows; a name such as .npz ends none."""
-    paragraph = " ".join(words.strip().partition("\n\n")[0].split())
-    return re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
 
 
 def json_page() -> str:

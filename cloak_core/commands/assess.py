@@ -27,12 +27,15 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Assess(Command):
-    """Measure how robust detectors are, clean and attacked, by a fixed protocol: a card for each, as figures and as one
-    page that opens offline; of several, a page that compares them.
+    """Measure how robust detectors are, by a fixed protocol: a card for each.
+
+    A card is figures and one page that opens offline; of several detectors, a page compares them.
 
     What is there already is not done again: a stopped call goes on with the same command. Without any SPEC the pages
     and the leaderboard are written again from the cards in --out.
     """
+
+    example = "builtin --quick --out cards"
 
     specs: Positional[tuple[str, ...]] = ()
     """Detectors, as in cloak train; of one without gradients the black-box part alone is made."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from rich.console import Console
 
@@ -42,6 +43,10 @@ class Stopped(Exception):
 class Command:
     """One command: fields are its options, `run` does the work and returns what `--json` prints."""
 
+    example: ClassVar[str] = ""
+    """Options with which help shows the command at work."""
+    common: ClassVar[tuple[str, ...]] = ()
+    """Options that --help shows where it does not show all, which --help-all does."""
     json: bool = False
     """Print one machine-readable object on standard output, everything else on standard error."""
 

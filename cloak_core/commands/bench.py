@@ -19,6 +19,8 @@ from cloak_core.files.writing import write_text
 class Views(Command):
     """Time visibility, a new view and a cached render, per view."""
 
+    example = "--scene scene"
+
     scene: Path
     """Scene folder or .npz."""
     samples: Literal[1, 4, 16, 64, "area"] | None = None
@@ -51,7 +53,9 @@ class Views(Command):
 
 @dataclass(kw_only=True)
 class Step(Command):
-    """Time a training step beside its floor: the detector's forward and input-backward on a ready batch."""
+    """Time a training step beside its floor, the detector alone on a ready batch."""
+
+    example = "--detector builtin"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, each timed alone (default: builtin)."""
@@ -109,7 +113,12 @@ class Step(Command):
 
 @dataclass(kw_only=True)
 class Ranks(Command):
-    """Time training in several processes (torchrun) beside one, with the same number of threads together."""
+    """Time training in several processes (torchrun) beside one.
+
+    Both have the same number of threads together.
+    """
+
+    example = "--logo chest.npy"
 
     detector: str = "builtin"
     """What is trained against."""
@@ -145,7 +154,9 @@ class Ranks(Command):
 
 @dataclass(kw_only=True)
 class Jobs(Command):
-    """Time what it costs to hand work out, and plan a thousand and a hundred thousand trainings by it."""
+    """Time what it costs to hand out work, and plan many trainings by it."""
+
+    example = "--train-seconds 150"
 
     count: int = 200
     """Jobs that do nothing, behind each figure."""
@@ -179,6 +190,8 @@ class Jobs(Command):
 class Detectors(Command):
     """Time detectors as Cloak runs them beside the same models used naively."""
 
+    example = "--detector builtin"
+
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to time (default: builtin)."""
     batch: int = 4
@@ -211,7 +224,9 @@ class Detectors(Command):
 
 @dataclass(kw_only=True)
 class Accuracy(Command):
-    """Speed against error: every way to build a view, and installed peers, on the bench scene and on harder ones."""
+    """Measure speed against error: every way to build a view, and installed peers."""
+
+    example = "--scene sample --only bench"
 
     scene: str
     """Scene folder, .npz, or sample."""
@@ -242,7 +257,12 @@ class Accuracy(Command):
 
 @dataclass(kw_only=True)
 class Growth(Command):
-    """How time and memory grow with triangles, views, pixels and samples; exponents of at most 1.05 are the aim."""
+    """Measure how time and memory grow with triangles, views, pixels and samples.
+
+    Exponents of at most 1.05 are the aim.
+    """
+
+    example = "--only triangles --quick"
 
     only: UseAppendAction[tuple[str, ...]] = ()
     """Some of triangles, views, pixels, samples (default: all)."""
@@ -270,7 +290,10 @@ class Growth(Command):
 
 @dataclass(kw_only=True)
 class Stability(Command):
-    """Hard cases of visibility, each against exact integer arithmetic; exit code 1 on any mismatch."""
+    """Check hard cases of visibility against exact integer arithmetic.
+
+    Exit code 1 on any mismatch.
+    """
 
     def run(self) -> dict:
         from cloak_core.bench.stability import run_bench_stability
@@ -289,7 +312,9 @@ class Stability(Command):
 
 @dataclass(kw_only=True)
 class Intervals(Command):
-    """Simulate evaluations with a known rate and count how often 95 % intervals cover it."""
+    """Simulate evaluations with a known rate; count how often intervals cover it."""
+
+    example = "--repetitions 200"
 
     repetitions: int = 200
     """Simulated evaluations of each design."""
@@ -311,7 +336,12 @@ class Intervals(Command):
 
 @dataclass(kw_only=True)
 class Printing(Command):
-    """Try `cloak calibrate` on a synthetic printer and camera: chart, photographs, profile, and what it is worth."""
+    """Try `cloak calibrate` on a synthetic printer and camera.
+
+    Chart, photographs, profile, and what it is worth.
+    """
+
+    example = "--out printing"
 
     out: Path
     """New folder to write."""

@@ -13,10 +13,12 @@ from cloak_core.files.errors import InputError
 
 @dataclass(kw_only=True)
 class Calibrate(Command):
-    """Find out which colours a printer and a camera make of those that are sent: a profile for train, print, evaluate.
+    """Measure which colours a printer and a camera make: a profile.
 
     First --chart, to print as the cloak will be printed; then its photograph (or measured patches) with --measured.
     """
+
+    example = "--measured photo.jpg --out printer.npz"
 
     chart: Path | None = None
     """Write the chart here (.pdf, or .png for services that take no PDF), and a .csv of its patches beside it."""

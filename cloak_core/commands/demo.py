@@ -29,7 +29,12 @@ HARDER = {"loss": "log", "tv_weight": 1.0}
 
 @dataclass(kw_only=True)
 class Demo(Command):
-    """Train a chest-and-thighs cloak on the sample bodies against the built-in detector, evaluate, report."""
+    """Train, evaluate and report a cloak for the sample bodies in one go.
+
+    A chest-and-thighs logo against the built-in detector.
+    """
+
+    example = "--out runs/demo"
 
     out: Path = Path("runs/demo")
     """Run folder; a demo that was interrupted there goes on, one that is complete is evaluated again."""

@@ -21,7 +21,9 @@ LOW = 0.1
 
 @dataclass(kw_only=True)
 class Check(Command):
-    """Show what a detector says of a photograph, or of clean renders and bare backgrounds."""
+    """Show what a detector says of a photograph, or of clean renders."""
+
+    example = "builtin --image person.jpg --out seen.png"
 
     spec: Positional[str]
     """Detector, as in cloak train."""
@@ -101,7 +103,12 @@ def operating_point(report: dict) -> str:
 
 @dataclass(kw_only=True)
 class Verify(Command):
-    """Check that a detector keeps what one promises, yours or one of ours; exit code 1 where a check fails."""
+    """Check that detectors are read rightly and keep the protocol.
+
+    Exit code 1 where a check fails.
+    """
+
+    example = "onnx:net.onnx --images photographs"
 
     specs: Positional[tuple[str, ...]]
     """Detectors, as in cloak train."""
@@ -153,7 +160,7 @@ def show_report(report: dict) -> None:
 
 @dataclass(kw_only=True)
 class List(Command):
-    """Say which detector families there are, what each needs and how each was verified, and which defences."""
+    """List the detector families and defences: what each needs, how each was verified."""
 
     def run(self) -> dict:
         from cloak_core.detectors.families import list_families

@@ -21,7 +21,9 @@ from cloak_core.evaluation.settings import EvaluateSettings
 
 @dataclass(kw_only=True)
 class Evaluate(Command):
-    """Measure a trained cloak on unseen bodies, backgrounds and angles, beside controls on the same images."""
+    """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
+
+    example = "runs/first"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""
@@ -146,6 +148,8 @@ def matrix(result: dict) -> Table:
 @dataclass(kw_only=True)
 class Report(Command):
     """Write a run's report: one HTML file that opens offline."""
+
+    example = "runs/first"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote."""

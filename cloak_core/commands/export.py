@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Coco(Command):
-    """Write renders of a run as a data set in COCO's format: every image in own clothing, and cloaked."""
+    """Write renders of a run as a data set in COCO's format.
+
+    Every image is written in own clothing, and cloaked.
+    """
+
+    example = "runs/first --out dataset"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""

@@ -19,10 +19,14 @@ from cloak_core.evaluation.film.settings import FilmSettings
 
 @dataclass(kw_only=True)
 class Film(Command):
-    """Film a trained cloak in motion beside its own clothing: frames hidden, longest visible run, first sight, tracks.
+    """Film a trained cloak in motion beside its own clothing.
+
+    Told are the frames hidden, the longest visible run, the distance of the first sight, and tracks.
 
     The scene's poses in their order are the motion, again and again; the background stays as it is.
     """
+
+    example = "runs/first --scene sample-clothed:unseen --out walk.mp4"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""

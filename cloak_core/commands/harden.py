@@ -23,11 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Harden(Command):
-    """Harden a detector against cloaks: adversarial fine-tuning without labels; writes a detector of the same format.
+    """Harden a detector against cloaks, by adversarial fine-tuning without labels.
+
+    The result is a detector of the same format.
 
     Ctrl-C, or a file named `cancel` in --out, ends it after the current step with everything in place (exit code 3);
     the same command with --resume goes on from there.
     """
+
+    example = "builtin --steps 300 --out hardened"
 
     spec: Positional[str]
     """Detector to harden: builtin, darknet:CFG:WEIGHTS, torchvision:NAME[:FILE] or ultralytics:FILE.pt."""
@@ -44,8 +48,7 @@ class Harden(Command):
     cloak: UseAppendAction[tuple[str, ...]] = ()
     """Runs or zoo:NAME to be hardened against as well, on the bodies of --scene. Judge by others."""
     assess: bool = True
-    """Then make the robustness cards of both, before and after, in --out/cards, by `cloak assess --quick`; what a
-    stopped call had of them is kept."""
+    """Leave out the robustness cards of the detector before and after, which otherwise are made in OUT/cards."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 

@@ -20,12 +20,14 @@ from cloak_core.files.errors import InputError
 
 @dataclass(kw_only=True)
 class Judge(Command):
-    """Judge photographs and videos of people with and without a cloak: detection rates with intervals, and a report.
+    """Judge photographs and videos of people with and without a cloak.
 
     DIR has with/ and without/, PERSON/SCENE/file inside as far as that is known, and where there are some, nobody/ and
     control garments; or pictures.csv, which says who is in which picture. A person whom the clean picture misses is
     never a success.
     """
+
+    example = "photographs --detector builtin"
 
     directory: Positional[Path | None] = None
     """Folder with with/ and without/ in it, or with pictures.csv."""

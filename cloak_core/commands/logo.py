@@ -36,6 +36,8 @@ def show_logo(result: dict) -> None:
 class Select(Command):
     """Take faces by named region or by box into a face list (.npy)."""
 
+    example = "--scene sample --region chest+thighs --out chest.npy"
+
     scene: str
     """Scene folder, .npz, or sample."""
     out: Path
@@ -77,6 +79,8 @@ def parse_box(text: str) -> tuple[float, ...]:
 class Project(Command):
     """Stamp a text or a picture on the chest and take the faces it covers."""
 
+    example = "--scene sample --text G --out letter.npy"
+
     scene: str
     """Scene folder, .npz, or sample."""
     out: Path
@@ -109,7 +113,9 @@ class Project(Command):
 
 @dataclass(kw_only=True)
 class Heatmap(Command):
-    """Measure how much each face moves a detector's person score: where a logo pays."""
+    """Measure how much each face moves a detector's person score."""
+
+    example = "--scene sample:train --detector builtin --pick 0.2 --out heat.npy"
 
     scene: str
     """Scene folder, .npz, or sample[:train]."""
@@ -161,7 +167,9 @@ class Heatmap(Command):
 
 @dataclass(kw_only=True)
 class Transfer(Command):
-    """Carry a logo, and a run's trained colours, onto a body of another topology."""
+    """Carry a logo and trained colours onto a body of another topology."""
+
+    example = "--from sample --to scene --logo chest.npy --colors runs/first --out carried.npy"
 
     source: Annotated[str, tyro.conf.arg(name="from")]
     """Scene that the logo belongs to: scene folder, .npz, or sample."""

@@ -24,7 +24,9 @@ MAX_LINE = 1 << 16
 
 @dataclass(kw_only=True)
 class Look(Command):
-    """Render a body from where a camera stands, cloaked and in own clothing, and say where detectors see a person."""
+    """Render a body from one camera and say where detectors see a person."""
+
+    example = "request.json --detector builtin"
 
     request: Positional[Path]
     """JSON: scene, out (a folder), and where they differ from the defaults logo, colors, pose, outfit, azimuth,

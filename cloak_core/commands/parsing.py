@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-import sys
 import types
 import typing
 
@@ -14,6 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from cloak_core.attack.settings.values import Written
 from cloak_core.commands.base import Command
+from cloak_core.commands.help import one_command
 from cloak_core.commands.usage import FOUR_DEEP, missing, usage
 from cloak_core.files.errors import InputError
 
@@ -42,24 +42,18 @@ def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
 
 def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
     """The command `cloak NAME` with these options; help is printed (SystemExit). InputError: tyro's box as one line."""
+    default = cls.default(arguments) if hasattr(cls, "default") else None
+    if {"-h", "--help", "--help-all"} & set(arguments):
+        print(one_command(cls, name, default, "--help-all" in arguments), end="")
+        raise SystemExit(0)
     said = io.StringIO()
-    told = io.TextIOWrapper(io.BytesIO(), sys.stdout.encoding, "backslashreplace")  # as what it stands for
     try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(told):
-            default = {"default": cls.default(arguments)} if hasattr(cls, "default") else {}
+        with contextlib.redirect_stderr(said):
+            given = {} if default is None else {"default": default}
             config = (tyro.conf.FlagCreatePairsOff,)
-            return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **default)
-    except SystemExit as end:
-        if end.code:
-            raise InputError(f"{name}: {_refusal(cls, name, said.getvalue())} (cloak {name} --help)") from None
-        told.seek(0)
-        print(_headed(told.read()), end="")
-        raise
-
-
-def _headed(text: str) -> str:
-    """Help with the headings that fields were given: tyro puts "options" behind each."""
-    return re.sub(r"^(╭─|\+-)? (\S.*) options (.)", r"\1 \2 \3\3\3\3\3\3\3\3\3", text, flags=re.MULTILINE)
+            return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **given)
+    except SystemExit:
+        raise InputError(f"{name}: {_refusal(cls, name, said.getvalue())} (cloak {name} --help)") from None
 
 
 def _refusal(cls: type[Command], name: str, boxed: str) -> str:

@@ -15,7 +15,12 @@ from cloak_core.files.errors import InputError
 
 @dataclass(kw_only=True)
 class Print(Command):
-    """Lay a run's logo out flat at true size: texture, textured body (GLB, OBJ) and sheets to print and cut (PDF)."""
+    """Lay a logo out flat at true size, as sheets to print and cut (PDF).
+
+    Beside the sheets: the texture, and the body with it (GLB, OBJ).
+    """
+
+    example = "runs/first --out sheets"
 
     run_folder: Positional[Path]
     """Run folder that `cloak train` wrote, or zoo:NAME."""

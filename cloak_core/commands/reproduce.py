@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Reproduce(Command):
-    """Run one of the paper's experiments, or `all` of them, and write numbers and figures."""
+    """Run one of the paper's experiments, or all of them.
+
+    Numbers and figures go to --out.
+    """
+
+    example = "table1 --quick --out runs/reproduce"
 
     name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")]
     detector: UseAppendAction[tuple[str, ...]] = ()

@@ -66,7 +66,12 @@ class Writes(Command):
 
 @dataclass(kw_only=True)
 class Import(Writes):
-    """Make a scene from posed or animated meshes of one topology (.obj, .glb, .ply, .npz; with Blender .abc, .usd)."""
+    """Make a scene from posed or animated meshes of one topology.
+
+    Files: .obj, .glb, .ply, .npz; with Blender also .abc and .usd.
+    """
+
+    example = "pose1.obj pose2.obj --out scene"
 
     files: Positional[tuple[Path, ...]]
     """One mesh file per pose, or animated files."""
@@ -77,7 +82,7 @@ class Import(Writes):
     frames: int = 0
     """Take this many moments of each animated file as poses (default: the resting pose)."""
     texture: UseAppendAction[tuple[Path, ...]] = ()
-    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own (repeatable)."""
+    """Picture on the mesh's UV map, or folder of pictures; one outfit each, instead of the file's own."""
     uv: Path | None = None
     """Take the UV map from this file (.obj of the same mesh, or .npz with vt and ft)."""
 
@@ -91,7 +96,9 @@ class Import(Writes):
 
 @dataclass(kw_only=True)
 class ImportSmpl(Writes):
-    """Make a scene from your own SMPL, SMPL+H or SMPL-X model file and a file of poses."""
+    """Make a scene from your own SMPL, SMPL+H or SMPL-X model and poses."""
+
+    example = "--model SMPL_NEUTRAL.npz --poses walk.npz --every 10 --out scene"
 
     model: Path
     """Model file, .npz or the original .pkl (read without running anything in it)."""
@@ -104,7 +111,7 @@ class ImportSmpl(Writes):
     subdivide: int = 0
     """Levels of midpoint subdivision."""
     texture: UseAppendAction[tuple[Path, ...]] = ()
-    """Picture on SMPL's UV map (SURREAL's), or folder of pictures; one outfit each (repeatable)."""
+    """Picture on SMPL's UV map (SURREAL's), or folder of pictures; one outfit each."""
     uv: Path | None = None
     """SMPL's UV map: .obj with texture coordinates, or .npz with vt and ft (default: the model file's own, if any)."""
 
@@ -118,7 +125,12 @@ class ImportSmpl(Writes):
 
 @dataclass(kw_only=True)
 class ImportAnny(Writes):
-    """Draw bodies of random adult shapes and poses from Anny (extra `anny`), on the sample bodies' mesh."""
+    """Draw bodies of random adult shapes and poses from Anny (extra `anny`).
+
+    They have the sample bodies' mesh.
+    """
+
+    example = "--count 64 --seed 1 --out scene"
 
     count: int = 64
     """How many bodies; as many as training shows images make each image's body a new one."""
@@ -141,6 +153,8 @@ class ImportAnny(Writes):
 @dataclass(kw_only=True)
 class Sample(Writes):
     """Write the embedded sample bodies as a scene."""
+
+    example = "--split train --out scene"
 
     split: Literal["all", "train", "unseen"] = "all"
     """All bodies, those for training, or those kept back for evaluation."""
@@ -166,6 +180,8 @@ def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies
 @dataclass(kw_only=True)
 class Info(Command):
     """Say what a scene holds."""
+
+    example = "sample"
 
     scene: Positional[str]
     """Scene folder, .npz, or sample[:train|unseen]."""

@@ -19,13 +19,17 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 @dataclass(kw_only=True)
 class Sweep(Command):
-    """Train every combination of a grid of settings; what is done already is skipped.
+    """Train every combination of a grid of settings.
+
+    What is done already is skipped.
 
     The grid is a TOML file: [base] has what all runs share, [grid] a list of values for each name that varies; names
     are those of `cloak train` (scene, logo, detector, backgrounds, preset and every setting). --ray shares the runs out
     among many processes or machines. Figures are of training, the mean over a run's last tenth: evaluate what looks
     good.
     """
+
+    example = "grid.toml --out sweep"
 
     grid: Positional[Path]
     """TOML file with [base] and [grid]."""

@@ -31,11 +31,17 @@ from cloak_core.files.reading import read_json, read_toml
 
 @dataclass(kw_only=True)
 class Train(Command):
-    """Train a logo's face colours until detectors no longer report the rendered person.
+    """Train a logo's face colours until detectors no longer report the person.
 
     Ctrl-C, or a file named `cancel` in the run folder, ends the run after the current step with everything in place
     (exit code 3); the same command with --resume goes on from there.
     """
+
+    example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
+    common = (
+        *("scene", "people", "images", "logo", "detector", "backgrounds", "out", "preset", "config", "resume", "init"),
+        *("steps", "batch", "max-seconds", "angles", "size", "hide", "seed", "device", "threads", "json"),
+    )
 
     scene: str | None = None
     """Bodies to train on: scene folder, .npz, or sample[:train]. May be left out where --people are given."""
@@ -49,7 +55,7 @@ class Train(Command):
     detector: UseAppendAction[tuple[str, ...]] = ()
     """What to hide from: builtin, darknet:CFG:WEIGHTS[@SIZE], python:FILE.py:FUNCTION ... (default: builtin)."""
     query_prior: UseAppendAction[tuple[str, ...]] = ()
-    """Of a search (--black-box-queries): surrogates, as in --detector, whose gradients say where to look."""
+    """With --black-box-queries: surrogates, as in --detector, whose gradients say where to look."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     made_from: str | None = None
@@ -59,7 +65,7 @@ class Train(Command):
     resume: bool = False
     """Go on with the run in --out from its last checkpoint."""
     config: Path | None = None
-    """TOML file of settings (the options below, without dashes); options given here win."""
+    """TOML file of settings (options without their dashes); options given here win."""
     tensorboard: bool = False
     """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
     preset: Preset = "best"

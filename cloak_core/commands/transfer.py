@@ -26,11 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class Transfer(Command):
-    """Train without each detector in turn and let the one left out judge: the leave-one-out matrix, rung by rung.
+    """Train without each detector in turn; the one left out judges.
+
+    The result is the leave-one-out matrix, for each ablation (--rungs).
 
     Every training is a run folder under --out and is made once: the same command goes on where it stopped, also after
     --budget-minutes (exit code 3), and several calls with one --out fill one matrix.
     """
+
+    example = "--detector onnx:a.onnx --detector onnx:b.onnx --detector onnx:c.onnx --out matrix"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Surrogates, as in cloak train; each judged detector's are all of these but itself."""

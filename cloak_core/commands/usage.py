@@ -11,23 +11,23 @@ from tyro.conf import Positional
 
 from cloak_core.commands.base import Command
 
-_WORDS = {Path: "PATH", str: "TEXT", int: "N", float: "X"}
+WORDS = {Path: "PATH", str: "TEXT", int: "N", float: "X"}
 FOUR_DEEP = re.compile(r"^[│| ] {5}(\S.*?)\s*[│|]?\s*$", re.MULTILINE)
 """In tyro's box, whose frame may be blanks: names; their explanations stand deeper."""
-_MARK = typing.get_args(Positional[int])[-1]
+POSITIONAL = typing.get_args(Positional[int])[-1]
+"""How tyro marks an option that stands without a name."""
 
 
 def usage(cls: type[Command], name: str) -> str:
     """One line: the command, what it must be given, and that there are options."""
     parts = [f"cloak {name}"]
     options = []
-    for field, kind, positional in _fields(cls):
-        needed = _needed(field)
-        if positional:
-            word = field.name.upper() + " ..." * _is_many(kind)
-            parts.append(word if needed else f"[{word}]")
-        elif needed:
-            options.append(f"{_flag(cls, field)} {_WORDS.get(kind, 'VALUE')}")
+    for field, kind, extras in _own(cls):
+        if POSITIONAL in extras:
+            word = field.name.upper() + " ..." * (typing.get_origin(kind) in (tuple, list))
+            parts.append(word if is_needed(field) else f"[{word}]")
+        elif is_needed(field):
+            options.append(f"{flag_name(field, extras)} {WORDS.get(kind, 'VALUE')}")
     return " ".join([*parts, *options, "[OPTIONS]"])
 
 
@@ -35,35 +35,34 @@ def missing(cls: type[Command], boxed: str) -> list[str]:
     """The names of what tyro says is missing."""
     found = FOUR_DEEP.findall(boxed.partition("Missing from")[2].partition("Unrecognized")[0])
     flags = [line.split()[0] for line in found if line.startswith("--")]
-    positional = [f.name.upper() for f, _, positional in _fields(cls) if positional and _needed(f)]
+    positional = [f.name.upper() for f, _, extras in _own(cls) if POSITIONAL in extras and is_needed(f)]
     words = [line for line in found if not line.startswith(("--", "cloak "))]
     return positional[: len(words)] + flags
 
 
-def _fields(cls: type[Command]) -> list[tuple[dataclasses.Field, object, bool]]:
-    """Of each option of a command's own: its field, its type, whether it stands without a name."""
+def annotations_of(cls: type) -> list[tuple[dataclasses.Field, object, list]]:
+    """Of each field: itself, its type, and what tyro is told about it."""
     hints = typing.get_type_hints(cls, include_extras=True)
     told = []
     for field in dataclasses.fields(cls):
-        kind, *extras = typing.get_args(hints[field.name]) if _annotated(hints[field.name]) else (hints[field.name],)
-        if not dataclasses.is_dataclass(kind):  # a group of options, all of which have defaults
-            told.append((field, kind, _MARK in extras))
+        hint = hints[field.name]
+        annotated = typing.get_origin(hint) is typing.Annotated
+        kind, *extras = typing.get_args(hint) if annotated else (hint,)
+        told.append((field, kind, extras))
     return told
 
 
-def _annotated(hint: object) -> bool:
-    return typing.get_origin(hint) is typing.Annotated
-
-
-def _needed(field: dataclasses.Field) -> bool:
+def is_needed(field: dataclasses.Field) -> bool:
+    """Whether the option has no default."""
     return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
-def _is_many(kind: object) -> bool:
-    return typing.get_origin(kind) in (tuple, list)
-
-
-def _flag(cls: type[Command], field: dataclasses.Field) -> str:
-    extras = typing.get_args(typing.get_type_hints(cls, include_extras=True)[field.name])[1:]
+def flag_name(field: dataclasses.Field, extras: list) -> str:
+    """How the option is typed."""
     named = next((extra.name for extra in extras if getattr(extra, "name", None)), field.name)
     return f"--{named.replace('_', '-')}"
+
+
+def _own(cls: type[Command]) -> list[tuple[dataclasses.Field, object, list]]:
+    """As `annotations_of`, without the groups of options, which all have defaults."""
+    return [told for told in annotations_of(cls) if not dataclasses.is_dataclass(told[1])]

@@ -20,10 +20,12 @@ from cloak_core.files.errors import InputError
 
 @dataclass(kw_only=True)
 class Wear(Command):
-    """Dress the people in photographs in trained colours or in any picture, and say which detectors still find them.
+    """Dress the people in photographs in trained colours, and judge them.
 
     Photographs show real people: measure, publish no faces, identify nobody.
     """
+
+    example = "zoo:builtin-sample --people people.json --detector builtin --out worn"
 
     colors: Positional[tuple[str, ...]]
     """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres), FILE.png@patch=0.3

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class List(Command):
-    """List the zoo: zoo:NAME stands for a run folder wherever one is taken (evaluate, print, --init, --colors)."""
+    """List the zoo: trained colours that come with Cloak.
+
+    zoo:NAME stands for a run folder wherever one is taken (evaluate, print, --init, --colors).
+    """
 
     def run(self) -> dict:
         from cloak_core.zoo.entry import success, success_on_people
@@ -50,6 +53,8 @@ class List(Command):
 @dataclass(kw_only=True)
 class Show(Command):
     """Show an entry's record: where its colours come from, and what they are worth."""
+
+    example = "builtin-sample"
 
     name: Positional[str]
     """Name of the entry."""
@@ -80,9 +85,13 @@ class Show(Command):
 
 @dataclass(kw_only=True)
 class Reproduce(Command):
-    """Judge entries again as their records say: the new figures beside the recorded ones. What does not ship
-    (detectors, scenes, photographs) is looked for where you say; entries whose files are not there are left out, and
-    named."""
+    """Judge entries again as their records say.
+
+    The new figures stand beside the recorded ones. What does not ship (detectors, scenes, photographs) is looked for
+    where you say; entries whose files are not there are left out, and named.
+    """
+
+    example = "builtin-sample"
 
     names: Positional[tuple[str, ...]] = ()
     """Entries (default: all)."""
@@ -143,7 +152,12 @@ class Reproduce(Command):
 
 @dataclass(kw_only=True)
 class Export(Command):
-    """Write an entry as a run folder (colors.npy, logo.npy, config.json), or as one .glb of a body that wears it."""
+    """Write an entry as a run folder, or as a .glb of a body that wears it.
+
+    A run folder has colors.npy, logo.npy and config.json.
+    """
+
+    example = "builtin-sample --format glb --out cloak.glb"
 
     name: Positional[str]
     """Name of the entry."""
@@ -190,7 +204,9 @@ class Export(Command):
 
 @dataclass(kw_only=True)
 class Add(Command):
-    """Make an entry of a finished run and its evaluation (for those who ship Cloak)."""
+    """Make an entry of a finished run and its evaluation."""
+
+    example = "runs/first --name first --about 'Chest'"
 
     run_folder: Positional[Path]
     """Run folder with its evaluation."""

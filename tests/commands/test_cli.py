@@ -2,13 +2,16 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+import tyro
 
 from cloak_core import cli
+from cloak_core.commands.parsing import REGISTRY
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 
@@ -103,12 +106,43 @@ def test_every_command_has_help_and_json(name, capsys):
     assert end.value.code == 0
     text = capsys.readouterr().out
     assert "--json" in text and (cli.load(name).__doc__ or "").strip().splitlines()[0][:30] in text
+    assert not re.search(r"\(default[^)]*\)\.? \(default", " ".join(text.split()))
+
+
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_the_example_in_the_help_is_a_command(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        cli.parse(name, ["--help"])
+    example = re.search(r"Example:\n((?:.*\\\n)*.*)\n", capsys.readouterr().out)[1]
+    assert cli.find(shlex.split(example.replace("\\\n", " "))[1:])[0] == name
+    assert cli.parse(*cli.find(shlex.split(example.replace("\\\n", " "))[1:]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
+def test_help_shows_the_options_that_are_taken(name, capsys):
+    """Those of tyro, which reads them."""
+    flags = {flag.split()[0] for flags in help_of(name, capsys).values() for flag in flags}
+    cls = cli.load(name)
+    default = {"default": cls.default([])} if hasattr(cls, "default") else {}
+    config = (tyro.conf.FlagCreatePairsOff,)
+    parser = tyro.extras.get_parser(cls, config=config, registry=REGISTRY, add_help=False, **default)
+    assert flags == {action.option_strings[-1] for action in parser._actions if action.option_strings}
+
+
+def test_help_of_training_is_short(capsys):
+    with pytest.raises(SystemExit):
+        cli.parse("train", ["--help"])
+    text = capsys.readouterr().out
+    assert sum(line.startswith("  --") for line in text.splitlines()) == 21 and "--help-all" in text
 
 
 def test_help_names_every_command():
     done = cloak("--help")
     assert done.returncode == 0
     assert all(f"cloak {name}" in done.stdout for name in cli.COMMANDS)
+    assert all(f"\n{group}:\n" in done.stdout for group in cli.GROUPS)
 
 
 @pytest.mark.slow
@@ -122,18 +156,17 @@ def test_help_is_quick_because_torch_is_not_imported():
 def flags_of(text: str) -> dict[str, list[str]]:
     """The options that a help shows, by the heading they stand under."""
     found: dict[str, list[str]] = {}
-    for line in text.splitlines():  # boxes have lines where the stream can show them
-        inner = line.strip("│╭╮─ ")
-        if inner.startswith("--") and inner.strip("-"):
-            found[next(reversed(found))].append(inner.split("  ")[0])
-        elif re.match(r"(╭─)? \w", line):
-            found[inner] = []
-    return found
+    for line in text.splitlines():
+        if line.startswith("  --"):
+            found[next(reversed(found))].append(line.strip().split("  ")[0])
+        elif heading := re.match(r"(\w[\w ]*):( |$)", line):
+            found[heading[1]] = []
+    return {heading: flags for heading, flags in found.items() if flags}
 
 
 def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
     with pytest.raises(SystemExit):
-        cli.parse(name, ["--help"])
+        cli.parse(name, ["--help-all"])
     return flags_of(capsys.readouterr().out)
 
 
@@ -141,25 +174,25 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     shown = help_of("train", capsys)
     parts = [
-        "the run",
-        "views",
-        "augmentation",
-        "photographs of people",
-        "loss",
-        "colours and pattern",
-        "surrogates",
-        "optimiser",
-        "black box",
+        "The run",
+        "Views",
+        "Augmentation",
+        "Photographs of people",
+        "Loss",
+        "Colours and pattern",
+        "Surrogates",
+        "Optimiser",
+        "Black box",
     ]
-    assert list(shown) == ["options", "detectors", *parts, "computing"]
-    assert "--preset {paper,reference,best,transfer,photographs}" in shown["options"]
-    assert {"--outfits {random,first}", "--samples {None,1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["views"])
-    assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["loss"])
-    assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["optimiser"])
-    assert {"--translation-per {image,batch}", "--jpeg {None}|LOW:HIGH"} <= set(shown["augmentation"])
+    assert list(shown) == ["Options", "Detectors", *parts, "Computing"]
+    assert "--preset {paper,reference,best,transfer,photographs}" in shown["Options"]
+    assert {"--outfits {random,first}", "--samples {1,4,16,64}", "--distance LOW:HIGH"} <= set(shown["Views"])
+    assert {"--loss {score,objectness,log,margin}", "--ensemble {mean,max,weighted,adaptive}"} <= set(shown["Loss"])
+    assert {"--optimizer {sgd,adam,mi}", "--schedule {constant,step,cosine}"} <= set(shown["Optimiser"])
+    assert {"--translation-per {image,batch}", "--jpeg LOW:HIGH"} <= set(shown["Augmentation"])
     shown = help_of("evaluate", capsys)
-    assert list(shown) == ["positional arguments", "options", "detectors", "evaluation", "computing"]
-    assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce", capsys)["experiments"]
+    assert list(shown) == ["Options", "Detectors", "Evaluation", "Computing"]
+    assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce", capsys)["Experiments"]
 
 
 @pytest.mark.parametrize(

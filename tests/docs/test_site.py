@@ -11,6 +11,7 @@ import pytest
 
 import cloak_core
 from cloak_core.cli import COMMANDS
+from cloak_core.commands.help import summary
 
 ROOT = Path(__file__).parents[2]
 FETCHED = re.compile(r"<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
@@ -82,7 +83,4 @@ def test_pages_are_laid_out_with_care(monkeypatch: pytest.MonkeyPatch) -> None:
     build = importlib.import_module("build_docs")
     page = "93 % `5 %`\n\n    code 5 %\n\n```sh\nx 4 %\n```\n4 ms, 3 mss\n"
     assert build.unbroken(page) == page.replace("93 %", "93\u00a0%").replace("4 ms,", "4\u00a0ms,")
-    assert (
-        build.first_sentence("Read .npz files, and\n    more. Not this.\n\n    Nor this.")
-        == "Read .npz files, and more."
-    )
+    assert summary("Read .npz files, and\n    more. Not this.\n\n    Nor this.") == "Read .npz files, and more."
