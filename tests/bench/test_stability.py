@@ -55,6 +55,16 @@ def test_hostile_scenes_keep_their_coverage(make: object, count: int) -> None:
     assert wrong == 0 and ("0 of" in remark) == (make is not hostile_cases.specks)
 
 
+def test_a_row_of_pixels_takes_bounded_time() -> None:
+    def thread(rng: np.random.Generator, count: int) -> hostile_cases.Triangles:
+        """Needles across two rows of pixels."""
+        x, y, depth = hostile_cases.needles(rng, count)
+        return x, 100 + y % 2, depth
+
+    wrong, remark = hostile_cases.check(thread, 2000)
+    assert wrong == 0 and 100 < int(remark.split()[2]) < 832
+
+
 def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:
     twin = stability_checks.TwinLight.__call__
     off = lambda self, *where: tuple(value + 2e-4 for value in twin(self, *where))

@@ -20,6 +20,9 @@ from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
 
 MOST_PAIRS = 1 << 20
 """Pairs of triangle and pixel at most in one band, or those of a single row."""
+ROW_CUTS, PIXEL_CUTS = 1 << 19, 64
+"""Tests of a convex part against a triangle that a row of pixels may take, and those that each pixel may take in any
+case. Rows, unlike bands, are the same however many threads share a view."""
 
 
 def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
@@ -61,10 +64,11 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
     begin [pixels + 1]: where each pixel's pieces begin. Pixels in which nothing overlaps stay as they are. Returns how
     many pixels had to be sampled.
     """
-    most, sampled = 64, 0
+    most, sampled, cuts = 64, 0, 0
     work, packed, sums = make_workspace(most), np.empty((SIDE, SIDE), np.int64), np.empty((most, 3))
     for place in range(len(begin) - 1):
         start, count = begin[place], begin[place + 1] - begin[place]
+        cuts = cuts if place % width else 0
         if count < 2:
             continue
         total = 0.0
@@ -79,7 +83,9 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
         for i in range(count):
             work.chosen[i] = owner[start + i]
         left = drop_behind_sheet(mesh, at, owner, share, start, count, work)
-        if cut_hidden(mesh, at, left, work):
+        used, exact = cut_hidden(mesh, at, left, work, max(ROW_CUTS - cuts, PIXEL_CUTS))
+        cuts += used
+        if exact:
             _write_back(share, start, left, work.visible)
         else:
             sampled += 1

@@ -21,8 +21,6 @@ DEPTH_STEPS = 2.0**42
 """Steps of inverse depth that are told apart."""
 MOST_PIECES = 4096
 """Pieces of a pixel that are resolved exactly at most: each is compared with each."""
-MOST_CUTS = 1 << 18
-"""Tests of a convex part against a triangle in one pixel at most."""
 _PARTS = 2
 """The first polygon of the pool that is a part of a piece; those before it are workspace."""
 _NOTHING = 1e-15
@@ -30,14 +28,14 @@ _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 
 
 @inner
-def cut_hidden(mesh, at, found, work):
+def cut_hidden(mesh, at, found, work, most):
     """Measure the visible part of each of a pixel's pieces: area and moments to `visible`, area -1 for all of it.
 
-    at: column, row and size (as a shift) of the pixel. Returns False where that takes more pieces, cuts or memory than
-    allowed; `visible` is unfinished then.
+    at: column, row and size (as a shift) of the pixel. Returns how many tests of a convex part against a triangle it
+    took, and False where that is more than `most`, or too many pieces or parts; `visible` is unfinished then.
     """
     if found > MOST_PIECES:
-        return False
+        return 0, False
     pieces, visible, pool, cuts = work.pieces, work.visible, work.pool, 0
     for i in range(found):
         work.fields[i] = _describe(mesh, work.chosen[i], at, pieces, i)
@@ -54,8 +52,8 @@ def cut_hidden(mesh, at, found, work):
                 end = _PARTS + _polygon(pool, _PARTS, pieces, i)
             cuts += end - _PARTS
             end, fits = _take_away(pool, pieces, i, q, depth, end)
-            if not fits or cuts > MOST_CUTS:
-                return False
+            if not fits or cuts > most:
+                return cuts, False
             if end == _PARTS:
                 break
         visible[i, 0] = -1.0 if end == 0 else 0.0
@@ -65,7 +63,7 @@ def cut_hidden(mesh, at, found, work):
             visible[i, 0] += area
             visible[i, 1] += across
             visible[i, 2] += down
-    return True
+    return cuts, True
 
 
 @inner
