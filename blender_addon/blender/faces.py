@@ -22,6 +22,7 @@ from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from .mesh_arrays import (
     corner_counts,
+    corner_edges,
     current_mesh,
     edited,
     face_centers,
@@ -193,7 +194,7 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
 def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Masks of the vertices and edges that border the faces of a mask."""
     loop_total, loop_vertices = polygon_loops(mesh)
-    loop_edges = read(mesh.loops, "edge_index", dtype=np.int32)
+    loop_edges = corner_edges(mesh)
     corners = np.repeat(faces, loop_total)
     vertices, edges = np.zeros(len(mesh.vertices), bool), np.zeros(len(mesh.edges), bool)
     vertices[loop_vertices[corners]] = True
@@ -220,6 +221,12 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
 
 def remove_logo(obj: bpy.types.Object, name: str) -> None:
     """Take the logo off the mesh; its faces stay as they are."""
+    if obj.mode == "EDIT" and HAS_LAYERS:
+        layers = bmesh.from_edit_mesh(obj.data).faces.layers.bool
+        layers.remove(layers[name])
+        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+        edited(obj)
+        return
     with _object_mode(obj):
         obj.data.attributes.remove(obj.data.attributes[name])
 

@@ -44,6 +44,20 @@ def current_mesh(obj: bpy.types.Object) -> Iterator[bpy.types.Mesh]:
         bpy.data.meshes.remove(copy, do_unlink=False)
 
 
+@contextmanager
+def bmesh_of(obj: bpy.types.Object) -> Iterator[bmesh.types.BMesh]:
+    """The mesh that is being edited; in Object Mode a copy of the object's own."""
+    if obj.mode == "EDIT":
+        yield bmesh.from_edit_mesh(obj.data)
+        return
+    bm = bmesh.new()
+    try:
+        bm.from_mesh(obj.data)
+        yield bm
+    finally:
+        bm.free()
+
+
 def edited(obj: bpy.types.Object) -> None:
     """The mesh in Edit Mode was changed: `current_mesh` makes a new copy."""
     _open.pop(obj.session_uid, None)
@@ -100,12 +114,19 @@ def write_attribute(mesh: bpy.types.Mesh, name: str, kind: str, values: np.ndarr
 
 def polygon_loops(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     """The polygons' vertex loops: corner counts [P] int32 and vertex indices [C] int32."""
-    corners = mesh.attributes.get(".corner_vert")
-    if corners is not None and len(corners.data) == len(mesh.loops):
-        vertices = read(corners.data, "value", dtype=np.int32)  # ten times as fast as through the loops
-    else:
-        vertices = read(mesh.loops, "vertex_index", dtype=np.int32)
-    return corner_counts(mesh), vertices
+    return corner_counts(mesh), _of_corners(mesh, ".corner_vert", "vertex_index")
+
+
+def corner_edges(mesh: bpy.types.Mesh) -> np.ndarray:
+    """[C] int32: the edge from each corner to the next."""
+    return _of_corners(mesh, ".corner_edge", "edge_index")
+
+
+def _of_corners(mesh: bpy.types.Mesh, name: str, property: str) -> np.ndarray:
+    attribute = mesh.attributes.get(name)
+    if attribute is not None and len(attribute.data) == len(mesh.loops):
+        return read(attribute.data, "value", dtype=np.int32)  # ten times as fast as through the loops
+    return read(mesh.loops, property, dtype=np.int32)
 
 
 def corner_counts(mesh: bpy.types.Mesh) -> np.ndarray:

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.mesh_arrays import current_mesh, polygon_loops
+from ..blender.mesh_arrays import bmesh_of, current_mesh, polygon_loops
 from ..exchange.bodies import Bodies, topology_hash
 from ..files.errors import InputError
 
@@ -90,24 +90,17 @@ def subdivide(
     also logos) carry over; each face keeps the index it came from in the attribute `cloak_original_face`.
     """
     mesh = obj.data
-    editing = obj.mode == "EDIT"
-    bm = bmesh.from_edit_mesh(mesh) if editing else bmesh.new()
-    if not editing:
-        bm.from_mesh(mesh)
-    try:
+    with bmesh_of(obj) as bm:
         before = len(bm.faces)
         _remember_faces(bm)
         show(0.05)
         _split(bm, keep_quads=not triangulate, show=show)
         after = len(bm.faces)
-        if editing:
+        if obj.mode == "EDIT":
             bmesh.update_edit_mesh(mesh, destructive=True)
         else:
             bm.to_mesh(mesh)
             mesh.update()
-    finally:
-        if not editing:
-            bm.free()
     return before, after
 
 

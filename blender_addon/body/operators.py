@@ -16,7 +16,6 @@ from ..properties import settings_of
 from ..trainer.command_lines import SAMPLES, sample_command
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import chosen_python, user_folder
-from ..ui.cursor import progress_cursor
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 from .garments import faces_over, wearable
 from .objects import subdivide
@@ -39,8 +38,7 @@ keys, weights, materials, UVs and logos are kept"""
         return self.execute(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        with progress_cursor(context) as show:
-            before, after = subdivide(obj, self.triangulate, show)
+        before, after = subdivide(obj, self.triangulate, self.show)
         return f"'{obj.name}': {before:,} faces became {after:,}"
 
 
@@ -113,8 +111,8 @@ class CLOAK_OT_logo_onto(BodyOperator):
             raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
         names = logo_names(obj.data)
         logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
-        with progress_cursor(context):
-            mask = faces_over(context, obj, worn, logo)
+        self.show(0.3)
+        mask = faces_over(context, obj, worn, logo)
         if not mask.any():
             raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
         write_faces(worn, logo, mask)

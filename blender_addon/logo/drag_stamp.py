@@ -56,6 +56,7 @@ class CLOAK_OT_stamp_drag(BodyOperator):
     # --- from numbers ---
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
         self._prepare(context, obj)
         return self._write()
 

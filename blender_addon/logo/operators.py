@@ -119,6 +119,7 @@ class CLOAK_OT_logo_mirror(BodyOperator):
     extend: BoolProperty(name="Extend", description="Keep the faces of this side as well", default=True)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
         name = active_logo(obj)
         with current_mesh(obj):
             mask = faces.require_logo(obj, name)
@@ -185,5 +186,6 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper):
     filter_glob: StringProperty(default="*.npy;*.idx", options={"HIDDEN"})
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
         obj.cloak.logo = faces.import_face_list(obj, Path(self.filepath))
         return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"

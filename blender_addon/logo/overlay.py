@@ -21,6 +21,7 @@ from ..blender import colors, faces
 from ..blender.faces import LogoStats
 from ..blender.mesh_arrays import (
     corner_counts,
+    corner_edges,
     current_mesh,
     face_triangles,
     hidden_faces,
@@ -163,7 +164,7 @@ def tint_triangles(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> n
 def outline_edges(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """[2 n, 3] float32: ends of the edges around the logo in the object's space, lifted off the surface."""
     mesh, mask = _shown_mesh(obj, mask)
-    edges = read(mesh.loops, "edge_index", dtype=np.int32)[np.repeat(mask, corner_counts(mesh))]
+    edges = corner_edges(mesh)[np.repeat(mask, corner_counts(mesh))]
     around = np.flatnonzero(np.bincount(edges, minlength=len(mesh.edges)) == 1)
     ends = read(mesh.edges, "vertices", 2, np.int32)[around].ravel()
     corners, normals = read(mesh.vertices, "co", 3)[ends], read(mesh.vertex_normals, "vector", 3)[ends]

@@ -45,6 +45,7 @@ touches; with X-Ray on, also those behind, all through the body"""
     # --- from a list of places ---
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
         surface = read_surface(context, obj)
         painted = [self._dab(obj, surface, Vector(dab.location), dab.size) for dab in self.stroke]
         return self._write(obj, surface, np.unique(np.concatenate([np.zeros(0, np.int64), *painted])))

@@ -42,6 +42,7 @@ class PickOperator(BodyOperator):
         raise NotImplementedError
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
         with current_mesh(obj):
             mask, name = self.pick(obj)
             regions.require_faces(obj, mask, f"'{name}'")

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.mesh_arrays import current_mesh, face_count, polygon_loops, read
+from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, face_count, polygon_loops, read
 from ..body.objects import ORIGINAL_FACE
 from ..files.errors import InputError
 
@@ -29,13 +29,12 @@ def of_material(obj: bpy.types.Object, slot: int) -> np.ndarray:
 
 def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
     """Faces whose corners all weigh at least a half in a vertex group."""
+    with bmesh_of(obj) as bm:  # five times as fast as from the mesh
+        layer = bm.verts.layers.deform.active
+        weights = (vertex[layer].get(group, 0.0) if layer else 0.0 for vertex in bm.verts)
+        member = np.fromiter(weights, np.float32, len(bm.verts)) >= MEMBER
     with current_mesh(obj) as mesh:
         counts, loops = polygon_loops(mesh)
-        member = np.zeros(len(mesh.vertices), bool)
-        for index, vertex in enumerate(mesh.vertices):
-            for entry in vertex.groups:
-                if entry.group == group:
-                    member[index] = entry.weight >= MEMBER
     return np.minimum.reduceat(member[loops], np.cumsum(counts) - counts)
 
 
@@ -76,7 +75,7 @@ def seam_islands(obj: bpy.types.Object) -> np.ndarray:
     """[F] for each face the lowest face of its island: faces that share an edge which is no seam are in one."""
     with current_mesh(obj) as mesh:
         counts, _ = polygon_loops(mesh)
-        edge = read(mesh.loops, "edge_index", dtype=np.int32)
+        edge = corner_edges(mesh)
         inner = ~read(mesh.edges, "use_seam", dtype=bool)[edge]
     edge, face = edge[inner], np.repeat(np.arange(len(counts)), counts)[inner]
     order = np.argsort(edge, kind="stable")

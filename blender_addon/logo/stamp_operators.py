@@ -13,7 +13,6 @@ from ..blender import faces
 from ..body.objects import require_upright
 from ..files.errors import InputError
 from ..properties import settings_of
-from ..ui.cursor import progress_cursor
 from ..ui.operator import BodyOperator
 from . import stamp
 from .operators import active_logo
@@ -40,9 +39,8 @@ class CLOAK_OT_logo_stamp(BodyOperator):
         else:
             placed = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
             projection = stamp.front_projection(obj, *placed, aspect)
-        with progress_cursor(context) as show:
-            show(0.3)  # a body with subdivision takes seconds
-            mask = stamp.covered_faces(context, obj, ink, projection)
+        self.show(0.3)  # a body with subdivision takes seconds
+        mask = stamp.covered_faces(context, obj, ink, projection)
         if self.target == "ADD":
             name = active_logo(obj)
             faces.add_faces(obj, name, mask)
@@ -76,16 +74,15 @@ class CLOAK_OT_stamp_paper(BodyOperator):
         ink, name = ink_of(settings)
         areas = faces.face_areas(obj)
         low, high, share = 0.02, 1.0, 0.0
-        with progress_cursor(context) as show:
-            for step in range(HALVINGS):
-                settings.stamp_size = (low + high) / 2
-                projection = stamp.front_projection(
-                    obj, settings.stamp_size, settings.stamp_center, 0.0, ink.shape[1] / ink.shape[0]
-                )
-                mask = stamp.covered_faces(context, obj, ink, projection)
-                share = float(areas[mask].sum() / areas.sum())
-                low, high = (settings.stamp_size, high) if share < PAPER_SHARE else (low, settings.stamp_size)
-                show((step + 1) / HALVINGS)
+        for step in range(HALVINGS):
+            settings.stamp_size = (low + high) / 2
+            projection = stamp.front_projection(
+                obj, settings.stamp_size, settings.stamp_center, 0.0, ink.shape[1] / ink.shape[0]
+            )
+            mask = stamp.covered_faces(context, obj, ink, projection)
+            share = float(areas[mask].sum() / areas.sum())
+            low, high = (settings.stamp_size, high) if share < PAPER_SHARE else (low, settings.stamp_size)
+            self.show((step + 1) / HALVINGS)
         obj.cloak.logo = faces.new_logo(obj, name, mask)
         return f"Logo '{obj.cloak.logo}': {int(mask.sum()):,} faces, {share:.1%} of the area"
 

@@ -7,7 +7,6 @@ import bpy
 from bpy.props import IntProperty
 
 from ..blender import colors
-from ..ui.cursor import progress_cursor
 from ..ui.operator import BodyOperator
 from . import bake
 
@@ -28,9 +27,9 @@ or one with too little room, Cloak makes one of its own"""
         return "Train, or load colours, first"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        with progress_cursor(context):
-            done = bake.bake(obj, self.size)
-            material = bake.baked_material(done.image, done.uv_map)
+        self.show(0.3)
+        done = bake.bake(obj, self.size)
+        material = bake.baked_material(done.image, done.uv_map)
         faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
         made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
         return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"

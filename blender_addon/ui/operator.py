@@ -8,6 +8,7 @@ import bpy
 from ..body.objects import active_body
 from ..files.errors import InputError
 from ..translations import said
+from .cursor import progress_cursor
 
 PLAIN = {"REGISTER"}
 WITH_UNDO = {"REGISTER", "UNDO"}
@@ -49,7 +50,10 @@ class CloakOperator(bpy.types.Operator):
 
 
 class BodyOperator(CloakOperator):
-    """Base of operators that change the active body: `change` does the work and returns what to say."""
+    """Base of operators that change the active body: `change` does the work and returns what to say.
+
+    What may take longer calls `self.show(fraction)`, 0 to 1: the mouse pointer counts up.
+    """
 
     bl_options = WITH_UNDO
 
@@ -65,7 +69,8 @@ class BodyOperator(CloakOperator):
         raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> str:
-        return self.change(context, active_body(context))
+        with progress_cursor(context) as self.show:
+            return self.change(context, active_body(context))
 
 
 def push_undo(message: str) -> None:

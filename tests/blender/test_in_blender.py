@@ -14,7 +14,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
-FILES = sorted(path.name for path in INSIDE.glob("test_*.py"))
+LONG = {"test_real_detectors.py"}
+"""With real files of CLOAK_SHARED: minutes."""
+FILES = [
+    pytest.param(name, marks=[pytest.mark.long, pytest.mark.usefixtures("shared")] if name in LONG else [])
+    for name in sorted(path.name for path in INSIDE.glob("test_*.py"))
+]
 RUN_PYTEST = "import os, pytest, sys; code = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(code)"
 """The bpy package may wait for ever at a regular exit."""
 _PROBE = "import importlib.util as u, sys; sys.exit(not all(u.find_spec(m) for m in ('bpy', 'pytest')))"
@@ -58,6 +63,7 @@ def test_add_on(python: str, file: str, extension: Path, tmp_path: Path) -> None
         "CLOAK_EXTENSION": str(extension),
         "CLOAK_TRAINER": sys.executable,
         "CLOAK_ROOT": str(ROOT),
+        "CLOAK_SHARED": os.environ.get("CLOAK_SHARED", str(ROOT.parent / "shared")),
         "BLENDER_USER_RESOURCES": str(tmp_path / "blender"),
         "OMP_NUM_THREADS": "1",
         "LC_ALL": "C.UTF-8",

@@ -108,3 +108,11 @@ def add_camera(place: tuple, target: tuple = (0, 0, 0.9)) -> bpy.types.Object:
     bpy.context.scene.camera = camera
     bpy.context.view_layer.update()
     return camera
+
+
+def stroke(*dabs: tuple[tuple[float, float, float], float]) -> list[dict]:
+    """A brush's dabs, places and radii, as the painting operator takes them."""
+    keys = {"name": "", "mouse": (0, 0), "mouse_event": (0, 0), "pressure": 1, "x_tilt": 0, "y_tilt": 0, "time": 0}
+    if "pen_flip" in bpy.types.OperatorStrokeElement.bl_rna.properties:  # Blender 4.3 asks for it
+        keys["pen_flip"] = False
+    return [keys | {"location": place, "size": radius, "is_start": not i} for i, (place, radius) in enumerate(dabs)]

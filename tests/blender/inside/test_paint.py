@@ -6,18 +6,11 @@ import pytest
 from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
 from cloak.blender import faces
 from cloak.blender.surface import read_surface
-from made import add_ngons, centers, make_egg, make_fine_egg, set_mode
+from made import add_ngons, centers, make_egg, make_fine_egg, set_mode, stroke
 from mathutils import Matrix, Vector
 
 FRONT = (0.1, -0.24, 0.95)
 """A place on the egg's front, on one side."""
-
-
-def stroke(*dabs: tuple[tuple[float, float, float], float]) -> list[dict]:
-    keys = {"name": "", "mouse": (0, 0), "mouse_event": (0, 0), "pressure": 1, "x_tilt": 0, "y_tilt": 0, "time": 0}
-    if "pen_flip" in bpy.types.OperatorStrokeElement.bl_rna.properties:  # Blender 4.3 asks for it
-        keys["pen_flip"] = False
-    return [keys | {"location": place, "size": radius, "is_start": not i} for i, (place, radius) in enumerate(dabs)]
 
 
 def painted(obj, name: str = "Logo") -> np.ndarray:

@@ -61,7 +61,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     from cloak.logo import overlay
     from cloak.logo.placing import Placed, Placement
     from cloak.logo.stamp import text_stamp
-    from made import select_only, set_mode
+    from made import select_only, set_mode, stroke
 
     print(obj.name, file=sys.stderr, flush=True)
     bpy.context.view_layer.objects.active = obj
@@ -90,6 +90,27 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     def exported() -> None:
         bpy.ops.cloak.logo_export(filepath=str(folder / f"{next(numbers)}.npy"))
 
+    def imported() -> None:
+        bpy.ops.cloak.logo_import(filepath=str(max(folder.glob("*.npy"))))
+
+    def picked(kind: str, **choice: str) -> Callable:
+        return lambda: getattr(bpy.ops.cloak, f"logo_from_{kind}")(add=True, **choice)
+
+    def painted() -> None:
+        place = kept["surface"].hits(np.array([0.05, -9, 1]), np.array([0, 1, 0]))[0]
+        dabs = stroke(*((place + [0.005 * i, 0, 0], 0.05) for i in range(20)))
+        bpy.ops.cloak.logo_paint(stroke=dabs)
+
+    def dropped() -> None:
+        bpy.ops.cloak.stamp_drag(place=(0, -0.25, 1), direction=(0, 1, 0), height=0.5, add=True)
+
+    set_mode("OBJECT")
+    obj.data.materials.append(bpy.data.materials.new("skin"))
+    obj.data.attributes.new(".sculpt_face_set", "INT", "FACE")
+    group = obj.vertex_groups.new(name="all")
+    group.add(range(len(obj.data.vertices)), 1.0, "REPLACE")
+    select_only(obj, range(count // 3, count // 2))
+
     actions = {
         "stamp": stamped,
         "brush: begin": lambda: kept.update(surface=read_surface(bpy.context, obj)),
@@ -101,8 +122,20 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
         "assign": bpy.ops.cloak.logo_assign,
         "select": bpy.ops.cloak.logo_select,
         "grow": bpy.ops.cloak.logo_grow,
+        "shrink": bpy.ops.cloak.logo_shrink,
         "mirror": bpy.ops.cloak.logo_mirror,
+        "remove": bpy.ops.cloak.logo_unassign,
+        "paint: 20 dabs": painted,
+        "drag: drop": dropped,
+        "from material": picked("material", slot="0"),
+        "from vertex group": picked("group", group=str(group.index)),
+        "from face set": picked("face_set", face_set="0 .sculpt_face_set"),
+        "from island": picked("island"),
         "export": exported,
+        "new": bpy.ops.cloak.logo_new,
+        "import": imported,
+        "delete": bpy.ops.cloak.logo_remove,
+        "paper's letter": bpy.ops.cloak.stamp_paper,
     }
     figures = {}
     for name, action in actions.items():
