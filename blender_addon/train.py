@@ -32,7 +32,7 @@ if not __package__:
     _spec.loader.exec_module(sys.modules[_spec.name])
     __package__ = _spec.name
 
-from . import cycles_frames, properties
+from . import properties
 from .blender.faces import import_face_list, logo_names
 from .body.objects import add_from_scene, require_body, subdivide
 from .exchange.scenes import read_scene
@@ -263,8 +263,6 @@ def run_as_script(arguments: list[str]) -> int:
             properties.register()
         if arguments[:1] == ["render-check"]:
             render_check.run_plan(Path(arguments[1]))
-        elif arguments[:1] == ["cycles-frames"]:
-            cycles_frames.render_frames(Path(arguments[1]))
         else:
             main(arguments)
     except InputError as error:

@@ -1,6 +1,6 @@
 """The images of an evaluation, rendered by Blender's Cycles instead of our own renderer.
 
-Blender runs in a process of its own (`blender_addon/cycles_frames.py`); what passes between the two is a folder of
+Blender runs in a process of its own (`tools/cycles_frames.py`); what passes between the two is a folder of
 arrays and PNG files. One frame is a body, a camera, a colouring and a light; putting it before backgrounds is done
 here, as for our own images: in display colours, image = body * alpha + background * (1 - alpha).
 """
@@ -28,12 +28,12 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.render.normals import NormalOperator
 from cloak_core.render.types import BakedView
-from cloak_core.scene.blender.executable import ADD_ON, bpy_version, find_bpy
+from cloak_core.scene.blender.executable import ROOT, bpy_version, find_bpy
 from cloak_core.scene.pictures import read_picture
 
-SCRIPT = "cycles_frames.py"
+SCRIPT = ROOT / "tools" / "cycles_frames.py"
 LIGHTS = ("matching", "studio", "sky")
-"""Light set-ups of `blender_addon/cycles_frames.py`: our model's own, and two natural ones."""
+"""Light set-ups of `tools/cycles_frames.py`: our model's own, and two natural ones."""
 SAMPLES = 32
 """Light paths per pixel, without denoising."""
 OnFrame = Callable[[str], None]
@@ -46,7 +46,7 @@ class NoBlender(InputError):
 
 def require_blender() -> str:
     """A Python with Blender; NoBlender says in one line how to come by one."""
-    python = find_bpy() if (ADD_ON / SCRIPT).exists() else None
+    python = find_bpy() if SCRIPT.exists() else None
     if python is None:
         raise NoBlender(
             "Cycles: needs Blender's Python package (bpy): run tools/setup_blender.sh (CPython 3.11), "
@@ -101,7 +101,7 @@ def render_frames(
     bodies = renderer.bodies
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
     mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
-    content = [sha256_arrays(*mesh.values()), job, source_hash(ADD_ON / SCRIPT), bpy_version(python)]
+    content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
     folder = out / sha256_record(content)[:16]
     folder.mkdir(parents=True, exist_ok=True)
     if all((folder / frame["file"]).exists() for frame in job["frames"]):
@@ -115,7 +115,7 @@ def render_frames(
 def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
     log = folder / "blender.log"
-    command = [python, str(ADD_ON / "train.py"), "--", "cycles-frames", str(folder)]
+    command = [python, str(SCRIPT), str(folder)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with open_to_append(log) as said:
         process = subprocess.Popen(command, env=environment, **pipes)

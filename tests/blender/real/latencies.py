@@ -98,7 +98,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
 
     def painted() -> None:
         place = kept["surface"].hits(np.array([0.05, -9, 1]), np.array([0, 1, 0]))[0]
-        dabs = stroke(*((place + [0.005 * i, 0, 0], 0.05) for i in range(20)))
+        dabs = stroke(*((place + np.array([0.005 * i, 0, 0]), 0.05) for i in range(20)))
         bpy.ops.cloak.logo_paint(stroke=dabs)
 
     def dropped() -> None:

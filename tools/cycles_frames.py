@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render many bodies, cameras and lights in Cycles, for the experiment `render-gap`, in a process of its own.
 
-    python blender_addon/train.py -- cycles-frames FOLDER      (a Python with the bpy package)
+    python tools/cycles_frames.py FOLDER      (a Python with the bpy package)
 
 FOLDER holds `meshes.npz` (vertices and normals [P, V, 3], y up; triangles [T, 3]; colors [K, T, 3], sRGB) and
 `job.json` (size, samples, near and far planes, and frames: pose, colors, light, camera, file). Every frame becomes an
@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,9 +22,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from .blender.colors import nodes_of, srgb_to_linear
-from .body.objects import blender_axes
-from .result.render_check import set_up
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from blender_addon.blender.colors import nodes_of, srgb_to_linear
+from blender_addon.body.objects import blender_axes
+from blender_addon.result.render_check import set_up
 
 COLORS = "colors"
 
@@ -205,3 +207,9 @@ def render_frames(folder: Path) -> None:
         bpy.ops.render.render(write_still=True)
         os.replace(partial, folder / frame["file"])
         print(f"frame {number} of {len(order)}: {frame['file']}", flush=True)
+
+
+if __name__ == "__main__":
+    render_frames(Path(sys.argv[1]))
+    sys.stdout.flush()
+    os._exit(0)  # the bpy package may wait for ever at a regular exit
