@@ -1,5 +1,7 @@
 """A run judged on photographs: contract C6's object, and whether training saw them."""
 
+import json
+
 import pytest
 
 from cloak_core.library import evaluate, train
@@ -18,6 +20,7 @@ def test_a_run_on_photographs_is_trained_and_judged(tmp_path):
     unseen = evaluate(tmp_path / "run", people=f"{path}[1::2]", detectors=judge, size=128, bare=2)
     assert set(unseen["detectors"]["red"]) == {"logo", "clothing", "grey", "random", "resampled"}
     assert unseen["people"] == 2 and unseen["unseen"] == {"photographs": True}
-    assert (tmp_path / "run" / "evaluation-people" / "wear.json").exists()
+    written = json.loads((tmp_path / "run" / "evaluation-people" / "wear.json").read_text("utf-8"))
+    assert written["unseen"] == {"photographs": True} and written["white_box"] == unseen["white_box"]
     seen = evaluate(tmp_path / "run", people=load_people(path), detectors=judge, out=tmp_path / "all", size=128, bare=2)
     assert seen["unseen"] == {"photographs": False} and seen["people"] == 4

@@ -62,6 +62,8 @@ def test_a_red_cloth_hides_and_controls_do_not(people, red, tmp_path):
     }
     low, high = told["grey"]["ci95"]
     assert low == 0.0 and high > 0.3
+    seen_from = told["red@tile=0.5"]["seen_from"]
+    assert sum(side["n"] for side in seen_from.values()) == 3 and seen_from["front"]["success_own"] == 1.0
     assert result["people"] == 3 and set(result["false_alarms"]) == {"body"}
     validate("wear", (out / "wear.json").read_text())
     assert json.loads((out / "wear.json").read_text())["detectors"]["body"]["grey"]["n"] == 3

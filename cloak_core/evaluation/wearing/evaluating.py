@@ -37,8 +37,10 @@ def evaluate_on_people(
     if out.exists():
         raise InputError(f"{out}: exists already (--out names another folder)")
     clothes = replace(read_clothes(str(run)), name=LOGO)
-    result = wear_and_judge([clothes], people, detectors, backgrounds, out, settings, on_progress)
     trained = (config.get("people") or {}).get("photographs", [])
     known = {record["spec"] for record in config["detectors"]}
-    result["unseen"] = {"photographs": not np.isin(people.photographs, trained).any()}
-    return result | {"white_box": {spec: spec in known for spec in detectors}}
+    more = {
+        "unseen": {"photographs": not np.isin(people.photographs, trained).any()},
+        "white_box": {spec: spec in known for spec in detectors},
+    }
+    return wear_and_judge([clothes], people, detectors, backgrounds, out, settings, on_progress, more)

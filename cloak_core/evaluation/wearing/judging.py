@@ -25,6 +25,8 @@ from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import framing_of, photograph_view, shares_of
 from cloak_core.render.types import BakedView
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.photographs.posing import seen_from
+from cloak_core.scene.photographs.rig import body_rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +84,14 @@ class PeopleRenderer:
     ) -> None:
         self.fits, self.settings, self._backgrounds, self._device = fits, settings, backgrounds, device
         self.clothes = {one.name: one for one in (*clothes, OwnPhotograph(), *controls())}
-        photographs = [fit.person.photograph for fit in fits]
-        self.trials = pd.DataFrame({"pose": np.arange(len(fits)), "photograph": photographs})
+        people, rig = [fit.person for fit in fits], body_rig()
+        self.trials = pd.DataFrame(
+            {
+                "pose": np.arange(len(fits)),
+                "photograph": [person.photograph for person in people],
+                "seen_from": [seen_from(person.landmarks, rig) for person in people],
+            }
+        )
 
     @property
     def body_names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.results import NOBODY, Results
-from cloak_core.evaluation.statistics import false_alarms, finite, success_record
+from cloak_core.evaluation.statistics import false_alarms, finite, operating_point, share, success_record
 from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, read_clothes
 from cloak_core.evaluation.wearing.judging import judge_people
 from cloak_core.evaluation.wearing.pictures import Album
@@ -22,6 +22,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.render.photographs.fits import fit_people
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.cameras import Number
 from cloak_core.scene.photographs.people import People
 
 
@@ -33,12 +34,13 @@ def wear_and_judge(
     out: Path | None = None,
     settings: WearSettings | None = None,
     on_progress: OnProgress | None = None,
+    more: Mapping[str, object] | None = None,
 ) -> dict:
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person) and wear.json; nothing is left of
-    it where this fails.
+    it where this fails. more: what the result says besides.
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
@@ -50,11 +52,11 @@ def wear_and_judge(
     if not detectors:
         raise InputError("--detector: none given")
     if out is None:
-        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None)
+        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | (more or {})
     if out.exists():
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
+        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder) | (more or {})
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
 
@@ -75,10 +77,12 @@ def _judged(
     if album is not None:
         album.write_sheet()
         write_text(folder / "scores.csv", _table(results, people))
-    record = lambda spec, name: success_record(results, results.rows(spec, name), settings.threshold)
     alarms = {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors}
     return {
-        "detectors": {spec: {name: record(spec, name) for name in results.controls} for spec in detectors},
+        "detectors": {
+            spec: {name: _record(results, spec, name, settings.threshold) for name in results.controls}
+            for spec in detectors
+        },
         "people": len(people),
         "photographs": len(people.photographs),
         "left_out": people.left_out,
@@ -88,13 +92,26 @@ def _judged(
     }
 
 
+def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
+    """S of contract C8, and the shares of people seen from the front, from the side and from behind."""
+    rows = results.rows(spec, name)
+    sides = {side: rows[(rows["seen_from"] == side).to_numpy()] for side in ("front", "side", "back")}
+    point = operating_point(rows)
+    told = {
+        side: {"n": len(seen), "success": finite(share(seen, threshold)), "success_own": finite(share(seen, point))}
+        for side, seen in sides.items()
+        if len(seen)
+    }
+    return success_record(results, rows, threshold) | {"seen_from": told}
+
+
 def _table(results: Results, people: People) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("detector", "clothes", "photograph", "person", "score", "other", "other_name"))
+    rows.writerow(("detector", "clothes", "photograph", "person", "seen_from", "score", "other", "other_name"))
     shown = results.images[(results.images["control"] != NOBODY).to_numpy()]
     for row in shown.itertuples():
         other = ("", "") if np.isnan(row.other) else (f"{row.other:.4f}", row.other_name)
         number = people.people[row.pose].number
-        rows.writerow((row.detector, row.control, row.photograph, number, f"{row.score:.4f}", *other))
+        rows.writerow((row.detector, row.control, row.photograph, number, row.seen_from, f"{row.score:.4f}", *other))
     return text.getvalue()

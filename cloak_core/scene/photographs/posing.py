@@ -98,6 +98,13 @@ def pose_to(landmarks: Landmarks, rig: Rig, widths: Mapping[str, float] | None =
     return Posed(transforms, scale)
 
 
+def seen_from(landmarks: Landmarks, rig: Rig) -> str:
+    """From where a photograph sees a person: "front", "side" or "back" of her chest, to within 45 degrees."""
+    chest = pose_to(landmarks, rig).transforms[SEGMENTS.index("chest")]
+    away = abs(np.degrees(np.arctan2(chest[0, 2], chest[2, 2])))
+    return "front" if away <= 45 else "back" if away >= 135 else "side"
+
+
 def _stretch(axis: np.ndarray, along: Number, across: Number) -> Float[np.ndarray, "3 3"]:
     outer = np.outer(axis, axis)
     return across * (np.eye(3) - outer) + along * outer
