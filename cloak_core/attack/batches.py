@@ -81,18 +81,23 @@ class Batcher:
         self,
         settings: TrainSettings,
         sampler: Sampler,
-        bank: ViewCache,
+        view_cache: ViewCache,
         logo_faces: np.ndarray,
         backgrounds: Backgrounds,
         device: torch.device,
         people: PeopleViews | None = None,
     ) -> None:
         self.people = people
-        self.views, self.augmentation, self.sampler, self.bank = settings.views, settings.augmentation, sampler, bank
+        self.views, self.augmentation, self.sampler, self.view_cache = (
+            settings.views,
+            settings.augmentation,
+            sampler,
+            view_cache,
+        )
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
         self._fresh = is_fresh(settings.views)
-        self._centres = face_centres(bank.bodies)[logo_faces] if self.augmentation.cutout else None
+        self._centres = face_centres(view_cache.bodies)[logo_faces] if self.augmentation.cutout else None
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """The images of `step`, or one process's share of them."""
@@ -108,7 +113,7 @@ class Batcher:
             pose, camera, outfit, person, seed = one
             if person >= 0:
                 return self.people.view(person, seed)
-            return self.bank.bake(pose, camera, self.logo_faces, outfit)
+            return self.view_cache.bake(pose, camera, self.logo_faces, outfit)
 
         views = spread(bake, list(wanted), workers(self.device) if self._fresh else 1)
         changes = is_photometric(settings)
@@ -292,12 +297,14 @@ def _on(device: torch.device, values: np.ndarray) -> Tensor:
     return torch.from_numpy(values).float().to(device, non_blocking=True)
 
 
-def require_visible_logo(bank: ViewCache, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings) -> None:
+def require_visible_logo(
+    view_cache: ViewCache, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings
+) -> None:
     """InputError when no training view (any pose at any training angle) shows any part of the logo."""
     for azimuth in settings.angles.centers:
         camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
         for pose in range(pose_count):
-            if len(bank.bake(pose, camera, logo_faces).logo_rows):
+            if len(view_cache.bake(pose, camera, logo_faces).logo_rows):
                 return
     raise InputError(
         f"the logo: none of its {len(logo_faces)} faces is seen from the training angles {settings.angles}"

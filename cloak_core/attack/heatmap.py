@@ -40,14 +40,14 @@ def heatmap(
     if not detector.differentiable:
         raise InputError(f"--detector {detector.spec}: gives no gradients, so no heat map")
     device = torch.device(device)
-    bank = ViewCache(bodies, RenderSettings(device=device))
+    view_cache = ViewCache(bodies, RenderSettings(device=device))
     faces = np.arange(bodies.face_count)
     total = torch.zeros(bodies.face_count, device=device)
     per_view = min(backgrounds_per_view, len(backgrounds))
     views = [(pose, float(azimuth)) for pose in range(bodies.pose_count) for azimuth in angles]
     for done, (pose, azimuth) in enumerate(views):
         outfit = done % bodies.outfit_count
-        view = bank.bake(pose, Camera(azimuth=azimuth, width=size, height=size), faces, outfit)
+        view = view_cache.bake(pose, Camera(azimuth=azimuth, width=size, height=size), faces, outfit)
         worn = torch.tensor(bodies.face_colors[outfit], device=device)
         for first in range(0, per_view, IMAGES):
             count = done * per_view + first

@@ -138,7 +138,7 @@ def _train(
     drawn = search_settings(settings, len(detectors)) if is_search else settings
     batcher = make_batcher(drawn, trained, logo, device)
     if not material.people or settings.photographs.people_share < 1:
-        require_visible_logo(batcher.bank, logo.face_ids, trained.bodies.pose_count, settings.views)
+        require_visible_logo(batcher.view_cache, logo.face_ids, trained.bodies.pose_count, settings.views)
     given = (world.size, palette, held, start, profile, surrogates, material.people)
     garment, seen = None if near is None else near.garment, material.backgrounds
     config = run_config(settings, bodies, logo, detectors, seen, inputs or {}, *given, near=garment)
@@ -235,5 +235,5 @@ def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, de
         bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds), len(material.people))
     people = PeopleViews(material.people, logo, settings.photographs, settings.views.size) if material.people else None
-    bank = make_view_cache(bodies, settings.views, device)
-    return Batcher(settings, sampler, bank, logo.face_ids, backgrounds, device, people)
+    view_cache = make_view_cache(bodies, settings.views, device)
+    return Batcher(settings, sampler, view_cache, logo.face_ids, backgrounds, device, people)

@@ -105,7 +105,7 @@ class Pool:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
         self.given, self.photographs, self.teacher = tuple(given), photographs, teacher or detector
         self.device = torch.device(detector.device)
-        self.bank = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
+        self.view_cache = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
         self.centres = face_centres(bodies)
         self.cloaks: dict[int, Cloak] = {}
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
@@ -194,7 +194,7 @@ class Pool:
         """A body's coverage of the picture, from anywhere."""
         size, distance = self.settings.size, DISTANCES[rng.integers(len(DISTANCES))]
         camera = Camera(azimuth=float(30 * rng.integers(12)), distance=distance, width=size, height=size)
-        view = self.bank.view(int(rng.integers(self.bodies.pose_count)), camera)
+        view = self.view_cache.view(int(rng.integers(self.bodies.pose_count)), camera)
         covered = torch.zeros(size * size, device=view.coverage.device)
         covered[view.pixels] = view.coverage
         return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()
@@ -240,7 +240,7 @@ class Pool:
         return Cloak(
             generation,
             logo,
-            Batcher(settings, sampler, self.bank, logo.face_ids, self.backgrounds, self.device),
+            Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device),
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
             self._flat(logo),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.tables import Rows
+from cloak_core.experiments.tables import Rows
 
 ADAPTIVE = "adaptive"
 

@@ -9,8 +9,8 @@ from PIL import Image
 
 from cloak_core.evaluation.controls import LOGO
 from cloak_core.evaluation.report.page import data_uri, write_page
-from cloak_core.evaluation.report.tables import markdown, readable
 from cloak_core.experiments.runner import experiments, finished
+from cloak_core.experiments.tables import markdown, readable
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders

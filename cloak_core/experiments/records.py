@@ -8,9 +8,9 @@ from pathlib import Path
 
 from cloak_core import __version__
 from cloak_core.attack.run_config import environment
-from cloak_core.evaluation.report.tables import Rows
 from cloak_core.evaluation.store import RunStore
 from cloak_core.experiments.declaration import Numbers
+from cloak_core.experiments.tables import Rows
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json, write_text

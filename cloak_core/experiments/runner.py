@@ -10,15 +10,15 @@ from pathlib import Path
 
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.report.charts import Thresholds
 from cloak_core.evaluation.report.style import save_figure, style
-from cloak_core.evaluation.report.tables import Rows
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained, training_times
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
 from cloak_core.experiments.options import names
 from cloak_core.experiments.records import read_numbers, write_numbers
+from cloak_core.experiments.tables import Rows
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text

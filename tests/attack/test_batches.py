@@ -56,9 +56,9 @@ def test_wrinkles_give_each_pose_several_folds_and_are_off_by_default():
     bodies = box_bodies(poses=2)
     material, logo = TrainingData(bodies, noise_backgrounds()), front_logo(bodies)
     batcher = lambda **changes: make_batcher(tiny_settings(**changes), material, logo, CPU)
-    assert batcher().bank.bodies is bodies
+    assert batcher().view_cache.bodies is bodies
     folded = batcher(wrinkles=0.02, wrinkle_draws=3)
-    assert folded.sampler.pose_count == folded.bank.bodies.pose_count == 6
-    assert folded.bank.bodies.topology == bodies.topology
+    assert folded.sampler.pose_count == folded.view_cache.bodies.pose_count == 6
+    assert folded.view_cache.bodies.topology == bodies.topology
     again = batcher(wrinkles=0.02, wrinkle_draws=3, seed=1)
-    assert not np.array_equal(folded.bank.bodies.vertices, again.bank.bodies.vertices)
+    assert not np.array_equal(folded.view_cache.bodies.vertices, again.view_cache.bodies.vertices)

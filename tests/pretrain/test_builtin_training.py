@@ -83,10 +83,10 @@ def test_the_committed_weights_find_unseen_people_and_no_others():
     detector, bodies = load_detector("builtin"), sample_bodies("unseen")
     places = load_backgrounds("procedural:test:24").batch(range(24))
     assert WEIGHTS.stat().st_size < 6 << 20
-    bank = ViewCache(bodies, RenderSettings(samples=4))
+    view_cache = ViewCache(bodies, RenderSettings(samples=4))
     logo = np.flatnonzero(bodies.regions["chest"])
     grey = torch.full((len(logo), 3), 0.5)
-    views = [bank.bake(i % bodies.pose_count, Camera(azimuth=10.0 * (i % 3 - 1)), logo, i % 3) for i in range(24)]
+    views = [view_cache.bake(i % bodies.pose_count, Camera(azimuth=10.0 * (i % 3 - 1)), logo, i % 3) for i in range(24)]
     images = compose(views, grey, places)
     boxes = true_boxes(views).float()
     with torch.no_grad():

@@ -8,7 +8,7 @@ from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
 from tools.pretrain.examples import Example, ExampleMaker, augment
 from tools.pretrain.outfits import Wardrobe
-from tools.pretrain.people import FRAME, bank_views
+from tools.pretrain.people import FRAME, render_people
 from tools.pretrain.scenery import Scenery
 
 SIZE = 96
@@ -21,11 +21,11 @@ def bodies():
 
 @pytest.fixture(scope="module")
 def maker(bodies):
-    views = bank_views(bodies, 8, np.random.default_rng(0))
+    views = render_people(bodies, 8, np.random.default_rng(0))
     return ExampleMaker(views, Wardrobe(bodies), Scenery(load_backgrounds("procedural:train:3")), SIZE)
 
 
-def test_a_banked_view_is_the_renderers_view(bodies, maker):
+def test_a_cropped_view_is_the_renderers_view(bodies, maker):
     """Dressed in one of the scene's own outfits, coverage is at most 1 and colours stay below it."""
     for view in maker.views:
         patch = view.dress(torch.from_numpy(bodies.face_colors[0]))

@@ -28,9 +28,9 @@ def lit(request, shared) -> tuple[str, ViewCache]:
 
 
 def test_face_ids_and_depth(lit, golden) -> None:
-    bank = lit[1]
+    view_cache = lit[1]
     key = [(0, CAMERA)]
-    visibility = bank.visibility(key, bank.screen(key))
+    visibility = view_cache.visibility(key, view_cache.screen(key))
     ids = visibility.triangles()[0, :, :, 0].numpy()
     same = ids == golden["face_id"]
     assert same.mean() >= 0.9999
@@ -42,8 +42,8 @@ def test_face_ids_and_depth(lit, golden) -> None:
 
 def test_image_before_clamping_and_gradient(lit, golden) -> None:
     """All faces at once, straight from the view's matrix, on white."""
-    name, bank = lit
-    bodies, view = bank.bodies, bank.view(0, CAMERA)
+    name, view_cache = lit
+    bodies, view = view_cache.bodies, view_cache.view(0, CAMERA)
     image = np.ones((416 * 416, 3), np.float32)
     row = np.repeat(np.arange(len(view.pixels)), view.crow.diff().numpy())
     weight = view.weight.numpy()[:, None]
@@ -63,10 +63,10 @@ def test_image_before_clamping_and_gradient(lit, golden) -> None:
 
 def test_composed_image_and_its_gradient(lit, golden) -> None:
     """The same through `compose`, all faces being the logo."""
-    name, bank = lit
-    faces = np.arange(bank.bodies.face_count)
-    colors = torch.from_numpy(bank.bodies.face_colors[0].copy()).requires_grad_()
-    image = compose([bank.bake(0, CAMERA, faces)], colors, torch.ones(1, 3, 416, 416))
+    name, view_cache = lit
+    faces = np.arange(view_cache.bodies.face_count)
+    colors = torch.from_numpy(view_cache.bodies.face_colors[0].copy()).requires_grad_()
+    image = compose([view_cache.bake(0, CAMERA, faces)], colors, torch.ones(1, 3, 416, 416))
     expected = torch.from_numpy(golden[f"image_light_{name}"]).permute(2, 0, 1)
     assert (image[0] - expected.clamp(0, 1)).abs().max() < 2e-4
     image.backward(torch.from_numpy(golden["grad_out"]).permute(2, 0, 1).unsqueeze(0))

@@ -28,7 +28,7 @@ from cloak_core.scene.people.samples import sample_bodies
 from tools.pretrain.calibration import Calibration, apply_calibration, calibrate
 from tools.pretrain.examples import Batch, ExampleMaker
 from tools.pretrain.outfits import Wardrobe
-from tools.pretrain.people import bank_views
+from tools.pretrain.people import render_people
 from tools.pretrain.region_loss import region_loss
 from tools.pretrain.scenery import PHOTO_SIDE, Scenery
 
@@ -130,7 +130,7 @@ def make_data(
         photos = photos.subset([i for i in range(len(photos)) if i % HELD_BACK != HELD_BACK - 1])
     bodies = sample_bodies("train")
     rng = np.random.default_rng([settings.seed, 1])
-    views = bank_views(
+    views = render_people(
         bodies, settings.views, rng, lambda n: on_event({"type": "views", "done": n}) if n % 100 == 0 else None
     )
     wardrobe = Wardrobe(bodies)

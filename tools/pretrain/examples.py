@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from tools.pretrain.outfits import Wardrobe
-from tools.pretrain.people import IMAGE, BankedView
+from tools.pretrain.people import IMAGE, CroppedView
 from tools.pretrain.scenery import Scenery
 
 MAX_PEOPLE = 4
@@ -42,9 +42,9 @@ class Example(NamedTuple):
 
 
 class ExampleMaker:
-    """Composes examples of one size from banked views, outfits and scenery."""
+    """Composes examples of one size from cropped views, outfits and scenery."""
 
-    def __init__(self, views: list[BankedView], wardrobe: Wardrobe, scenery: Scenery, size: int) -> None:
+    def __init__(self, views: list[CroppedView], wardrobe: Wardrobe, scenery: Scenery, size: int) -> None:
         self.views, self.wardrobe, self.scenery, self.size = views, wardrobe, scenery, size
 
     def batch(self, rng: Rng, count: int, hard: list[Tensor] | None = None) -> Batch:
@@ -78,7 +78,7 @@ class ExampleMaker:
             ignored[i] = seen and IGNORED <= share < WANTED
         return empty
 
-    def _paste(self, rng: Rng, image: Tensor, view: BankedView, plain: bool) -> tuple[Float[Tensor, "S S"], float]:
+    def _paste(self, rng: Rng, image: Tensor, view: CroppedView, plain: bool) -> tuple[Float[Tensor, "S S"], float]:
         """Paint one person; returns its coverage of the image, and its whole coverage were the image endless."""
         patch = view.dress(torch.from_numpy(np.ascontiguousarray(self.wardrobe.draw(rng))))
         scale, stretch = self.size / IMAGE, 1.0

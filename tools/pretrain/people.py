@@ -1,4 +1,4 @@
-"""Rendered people for training: banked views, sparse maps from face colours to pixels, dressed anew at every use."""
+"""Rendered people for training: cropped views, sparse maps from face colours to pixels, dressed anew at every use."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class BankedView:
+class CroppedView:
     """One person, cropped to its h x w box; `origin` (x, y) is that box's corner from the image's middle, in pixels of
     a 416-pixel image, and `distance` the camera's, in metres."""
 
@@ -66,32 +66,32 @@ def random_light(rng: Rng) -> Light:
     return Light(ambient, 0.9 - ambient, rng.uniform(0, 0.3), rng.uniform(8, 64), position)
 
 
-def bank_views(
+def render_people(
     bodies: Bodies, count: int, rng: Rng, on_view: Callable[[int], None] = lambda done: None
-) -> list[BankedView]:
+) -> list[CroppedView]:
     """`count` views of the poses in turn: two thirds under the default light, the rest under random ones."""
     lights = [Light()] * 8 + [random_light(rng) for _ in range(4)]
-    bank = ViewCache(bodies, RenderSettings(samples=4))
-    banks = [copy.copy(bank) for _ in lights]  # one geometry under many lights
-    for lit, light in zip(banks, lights, strict=True):
+    view_cache = ViewCache(bodies, RenderSettings(samples=4))
+    view_caches = [copy.copy(view_cache) for _ in lights]  # one geometry under many lights
+    for lit, light in zip(view_caches, lights, strict=True):
         lit.settings = RenderSettings(samples=4, light=light)
     views = []
     for i in range(count):
         camera = random_camera(rng)
-        (view,) = banks[rng.integers(len(banks))].build([(i % bodies.pose_count, camera)])
+        (view,) = view_caches[rng.integers(len(view_caches))].build([(i % bodies.pose_count, camera)])
         views.append(_cropped(view, camera.distance, bodies.face_count))
         on_view(i + 1)
     return views
 
 
-def _cropped(view: View, distance: float, face_count: int) -> BankedView:
+def _cropped(view: View, distance: float, face_count: int) -> CroppedView:
     rows, columns = view.pixels // view.width, view.pixels % view.width
     top, left = int(rows.min()), int(columns.min())
     height, width = int(rows.max()) - top + 1, int(columns.max()) - left + 1
     weights = torch.sparse_csr_tensor(
         view.crow.int(), view.face.int(), view.weight, (len(view.pixels), face_count), check_invariants=False
     )
-    return BankedView(
+    return CroppedView(
         height,
         width,
         (left - view.width // 2, top - view.height // 2),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Matrix
 from cloak_core.evaluation.store import RunStore
+from cloak_core.experiments.charts import Matrix
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
 
 

@@ -86,7 +86,7 @@ class Fitter:
         light = shading(person.image, person.mask, height)
         return self._drawn(posed, person, light, _landmark_error(posed, self.rig, landmarks, height))
 
-    def _bank(self, posed: Posed, size: tuple[int, int], samples: int | None) -> tuple[ViewCache, Camera]:
+    def _view_cache(self, posed: Posed, size: tuple[int, int], samples: int | None) -> tuple[ViewCache, Camera]:
         height, width = size
         vertices, distance = posed.vertices(self.rig), FAR * height
         centre = np.array([width / 2, -height / 2])
@@ -98,8 +98,8 @@ class Fitter:
 
     def _faces(self, posed: Posed, person: Person) -> Int64[np.ndarray, "h w"]:
         """The face at each pixel's centre; -1 where there is none."""
-        bank, camera = self._bank(posed, person.mask.shape, 1)
-        view = bank.view(0, camera)
+        view_cache, camera = self._view_cache(posed, person.mask.shape, 1)
+        view = view_cache.view(0, camera)
         faces = np.full(person.mask.size, -1)
         faces[view.pixels.numpy()] = view.face.numpy()[view.crow.numpy()[:-1]]
         return faces.reshape(person.mask.shape)
@@ -124,8 +124,8 @@ class Fitter:
 
     def _drawn(self, posed: Posed, person: Person, light: np.ndarray, quality: dict[str, float]) -> Fit:
         """Rasterized by area, cut to the mask, and drawn out to where the mask reaches."""
-        bank, camera = self._bank(posed, person.mask.shape, None)
-        view = bank.view(0, camera)
+        view_cache, camera = self._view_cache(posed, person.mask.shape, None)
+        view = view_cache.view(0, camera)
         pixels, coverage = view.pixels.numpy(), view.coverage.numpy()
         crow, triangle, share = view.crow.numpy(), view.face.numpy(), view.weight.numpy().astype(np.float64)
         row = np.full(person.mask.size, -1)

@@ -96,9 +96,9 @@ def shown_skin(tight: bool) -> np.ndarray:
     bodies = clothed_bodies("unseen", tight)
     skin = bodies.regions["body"].copy()
     skin[select_region(bodies, "head+hands+feet+forearms")] = False
-    bank, shares = ViewCache(bodies, RenderSettings(samples=1)), []
+    view_cache, shares = ViewCache(bodies, RenderSettings(samples=1)), []
     for pose in range(0, bodies.pose_count, 7):
-        for view in bank.views(
+        for view in view_cache.views(
             [(pose, Camera(azimuth=azimuth, width=160, height=160)) for azimuth in range(0, 360, 90)]
         ):
             seen = np.bincount(view.face.numpy(), view.weight.numpy(), bodies.face_count)

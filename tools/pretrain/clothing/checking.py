@@ -37,12 +37,12 @@ def hidden_seen(
 def _faces_seen(vertices: np.ndarray, quads: Integer[np.ndarray, "F 4"]) -> tuple[list[np.ndarray], list[float]]:
     """In each view: how much of every face is seen, pixels under the light; and how long the view took, seconds."""
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    bank = ViewCache(Bodies(vertices, triangles, np.repeat(np.arange(len(quads)), 2)), RenderSettings(samples=4))
+    view_cache = ViewCache(Bodies(vertices, triangles, np.repeat(np.arange(len(quads)), 2)), RenderSettings(samples=4))
     seen, took = [], []
     for pose in range(len(vertices)):
         for camera in CAMERAS:
             start = time.process_time()
-            (view,) = bank.build([(pose, camera)])
+            (view,) = view_cache.build([(pose, camera)])
             took.append(time.process_time() - start)
             seen.append(np.bincount(view.face.numpy(), view.weight.numpy(), len(quads)))
     return seen, took

@@ -25,8 +25,8 @@ from cloak_core.evaluation.report.style import (
     panel_title,
     percent_axis,
 )
-from cloak_core.evaluation.report.tables import Rows, column, detector_names, group, select
 from cloak_core.evaluation.statistics import THRESHOLDS
+from cloak_core.experiments.tables import Rows, column, detector_names, group, select
 
 AXES = {
     "angle": "azimuth (degrees)",
