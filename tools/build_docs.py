@@ -18,7 +18,7 @@ import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TAKEN = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
+TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
 WIDTH = "80"
 """Columns of the commands' help: what a page shows without scrolling on a desk."""
 CODE = re.compile(r"(^```.*?^```$|^    [^\n]*$|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
@@ -61,6 +61,9 @@ def lay_out(pages: Path) -> None:
             shutil.copytree(source, pages / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
             shutil.copy(source, pages)
+    home = (pages / "docs" / "index.md").read_text("utf-8")
+    (pages / "docs" / "index.md").unlink()
+    (pages / "index.md").write_text(re.sub(r"\]\((?!https?:)", "](docs/", home), "utf-8")
     reference = pages / "docs" / "reference"
     (reference / "commands.md").write_text(commands_page(), "utf-8")
     (reference / "json.md").write_text(json_page(), "utf-8")

@@ -63,7 +63,7 @@ def publish(out: Path, folder: Path) -> Path:
     """
     records = _finished(out)
     folder.mkdir(parents=True, exist_ok=True)
-    parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../results.md).\n"]
+    parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../reports/paper.md).\n"]
     for name, record in records.items():
         plots = [file for file in record["figures"] if file.endswith(".png") and not file.startswith("pictures")]
         figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in plots]

@@ -1,7 +1,7 @@
 """Random smooth folds for bodies that wear their clothes like paint.
 
 The surface under some faces goes in and out and slides a little along itself, by sums of waves as long as folds are;
-the light follows, because normals are taken from the vertices. What it is worth: docs/wearable.md.
+the light follows, because normals are taken from the vertices. What it is worth: docs/reports/cloth.md.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.output import print_sheets
 from cloak_core.scene.people.samples import sample_bodies
-from tests.docs.blocks import PAGES, ROOT, commands, words
+from tests.docs.blocks import PAGES, REPORTS, ROOT, commands, words
 from tests.schemas import SCHEMAS, validate
 
 LOOK = {"size": "96", "samples": "1", "threads": "1"}
@@ -38,10 +38,8 @@ NOT_RUN = {
     "minutes of training at the least": lambda c: c[0] in LONG,
     "measures for minutes": lambda c: c[0] == "bench",
     "samples every pose, distance and background": lambda c: c[:2] == ["detectors", "check"] and "--scene" in c,
-    "Anny's cache takes 0.8 GB": lambda c: "import-anny" in c,
     "needs a cluster, and is in tests/jobs": lambda c: "--ray" in c,
     "renders in Cycles, and is in tests/evaluation": lambda c: "--cycles" in c,
-    "ultralytics, which is in tests/real": lambda c: any(word.startswith("ultralytics:") for word in c),
     "thousands of questions to a detector": lambda c: "--black-box-queries" in c or "REFINED" in c,
     "colours of the reader's": lambda c: "FILE.npy" in c or "zoo:NAME" in c,
     "needs photographs of a printed chart": lambda c: "--measured" in c or "PRINTED" in " ".join(c) or "AGAIN" in c,
@@ -74,7 +72,7 @@ def why_not(command: list[str]) -> str | None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize("page", PAGES + REPORTS, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_command_of_a_page_is_understood(page: Path) -> None:
     """Options that no longer exist, or lack what they need, are InputErrors."""
     for command in commands(page):
@@ -223,13 +221,13 @@ PRINTED = [
 ELSEWHERE = {"assess", "harden", "transfer", "calibrate", "look", "wear"}
 """Too long here; held against their schemas in tests/evaluation, tests/defend, tests/commands and tests/output."""
 NOT_HELD = {"demo", "reproduce", "scene import", "scene import-smpl", "scene import-anny", "zoo add"}
-"""Their schemas are read by people alone, like those of what measures (bench ...) or trains detectors."""
+"""Their schemas are read by people alone, like those of what measures (bench ...)."""
 
 
 @pytest.mark.long
 def test_what_json_prints_is_what_the_schemas_say(desk: Path, capsys: pytest.CaptureFixture) -> None:
     lines = [line.split() for line in PRINTED]
-    long_ones = {name for name in COMMANDS if name.startswith(("bench ", "detectors train"))}
+    long_ones = {name for name in COMMANDS if name.startswith("bench ")}
     assert {find(line)[0] for line in lines} | ELSEWHERE | NOT_HELD | long_ones == set(COMMANDS)
     for line in lines:
         capsys.readouterr()

@@ -112,10 +112,6 @@ def test_tables_with_an_address_are_those_of_their_record(address: dict) -> None
         assert agrees(words, ROOT / record, place), f"{words!r} is not {record} : {place}"
 
 
-def test_enough_figures_name_their_record() -> None:
-    assert sum(len(citations(page.read_text("utf-8"))) for page in PAGES) >= 40
-
-
 def test_a_stale_figure_is_found(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"rows": [{"name": "x", "share": 0.937}], "time": 2.114}')
     (tmp_path / "a.md").write_text(

@@ -39,6 +39,7 @@ def test_the_tutorial_runs_exactly_as_printed(tmp_path: Path, monkeypatch: pytes
             assert FIGURE.sub("0", printed) == FIGURE.sub("0", done.stdout.strip()), line
             compared += 1
     assert compared, "the page shows no output any more"
+    assert list((tmp_path / "mine" / "previews").glob("*.png"))
     assert (tmp_path / "mine" / "report.html").stat().st_size > 10_000
     assert (tmp_path / "cloak.glb").read_bytes()[:4] == b"glTF"
 
