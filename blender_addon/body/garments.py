@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils.kdtree import KDTree
+from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
 from ..blender.faces import logo_names, read_faces
@@ -169,9 +169,7 @@ def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.type
     places = cloth.centers + (cloth.middle - body.middle).astype(np.float32)
     margin = 0.1 * float(np.ptp(body.points, axis=0).max())
     near = np.flatnonzero(((places >= low - margin) & (places <= high + margin)).all(1))
-    tree = KDTree(len(body.centers))
-    for index, center in enumerate(body.centers.tolist()):
-        tree.insert(center, index)
-    tree.balance()
-    over = [place for place in near.tolist() if chosen[tree.find(places[place])[1]]]
+    tree = BVHTree.FromObject(obj, context.evaluated_depsgraph_get())
+    local = to_world(cloth.centers[near] + cloth.middle, np.linalg.inv(np.array(obj.matrix_world)))
+    over = [place for place, point in zip(near.tolist(), local, strict=True) if chosen[tree.find_nearest(point)[2]]]
     return cloth.own_mask(np.array(over, np.int64))

@@ -20,7 +20,7 @@ from ..files.errors import InputError
 from ..properties import settings_of
 from ..ui.operator import BodyOperator
 from .operators import active_logo
-from .placing import Placed, Placement, area_of
+from .placing import Placed, Projection, area_of, laid
 from .preview import ADDED, Preview
 from .stamp_operators import PAPER_SHARE, ink_of
 
@@ -69,15 +69,12 @@ class CLOAK_OT_stamp_drag(BodyOperator):
         ink, self._name = ink_of(settings)
         self._obj, self._placed = obj, Placed(read_surface(context, obj), ink)
 
-    def _taken(self) -> np.ndarray:
-        """The evaluated faces [n] under the ink."""
-        placement = Placement(np.array(self.place), np.array(self.direction), self.height, self.angle)
-        return self._placed.faces(placement)
+    def _projection(self) -> Projection:
+        place, direction = np.array(self.place), np.array(self.direction)
+        return laid(place, direction, self.height, self._placed.aspect, self.angle)
 
     def _write(self) -> str:
-        mask = self._placed.surface.own_mask(self._taken())
-        if not mask.any():
-            raise InputError("The stamp covers no visible face: change its size or place, or the view")
+        mask = self._placed.own_mask(self._projection())
         obj = self._obj
         with current_mesh(obj):
             if self.add:
@@ -102,7 +99,7 @@ class CLOAK_OT_stamp_drag(BodyOperator):
         self._area, self._region, self._turning = *view, None
         surface, ink = self._placed.surface, self._placed.ink
         if self.kind != "SETTINGS":
-            self.height = math.sqrt(PAPER_SHARE * area_of(surface) / (ink.mean() * ink.shape[1] / ink.shape[0]))
+            self.height = math.sqrt(PAPER_SHARE * area_of(surface) / (ink.mean() * self._placed.aspect))
         else:
             self.height = settings_of(context).stamp_size * float(np.ptp(surface.points[:, 2]))
         self.angle = 0.0
@@ -149,7 +146,7 @@ class CLOAK_OT_stamp_drag(BodyOperator):
         self._show()
 
     def _show(self) -> None:
-        self._preview.replace(self._taken())
+        self._preview.replace(self._placed.faces(self._projection()))
         self._area.tag_redraw()
 
     def _end(self, stamps: bool) -> set[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stamp somewhere on a body: which faces it takes there, quickly enough to follow the mouse.
+"""A stamp on a body: which faces it takes from the front, from a view, or wherever the mouse drags it.
 
 Only the faces under the stamp and in its box are looked at, out of the arrays that were read once.
 """
@@ -8,32 +8,75 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import bpy
 import numpy as np
+from mathutils import Matrix
 
+from ..blender.mesh_arrays import to_world
 from ..blender.occlusion import seen
 from ..blender.surface import Surface
+from ..files.errors import InputError
 from .stamp import under_ink
 
 
 @dataclass(frozen=True)
-class Placement:
-    """Where and how a stamp lies: its middle [3], the way into the body [3], its height, its turn in radians."""
+class Projection:
+    """How points in world space become stamp coordinates: x and y inside +-1, and a nearness to the viewer."""
 
-    place: np.ndarray
+    to_plane: np.ndarray
+    """[4, 4]: x, y and w; x and y are divided by w."""
     direction: np.ndarray
-    height: float
-    angle: float = 0.0
+    """[3] into the scene."""
+    eye: np.ndarray | None = None
+    """[3] where rays come from; None for a parallel projection along `direction`."""
 
-    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Right, up and towards the viewer, [3] each, of length one."""
-        toward = -self.direction / np.linalg.norm(self.direction)
-        level = np.cross([0, 0, 1], toward)
-        if np.linalg.norm(level) < 1e-6:  # from straight above or below
-            level = np.array([1.0, 0, 0])
-        right = level / np.linalg.norm(level)
-        up = np.cross(toward, right)
-        cos, sin = np.cos(self.angle), np.sin(self.angle)
-        return cos * right + sin * up, cos * up - sin * right, toward
+    def toward(self, points: np.ndarray) -> np.ndarray:
+        """[3] or [n, 3]: from points [n, 3] to the viewer."""
+        return -self.direction if self.eye is None else self.eye - points
+
+    def of(self, points: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points [n, 3] around `middle` as x, y and nearness [n, 3]; mask of those before the eye."""
+        rows = self.to_plane
+        if self.eye is None:  # w is 1 everywhere, and nearness a coordinate like the others
+            rows = np.stack([rows[0], rows[1], [*-self.direction, 0.0]])
+            return points @ rows[:, :3].T + (rows[:, :3] @ middle + rows[:, 3]), np.ones(len(points), bool)
+        plane = points @ rows[[0, 1, 3], :3].T + (rows[:, :3] @ middle + rows[:, 3])[[0, 1, 3]]
+        ahead = plane[:, 2] > 1e-9
+        plane[:, 2] = 1 / np.where(ahead, plane[:, 2], 1)  # linear in the image
+        plane[:, :2] *= plane[:, 2:]
+        return plane, ahead
+
+
+def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float, angle: float = 0.0) -> Projection:
+    """A stamp with its middle at a place [3], so high, turned so many radians, stamped along a direction [3]."""
+    into = direction / np.linalg.norm(direction)
+    level = np.cross([0, 0, 1], -into)
+    if np.linalg.norm(level) < 1e-6:  # from straight above or below
+        level = np.array([1.0, 0, 0])
+    across = level / np.linalg.norm(level)
+    above, cos, sin = np.cross(-into, across), np.cos(angle), np.sin(angle)
+    matrix = np.eye(4)
+    matrix[0, :3] = (cos * across + sin * above) / (height * aspect / 2)
+    matrix[1, :3] = (cos * above - sin * across) / (height / 2)
+    matrix[:2, 3] = -matrix[:2, :3] @ place
+    return Projection(matrix, into)
+
+
+def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
+    """Straight onto the front. `size` (stamp height), `center` and `offset` are shares of the body's height."""
+    corners = to_world(np.array(obj.bound_box), np.array(obj.matrix_world))
+    low, high = corners.min(0), corners.max(0)
+    tall = max(float(high[2] - low[2]), 1e-9)
+    place = np.array([(low[0] + high[0]) / 2 + offset * tall, low[1], low[2] + center * tall])
+    return laid(place, np.array([0.0, 1.0, 0.0]), size * tall, aspect)
+
+
+def view_projection(region: bpy.types.Region, view: bpy.types.RegionView3D, size: float, aspect: float) -> Projection:
+    """From the viewport, the stamp in its middle; `size` is a share of the viewport's height."""
+    inverse = view.view_matrix.inverted()
+    scale = Matrix.Diagonal((region.width / region.height / (size * aspect), 1 / size, 1, 1))
+    eye = np.array(inverse.translation) if view.is_perspective else None
+    return Projection(np.array(scale @ view.perspective_matrix), -np.array(inverse.to_3x3().col[2]), eye)
 
 
 class Placed:
@@ -41,44 +84,47 @@ class Placed:
 
     def __init__(self, surface: Surface, ink: np.ndarray) -> None:
         self.surface, self.ink = surface, ink
+        self.aspect = ink.shape[1] / ink.shape[0]
         self._visible = np.zeros(len(surface.centers), np.int8)
-        """1 where a face is known to be seen from `_direction`, -1 where it is known to be hidden, 0 else."""
-        self._direction = np.zeros(3)
+        """1 where a face is known to be seen from `_from`, -1 where it is known to be hidden, 0 else."""
+        self._from: tuple = ()
 
-    def faces(self, placement: Placement) -> np.ndarray:
+    def own_mask(self, projection: Projection) -> np.ndarray:
+        """Mask [F] of the mesh's own faces that the stamp covers; `InputError` where there are none."""
+        mask = self.surface.own_mask(self.faces(projection))
+        if not mask.any():
+            raise InputError("The stamp covers no visible face: change its size or place, or the view")
+        return mask
+
+    def faces(self, projection: Projection) -> np.ndarray:
         """The evaluated faces [n] whose centres lie under ink, that look at the viewer and that nothing hides."""
         surface = self.surface
-        right, up, toward = placement.axes()
-        middle = (placement.place - surface.middle).astype(np.float32)
-        half = np.array([placement.height * self.ink.shape[1] / self.ink.shape[0], placement.height]) / 2
-        frame = np.stack([right / half[0], up / half[1]], 1).astype(np.float32)
-        plane = (surface.centers - middle) @ frame
-        inside = np.flatnonzero((np.abs(plane) <= 1).all(1) & surface.shown)
-        inside = inside[(surface.normals[inside] @ toward.astype(np.float32) > 0) & under_ink(plane[inside], self.ink)]
-        return inside[self._seen(inside, right, up, toward)]
-
-    def _seen(self, faces: np.ndarray, right: np.ndarray, up: np.ndarray, toward: np.ndarray) -> np.ndarray:
-        """Mask [n]; a parallel view from one side hides the same faces wherever the stamp is, so it is asked once."""
-        if not np.array_equal(toward, self._direction):
-            self._direction = toward
+        plane, ahead = projection.of(surface.centers, surface.middle)
+        inside = np.flatnonzero((np.abs(plane[:, :2]) <= 1).all(1) & ahead & surface.shown)
+        facing = (surface.normals[inside] * projection.toward(surface.centers[inside] + surface.middle)).sum(1) > 0
+        inside = inside[facing & under_ink(plane[inside], self.ink)]
+        # From one side the same faces are hidden wherever the stamp is, so that is asked once.
+        side = (projection.eye is None, *(projection.direction if projection.eye is None else projection.eye))
+        if side != self._from:
+            self._from = side
             self._visible[:] = 0
-        new = faces[self._visible[faces] == 0]
+        new = inside[self._visible[inside] == 0]
         if len(new):
-            self._visible[new] = np.where(self._look(new, np.stack([right, up, toward], 1)), 1, -1)
-        return self._visible[faces] > 0
+            self._visible[new] = np.where(self._look(new, plane, projection), 1, -1)
+        return inside[self._visible[inside] > 0]
 
-    def _look(self, faces: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    def _look(self, faces: np.ndarray, plane: np.ndarray, projection: Projection) -> np.ndarray:
+        """Mask [n] of faces, whose centres lie at `plane` [P, 3], that no other face lies before."""
         surface = self.surface
-        places = surface.centers @ axes.astype(np.float32)
-        low, high = places[faces, :2].min(0), places[faces, :2].max(0)
-        reach = surface.reach[:, None]
-        near = ((places[:, :2] >= low - reach) & (places[:, :2] <= high + reach)).all(1)
-        near &= places[:, 2] >= places[faces, 2].min() - surface.reach  # what lies behind all hides none
-        triangles, face = surface.triangles(np.flatnonzero(near))
-        used, renumbered = np.unique(triangles, return_inverse=True)
-        corners = surface.points[used].astype(np.float64) @ axes
-        centers = surface.centers[faces].astype(np.float64) @ axes
-        return seen(centers, faces, corners, renumbered.reshape(-1, 3), face)
+        points, ahead = projection.of(surface.points, surface.middle)
+        low, high = plane[faces, :2].min(0), plane[faces, :2].max(0)
+        sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
+        behind = (points[:, 2] < plane[faces, 2].min()) * np.uint8(16)
+        beyond = (sides[:, 0] | sides[:, 1] | behind)[surface.loops]
+        aside = np.bitwise_and.reduceat(beyond, surface.starts)  # all corners beyond one side hide nothing
+        usable = np.logical_and.reduceat(ahead[surface.loops], surface.starts)
+        triangles, face = surface.triangles(np.flatnonzero((aside == 0) & usable))
+        return seen(plane[faces], faces, points, triangles, face)
 
 
 def area_of(surface: Surface) -> float:

@@ -10,12 +10,14 @@ import numpy as np
 from bpy.props import EnumProperty
 
 from ..blender import faces
+from ..blender.surface import read_surface
 from ..body.objects import require_upright
 from ..files.errors import InputError
 from ..properties import settings_of
 from ..ui.operator import BodyOperator
 from . import stamp
 from .operators import active_logo
+from .placing import Placed, Projection, front_projection, view_projection
 
 
 class CLOAK_OT_logo_stamp(BodyOperator):
@@ -33,14 +35,14 @@ class CLOAK_OT_logo_stamp(BodyOperator):
         settings = settings_of(context)
         require_upright(obj)
         ink, name = ink_of(settings)
-        aspect = ink.shape[1] / ink.shape[0]
-        if settings.stamp_from == "VIEW":
-            projection = _from_view(context, settings.stamp_size, aspect)
-        else:
-            placed = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
-            projection = stamp.front_projection(obj, *placed, aspect)
         self.show(0.3)  # a body with subdivision takes seconds
-        mask = stamp.covered_faces(context, obj, ink, projection)
+        placed = Placed(read_surface(context, obj), ink)
+        if settings.stamp_from == "VIEW":
+            projection = _from_view(context, settings.stamp_size, placed.aspect)
+        else:
+            place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
+            projection = front_projection(obj, *place, placed.aspect)
+        mask = placed.own_mask(projection)
         if self.target == "ADD":
             name = active_logo(obj)
             faces.add_faces(obj, name, mask)
@@ -72,14 +74,12 @@ class CLOAK_OT_stamp_paper(BodyOperator):
         settings.stamp_kind, settings.stamp_text, settings.stamp_from = self.kind, "G", "FRONT"
         settings.stamp_center, settings.stamp_offset = 0.72, 0.0
         ink, name = ink_of(settings)
-        areas = faces.face_areas(obj)
+        areas, placed = faces.face_areas(obj), Placed(read_surface(context, obj), ink)
         low, high, share = 0.02, 1.0, 0.0
         for step in range(HALVINGS):
             settings.stamp_size = (low + high) / 2
-            projection = stamp.front_projection(
-                obj, settings.stamp_size, settings.stamp_center, 0.0, ink.shape[1] / ink.shape[0]
-            )
-            mask = stamp.covered_faces(context, obj, ink, projection)
+            projection = front_projection(obj, settings.stamp_size, settings.stamp_center, 0.0, placed.aspect)
+            mask = placed.own_mask(projection)
             share = float(areas[mask].sum() / areas.sum())
             low, high = (settings.stamp_size, high) if share < PAPER_SHARE else (low, settings.stamp_size)
             self.show((step + 1) / HALVINGS)
@@ -96,7 +96,7 @@ def ink_of(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
     return stamp.smiley_stamp(), "Smiley"
 
 
-def _from_view(context: bpy.types.Context, size: float, aspect: float) -> stamp.Projection:
+def _from_view(context: bpy.types.Context, size: float, aspect: float) -> Projection:
     area = context.area if context.area and context.area.type == "VIEW_3D" else None
     if area is None and context.window_manager.windows:
         screens = (window.screen for window in context.window_manager.windows)
@@ -104,4 +104,4 @@ def _from_view(context: bpy.types.Context, size: float, aspect: float) -> stamp.
     if area is None or area.spaces.active.region_3d is None:
         raise InputError("No 3D viewport to stamp from: choose From > Front")
     region = next(r for r in area.regions if r.type == "WINDOW")
-    return stamp.view_projection(region, area.spaces.active.region_3d, size, aspect)
+    return view_projection(region, area.spaces.active.region_3d, size, aspect)

@@ -117,7 +117,7 @@ class Job:
     def describe(self) -> str:
         """One line for the panel."""
         if self.state == "waiting":
-            return f"{self.label} waits for {session.job.label}"
+            return f"Waits for {session.job.label}"
         if not self.running:
             return self.message
         of = f" {len(self.outputs) + 1}/{len(self._commands)}" if len(self._commands) > 1 else ""

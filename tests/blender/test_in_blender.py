@@ -17,7 +17,7 @@ INSIDE = Path(__file__).parent / "inside"
 LONG = {"test_real_detectors.py"}
 """With real files of CLOAK_SHARED: minutes."""
 FILES = [
-    pytest.param(name, marks=[pytest.mark.long, pytest.mark.usefixtures("shared")] if name in LONG else [])
+    pytest.param(name, marks=[pytest.mark.long] if name in LONG else [])
     for name in sorted(path.name for path in INSIDE.glob("test_*.py"))
 ]
 RUN_PYTEST = "import os, pytest, sys; code = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(code)"
@@ -57,7 +57,9 @@ def test_a_blender_is_there() -> None:
 
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("python", PYTHONS, ids=lambda python: Path(python).parents[1].name)
-def test_add_on(python: str, file: str, extension: Path, tmp_path: Path) -> None:
+def test_add_on(python: str, file: str, extension: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    if file in LONG:
+        request.getfixturevalue("shared")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST"))}
     environment |= {
         "CLOAK_EXTENSION": str(extension),

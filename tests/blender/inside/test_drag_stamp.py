@@ -83,7 +83,7 @@ def test_moving_over_a_body_hides_what_lies_behind_as_a_fresh_look_does():
     surface, ink = read_surface(bpy.context, obj), stamp.smiley_stamp()
     moving = placing.Placed(surface, ink)
     for x, height, angle in ((-0.1, 0.3, 0), (0, 0.35, 0.3), (0.1, 0.5, 0.6), (0.05, 0.5, 0.6)):
-        placement = placing.Placement(np.array([x, -0.3, 0.9]), np.array([0.2, 1, 0]), height, angle)
+        placement = placing.laid(np.array([x, -0.3, 0.9]), np.array([0.2, 1, 0]), height, 1.0, angle)
         fresh = placing.Placed(surface, ink).faces(placement)
         assert np.array_equal(np.sort(moving.faces(placement)), np.sort(fresh)) and len(fresh) >= 40
     assert (surface.centers[fresh][:, 1] < -0.4).any()
@@ -104,9 +104,9 @@ def test_the_preview_looks_at_little_of_300_000_faces(monkeypatch):
     monkeypatch.setattr(placing, "seen", look)
     for step in range(5):  # a perspective view: the direction changes with every move
         place, direction = np.array([0.02 * step, -0.25, 1]), np.array([0.02 * step, 1, 0])
-        assert len(placed.faces(placing.Placement(place, direction, 0.5))) > 3000
+        assert len(placed.faces(placing.laid(place, direction, 0.5, placed.aspect))) > 3000
     assert len(hiding) == 5 and max(hiding) < 300_000 < len(placed.surface.centers) * 2
     asked.clear()
     for step in range(5):  # the mouse wheel and R: it does not
-        assert len(placed.faces(placing.Placement(place, direction, 0.5 - 0.01 * step, 0.1 * step))) > 3000
+        assert len(placed.faces(placing.laid(place, direction, 0.5 - 0.01 * step, placed.aspect, 0.1 * step))) > 3000
     assert asked and len(set(asked)) == len(asked) < 30_000

@@ -8,8 +8,9 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces
+from cloak.blender.surface import read_surface
 from cloak.body import objects as body
-from cloak.logo import stamp
+from cloak.logo import placing, stamp
 from cloak.logo.heat import show_heat
 from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
@@ -139,8 +140,8 @@ def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_pa
     """Quads, triangles and n-gons; stamped before subdivision; through saving and reopening; by the real trainer."""
     obj = make_egg(rings=40)
     add_ngons(obj)
-    projection = stamp.front_projection(obj, 0.35, 0.55, 0.0, 1.0)
-    mask = stamp.covered_faces(bpy.context, obj, stamp.text_stamp("G"), projection)
+    placed = placing.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
+    mask = placed.own_mask(placing.front_projection(obj, 0.35, 0.55, 0.0, 1.0))
     faces.new_logo(obj, "G", mask)
     sizes = {len(obj.data.polygons[i].vertices) for i in np.flatnonzero(mask)}
     assert {4, 6} <= sizes and mask.sum() > 50

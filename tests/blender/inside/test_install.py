@@ -152,7 +152,7 @@ def test_every_button_that_cannot_be_pressed_is_greyed_with_its_reason(ready, mo
     with pytest.raises(RuntimeError, match=r"poll\(\).*Training is running: wait for it, or cancel it"):
         bpy.ops.cloak.test_python()
     bpy.ops.cloak.heatmap()
-    assert session.job_of("Heatmap").describe() == "Heatmap waits for Training"
+    assert session.job_of("Heatmap").describe() == "Waits for Training"
     bpy.data.objects.remove(ready)
     left = {name for name in dir(bpy.ops.cloak) if getattr(bpy.ops.cloak, name).poll()}
     assert left == always - {"test_python"} | {"train_cancel"}

@@ -62,7 +62,7 @@ def test_jobs_wait_their_turn_and_say_so(tmp_path, stub):
     quick = [[str(stub), "-c", "pass"]]
     first = jobs.launch(Job("One", [[str(stub), "-c", "import time; time.sleep(0.5)"]], tmp_path, "one"))
     second, third, lost = (jobs.launch(Job(name, quick, tmp_path, name)) for name in ("Two", "Three", "Lost"))
-    assert second.describe() == "Two waits for One" and session.job is first
+    assert second.describe() == "Waits for One" and session.job is first
     assert session.job_of("Three") is third and second.state == third.state == "waiting"
     third.cancel()
     lost._commands = [["/nowhere/python"]]

@@ -4,10 +4,11 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
+from cloak.blender.surface import read_surface
 from cloak.files.errors import InputError
-from cloak.logo import stamp
+from cloak.logo import placing, stamp
 from made import centers, make_egg, make_grid
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
 
 def test_a_letter_has_its_shape():
@@ -59,16 +60,20 @@ def test_a_letter_on_a_wall_reads_the_right_way_round():
     assert abs(points[:, 0].min() + points[:, 0].max()) < 0.04
 
 
+def covered(obj, ink: np.ndarray, projection: placing.Projection) -> np.ndarray:
+    return placing.Placed(read_surface(bpy.context, obj), ink).own_mask(projection)
+
+
 def test_only_faces_that_are_seen_are_taken():
     obj = make_egg()
     wall = np.ones((8, 8), bool)
-    projection = stamp.front_projection(obj, 0.5, 0.5, 0.0, 1.0)
-    mask = stamp.covered_faces(bpy.context, obj, wall, projection)
+    projection = placing.front_projection(obj, 0.5, 0.5, 0.0, 1.0)
+    mask = covered(obj, wall, projection)
     assert mask.any() and (centers(obj)[mask][:, 1] < 0).all()
     hidden = np.zeros(len(mask), bool)
     hidden[np.flatnonzero(mask)[:7]] = True
     obj.data.polygons.foreach_set("hide", hidden)
-    assert (stamp.covered_faces(bpy.context, obj, wall, projection) == mask & ~hidden).all()
+    assert (covered(obj, wall, projection) == mask & ~hidden).all()
 
 
 def test_a_front_part_hides_what_lies_behind_it():
@@ -81,7 +86,7 @@ def test_a_front_part_hides_what_lies_behind_it():
     with bpy.context.temp_override(active_object=obj, selected_editable_objects=[obj, front]):
         bpy.ops.object.join()
     wall = np.ones((8, 8), bool)
-    mask = stamp.covered_faces(bpy.context, obj, wall, stamp.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
+    mask = covered(obj, wall, placing.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
     taken = centers(obj)[mask]
     assert (np.abs(taken[taken[:, 1] > -0.25][:, 0]) > 0.45).all() and (taken[:, 1] < -0.25).any()
 
@@ -100,9 +105,9 @@ def test_from_a_perspective_view():
     window = Matrix.Diagonal((1 / (2 * tangent), 1 / tangent, -(far + near) / (far - near), 0))
     window[2][3], window[3][2], window[3][3] = -2 * far * near / (far - near), -1, 0
     View.perspective_matrix = window @ View.view_matrix
-    projection = stamp.view_projection(Region, View, 0.25, 1.0)
-    assert projection.eye == Vector((0, -4, 0.9)) and (projection.direction - Vector((0, 1, 0))).length < 1e-6
-    mask = stamp.covered_faces(bpy.context, obj, np.ones((4, 4), bool), projection)
+    projection = placing.view_projection(Region, View, 0.25, 1.0)
+    assert projection.eye == pytest.approx([0, -4, 0.9]) and projection.direction == pytest.approx([0, 1, 0], abs=1e-6)
+    mask = covered(obj, np.ones((4, 4), bool), projection)
     points = centers(obj)[mask]
     # A quarter of the view's height at 3.75 m: 0.25 * 2 * 3.75 * 0.3 = 0.56 m, centred on the eye's height.
     assert np.ptp(points[:, 2]) == pytest.approx(0.56, abs=0.1) and points[:, 2].mean() == pytest.approx(0.9, abs=0.03)

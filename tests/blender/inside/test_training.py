@@ -40,7 +40,7 @@ def test_progress_live_colours_and_cancel_then_resume(ready, monkeypatch):
     job = session.job
     bpy.ops.cloak.train_start()
     second = session.jobs[-1]
-    assert second.describe() == "Training waits for Training" and session.job is job
+    assert second.describe() == "Waits for Training" and session.job is job
     bpy.ops.cloak.train_cancel(number=1)
     assert second.state == "stopped" and job.running
     ready.cloak.run = str(job.run)

@@ -22,7 +22,7 @@ def test_every_text_is_translated():
     ("sentence", "german"),
     [
         ("Shirt covers 83% of the logo", "Shirt verdeckt 83% des Logos"),
-        ("Evaluation waits for Training", "Auswertung wartet auf Training"),
+        ("Waits for Training", "Wartet auf Training"),
         ("Evaluating Body chest, after Training", "Body chest wird ausgewertet, nach Training"),
         (
             "'Body' is not a mesh (armature): click 'Shirt' instead",

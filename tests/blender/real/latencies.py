@@ -59,7 +59,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     from cloak.blender.mesh_arrays import current_mesh
     from cloak.blender.surface import read_surface
     from cloak.logo import overlay
-    from cloak.logo.placing import Placed, Placement
+    from cloak.logo.placing import Placed, laid
     from cloak.logo.stamp import text_stamp
     from made import select_only, set_mode, stroke
 
@@ -85,7 +85,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     def dragged() -> None:
         """A perspective view: each move looks from elsewhere."""
         x = 0.01 * next(numbers)
-        kept["placed"].faces(Placement(np.array([0, -0.25, 1]), np.array([x, 1, 0]), 0.5))
+        kept["placed"].faces(laid(np.array([0, -0.25, 1]), np.array([x, 1, 0]), 0.5, kept["placed"].aspect))
 
     def exported() -> None:
         bpy.ops.cloak.logo_export(filepath=str(folder / f"{next(numbers)}.npy"))
