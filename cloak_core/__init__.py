@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cloak_core.scene.opening import load_scene
     from cloak_core.scene.photographs.people import People, load_people
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 __all__ = [
     "Backgrounds",
     "Bodies",

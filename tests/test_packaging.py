@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -53,6 +54,13 @@ def python(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     # A path in a .pth adds the folder, not the .pth files in it: an editable installation there stays unseen.
     (place / "lent.pth").write_text(sysconfig.get_path("purelib") + "\n", "utf-8")
     return python
+
+
+def test_one_version_everywhere() -> None:
+    version = re.search(r'^__version__ = "(.+)"', (ROOT / "cloak_core" / "__init__.py").read_text("utf-8"), re.M)[1]
+    assert tomllib.loads((ROOT / "blender_manifest.toml").read_text("utf-8"))["version"] == version
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"\n## {version}\n" in (ROOT / "CHANGELOG.md").read_text("utf-8")
 
 
 @pytest.mark.long

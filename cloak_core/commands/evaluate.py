@@ -34,7 +34,7 @@ class Evaluate(Command):
     """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
     --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
     out: Path | None = None
-    """Folder for the evaluation (default: RUN/evaluation)."""
+    """Folder for the evaluation (default: RUN/evaluation; an evaluation that is there is replaced, with a warning)."""
     people: str | None = None
     """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people."""
     images: Path | None = None
