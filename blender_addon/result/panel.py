@@ -18,6 +18,7 @@ from .reasons import result_reason
 from .render_check import Verdict
 
 PICTURES_A_ROW = 3
+KINDS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
 
 
@@ -53,7 +54,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
             words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
             wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
         half = len(checks[0].with_cloak)
-        for name, chosen in (("With the cloak", slice(half)), ("Without", slice(half, None))):
+        for name, chosen in zip(KINDS, (slice(half), slice(half, None)), strict=True):
             self.layout.label(text=name, icon="RENDER_RESULT")
             grid = self.layout.grid_flow(row_major=True, columns=PICTURES_A_ROW, even_columns=True)
             for number, path in list(enumerate(checks[0].images))[chosen]:

@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, StringProperty
 
 from ..files.errors import InputError
 from ..session import session
+from ..translations import said
 from ..ui.operator import CloakOperator
 from . import install as trainer_install
 from . import jobs
@@ -94,9 +95,9 @@ index. Asks first, and says how much it takes"""
             ("And what it needs, by pip from your package index", "BLANK1"),
             (f"By: {self._found.describe()}", "CONSOLE"),
         ):
-            column.label(text=text, icon=icon)
+            column.label(text=said(text), icon=icon)
         if self._found.torch:
-            self.layout.prop(self, "share_torch", text=f"Use the torch {self._found.torch} of this Python")
+            self.layout.prop(self, "share_torch", text=said(f"Use the torch {self._found.torch} of this Python"))
 
     def run(self, context: bpy.types.Context) -> str:
         require_idle()

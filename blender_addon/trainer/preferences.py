@@ -12,6 +12,7 @@ from bpy.props import StringProperty
 
 from ..files.errors import InputError
 from ..session import session
+from ..translations import said
 from ..ui.operator import CloakOperator
 from .install import InstallJob
 from .jobs import Job, busy, last_words, launch, require_idle
@@ -145,7 +146,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         row.operator(CLOAK_OT_find_python.bl_idname, text="", icon="VIEWZOOM")
         row.operator(CLOAK_OT_test_python.bl_idname, text="Test")
         if self.answer:
-            layout.label(text=self.answer, icon="INFO")
+            layout.label(text=said(self.answer), icon="INFO")
         self._draw_install(layout.box())
         box = layout.box()
         box.prop(self, "remote")
@@ -167,7 +168,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         if not isinstance(job, InstallJob):
             return
         row = layout.row(align=True)
-        row.progress(factor=job.fraction, text=job.describe())
+        row.progress(factor=job.fraction, text=said(job.describe()))
         if job.running:
             row.operator("cloak.train_cancel", text="", icon="X")
         column = layout.column(align=True)

@@ -7,9 +7,16 @@ from pathlib import Path
 import bpy
 import cloak
 from cloak.logo import tools
+from cloak.result import evaluations, eye_drawing, judge_panels, panel
+from cloak.training import run_panels
 
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
+TABLES = (
+    *(run_panels.COLUMNS, run_panels.COLUMNS.values(), evaluations.CONTROLS.values(), judge_panels.CONTROL.values()),
+    *(panel.KINDS, [name for name, _ in eye_drawing.KINDS.values()]),
+)
+"""What panels go through."""
 BLENDERS = {"filepath", "check_existing"}
 """Properties that Blender's own base classes bring, with its own translations."""
 WORDS = {"text", "heading", "confirm_text"}
@@ -59,15 +66,17 @@ def _texts(node: ast.AST) -> Iterator[str]:
 
 
 def sentences() -> list[str]:
-    """What `InputError` is told and what the reasons of the panel return, with {} for whatever they are about."""
-    found = {}
+    """What `InputError` is told and what panels say, with {} for whatever it is about."""
+    found = dict.fromkeys(word for table in TABLES for word in table)
     for path in sorted(ROOM.rglob("*.py")):
         rooms = path.relative_to(ROOM).parts
         if rooms[0] in ("files", "exchange") or path.name in ("train.py", "remote.py"):
             continue
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError":
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("InputError", "said"):
                 found |= {_pattern(node.args[0]): None}
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
+                found |= {_pattern(word): None for word in node.args[1:3]}
             elif isinstance(node, ast.Return) and path.name == "reasons.py" and isinstance(node.value, ast.Constant):
                 found |= {_pattern(node.value): None}
     return [text for text in found if text and sum(map(str.isalpha, text)) > 5]

@@ -105,6 +105,7 @@ def steps():
     yield from picture("trained")
     yield from click("render check", cloak.render_check)
     yield from until_done()
+    yield from scroll(60)
     yield from picture("verdict")
     open_panel("evaluation")
     yield from show_tab()
