@@ -6,6 +6,7 @@ Blender itself carries relative paths over when a file is saved into another fol
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import bpy
@@ -25,6 +26,14 @@ def absolute(path: str) -> str:
 def blend_folder() -> Path | None:
     """Where the open file lies; None while it was never saved."""
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
+
+
+def first_free(folder: Path, name: str, suffix: str = "", beside: str = "") -> Path:
+    """A path that does not exist, nor does it with `beside` behind it: "name.suffix", "name 2.suffix" and so on."""
+    for number in itertools.count(1):
+        place = folder / (name + (f" {number}" if number > 1 else "") + suffix)
+        if not place.exists() and not (beside and place.with_name(place.name + beside).exists()):
+            return place
 
 
 def portable(path: str, folder: Path | None) -> str:

@@ -262,6 +262,12 @@ def to_world(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return points.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def box_of(obj: bpy.types.Object) -> np.ndarray:
+    """Lowest and highest corner [2, 3] of the object's box, in the world."""
+    corners = to_world(np.array(obj.bound_box), np.array(obj.matrix_world))
+    return np.stack([corners.min(0), corners.max(0)])
+
+
 def image_pixels(image: bpy.types.Image) -> np.ndarray:
     """[H, W, channels] float32 as stored, bottom row first."""
     pixels = np.empty(len(image.pixels), np.float32)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from mathutils import Vector
+from mathutils.geometry import closest_point_on_tri, intersect_ray_tri
 
 from ..files.errors import InputError
 from .mesh_arrays import (
@@ -65,8 +67,9 @@ class Surface:
         along = offset @ ray.astype(np.float32)
         aside = np.einsum("ij,ij->i", offset, offset) - along * along
         near = np.flatnonzero((aside <= 1.001 * self.reach**2 + 1e-12) & (along > -self.reach) & self.shown)
-        triangles, _ = self.triangles(near)
-        distance = _distances(start, ray, self.points[triangles].astype(np.float64))
+        corners = self.points[self.triangles(near)[0]].tolist()
+        met = (intersect_ray_tri(*map(Vector, points), ray, start) for points in corners)
+        distance = np.array([(np.array(place) - start) @ ray for place in met if place is not None])
         return self.middle + start + np.sort(distance[distance > 0])[:, None] * ray
 
     def face_at(self, place: np.ndarray) -> int:
@@ -77,8 +80,8 @@ class Surface:
         near = np.flatnonzero(squared <= 1.001 * self.reach**2 + 1e-12)
         if len(near):
             triangles, face = self.triangles(near)
-            outside = _outside(point.astype(np.float64), self.points[triangles].astype(np.float64))
-            return int(face[np.argmin(outside)])
+            nearest = [closest_point_on_tri(Vector(point), *map(Vector, t)) for t in self.points[triangles].tolist()]
+            return int(face[np.argmin(_squared(np.array(nearest) - point))])
         return int(np.argmin(squared)) if self.shown.any() else -1
 
     def around(self, place: np.ndarray, radius: float) -> np.ndarray:
@@ -102,28 +105,6 @@ class Surface:
 
 def _squared(vectors: np.ndarray) -> np.ndarray:
     return np.einsum("...j,...j->...", vectors, vectors)
-
-
-def _distances(start: np.ndarray, ray: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """[n] along the ray to each triangle [n, 3, 3], nan where it misses (Möller and Trumbore 1997)."""
-    first, second, third = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    across = np.cross(ray, third)
-    volume = np.einsum("ij,ij->i", second, across)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = ((start - first) * across).sum(1) / volume
-        turned = np.cross(start - first, second)
-        v, distance = turned @ ray / volume, (turned * third).sum(1) / volume
-        return np.where((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9), distance, np.nan)
-
-
-def _outside(point: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """[n] how far a point lies from the plane of each triangle [n, 3, 3], and how far aside of it, added up."""
-    a, b, c = (corners[:, i] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    size = np.maximum(np.linalg.norm(normal, axis=1), 1e-30)
-    height = np.abs(((point - a) * normal).sum(1)) / size
-    sides = [(np.cross(q - p, point - p) * normal).sum(1) / size for p, q in ((a, b), (b, c), (c, a))]
-    return height + np.maximum(0, -np.min(sides, 0)) / np.sqrt(size)
 
 
 def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:

@@ -16,7 +16,7 @@ from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
 from ..blender.faces import logo_names, read_faces
-from ..blender.mesh_arrays import to_world
+from ..blender.mesh_arrays import box_of, to_world
 from ..blender.surface import read_surface
 from ..files.errors import InputError
 from ..files.reading import read_json
@@ -79,12 +79,6 @@ def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
         ),
         key=lambda o: o.name,
     )
-
-
-def box_of(obj: bpy.types.Object) -> np.ndarray:
-    """Lowest and highest corner [2, 3] of the object's box, in the world."""
-    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
-    return np.stack([corners.min(0), corners.max(0)])
 
 
 def _lies_on(other: bpy.types.Object, obj: bpy.types.Object, box: np.ndarray) -> bool:

@@ -14,7 +14,7 @@ from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..properties import settings_of
 from ..trainer.command_lines import SAMPLES, sample_command
-from ..trainer.jobs import Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python, user_folder
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 from .garments import faces_over, wearable
@@ -75,8 +75,8 @@ or walking and running in a shirt and trousers that are objects of their own"""
         scene = folder / "scene"
         shutil.rmtree(scene, ignore_errors=True)
         command = sample_command(chosen_python(), scene, people)
-        job = launch(Job("Sample body", [command], folder, "sample", lambda job: _add(job, scene, people)))
-        return "Fetching the sample body from the trainer" + waits(job)
+        waits = run_command("Sample body", command, folder, "sample", lambda job: _add(job, scene, people))
+        return f"Fetching the sample body from the trainer{waits}"
 
 
 def _add(job: Job, scene: Path, people: str) -> str | None:

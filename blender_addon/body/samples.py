@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..blender.mesh_arrays import to_world
+from ..blender.mesh_arrays import box_of
 from ..exchange.bodies import Bodies
 from .objects import add_from_scene
 
@@ -63,18 +63,12 @@ def part_of(bodies: Bodies, name: str) -> Bodies:
 def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """Move a new body to the right until it stands in no other visible mesh, such as the cube of a new file."""
     context.view_layer.update()
-    low, high = _bounds(obj)
+    low, high = box_of(obj)
     own = {obj, *obj.children_recursive}
     meshes = [o for o in context.visible_objects if o.type == "MESH" and o not in own and len(o.data.vertices)]
     start = low[0]
-    for other_low, other_high in sorted(map(_bounds, meshes), key=lambda box: box[0][0]):
+    for other_low, other_high in sorted(map(box_of, meshes), key=lambda box: box[0][0]):
         if (low < other_high).all() and (other_low < high).all():
             step = other_high[0] + GAP - low[0]
             low[0], high[0] = low[0] + step, high[0] + step
     obj.location.x += low[0] - start
-
-
-def _bounds(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner [3] of the object's box in the world."""
-    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
-    return corners.min(0), corners.max(0)

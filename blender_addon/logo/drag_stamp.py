@@ -88,14 +88,13 @@ class CLOAK_OT_stamp_drag(BodyOperator):
     # --- with the mouse ---
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.attempt(self._begin, context, event)
+
+    def _begin(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         view = _view_of(context)
-        try:
-            if view is None:
-                raise InputError("No 3D viewport to stamp in")
-            self._prepare(context, context.object)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        if view is None:
+            raise InputError("No 3D viewport to stamp in")
+        self._prepare(context, context.object)
         self._area, self._region, self._turning = *view, None
         surface, ink = self._placed.surface, self._placed.ink
         if self.kind != "SETTINGS":
@@ -153,14 +152,7 @@ class CLOAK_OT_stamp_drag(BodyOperator):
         self._preview.end()
         self._area.header_text_set(None)
         self._area.tag_redraw()
-        if not stamps:
-            return {"CANCELLED"}
-        try:
-            self.report({"INFO"}, self._write())
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return self.attempt(self._write) if stamps else {"CANCELLED"}
 
 
 def _view_of(context: bpy.types.Context) -> tuple[bpy.types.Area, bpy.types.Region] | None:

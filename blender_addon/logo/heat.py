@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors, faces
+from ..blender.blend_paths import first_free
 from ..blender.colors import HEAT
 from ..blender.mesh_arrays import read, write_attribute
 from ..body.garments import is_dressed
@@ -23,7 +23,7 @@ from ..poses.export import export_bodies
 from ..properties import pose_choice, settings_of, train_request
 from ..result.reasons import heat_reason, heatmap_reason, shown_heat_reason
 from ..trainer.command_lines import heatmap_command
-from ..trainer.jobs import FollowedJob, Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python, user_folder
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
 
@@ -39,15 +39,13 @@ class CLOAK_OT_heatmap(CloakOperator):
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         python, request = chosen_python(), train_request(settings)
-        places = (user_folder("heatmap") / str(number) for number in itertools.count(1))
-        folder = next(place for place in places if not place.exists())
+        folder = first_free(user_folder("heatmap"), "heat")
         write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
         heat, uid, expected = folder / "heat.npy", obj.session_uid, topology(obj)
-        events = folder / "heat.jsonl"
-        command = heatmap_command(python, request, folder / "scene", heat, events)
+        command = heatmap_command(python, request, folder / "scene", heat, folder / "heat.jsonl")
         show = lambda job: _show_heat(job, heat, uid, expected)
-        job = launch(FollowedJob("Heatmap", [command], folder, "heatmap", events, show))
-        return "Measuring which faces move the detector" + waits(job)
+        waits = run_command("Heatmap", command, folder, "heatmap", show, "heat.jsonl")
+        return f"Measuring which faces move the detector{waits}"
 
 
 def _show_heat(job: Job, path: Path, uid: int, expected: str) -> str | None:

@@ -75,17 +75,15 @@ touches; with X-Ray on, also those behind, all through the body"""
     # --- with the mouse ---
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.attempt(self._begin, context, event)
+
+    def _begin(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if context.region_data is None or context.region.type != "WINDOW":
-            self.report({"ERROR"}, "Paint in a 3D viewport")
-            return {"CANCELLED"}
-        try:
-            self._obj = context.object
-            self._surface = read_surface(context, self._obj)
-            if self.action == "REMOVE":
-                active_logo(self._obj)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+            raise InputError("Paint in a 3D viewport")
+        self._obj = context.object
+        self._surface = read_surface(context, self._obj)
+        if self.action == "REMOVE":
+            active_logo(self._obj)
         settings = settings_of(context)
         self.mirror, self._pixels = settings.brush_mirror, settings.brush_radius
         self.stroke.clear()
@@ -113,12 +111,7 @@ touches; with X-Ray on, also those behind, all through the body"""
         context.area.tag_redraw()
         if not self._painted.any():
             return {"CANCELLED"}
-        try:
-            self.report({"INFO"}, self._write(self._obj, self._surface, np.flatnonzero(self._painted)))
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        return self.attempt(self._write, self._obj, self._surface, np.flatnonzero(self._painted))
 
     def _move(self, context: bpy.types.Context, mouse: Vector) -> None:
         """Dabs all along the way from the last one, so that a quick mouse leaves no gaps."""

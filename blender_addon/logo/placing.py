@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender.mesh_arrays import to_world
+from ..blender.mesh_arrays import box_of
 from ..blender.occlusion import seen
 from ..blender.surface import Surface
 from ..files.errors import InputError
@@ -64,8 +64,7 @@ def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float,
 
 def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
     """Straight onto the front. `size` (stamp height), `center` and `offset` are shares of the body's height."""
-    corners = to_world(np.array(obj.bound_box), np.array(obj.matrix_world))
-    low, high = corners.min(0), corners.max(0)
+    low, high = box_of(obj)
     tall = max(float(high[2] - low[2]), 1e-9)
     place = np.array([(low[0] + high[0]) / 2 + offset * tall, low[1], low[2] + center * tall])
     return laid(place, np.array([0.0, 1.0, 0.0]), size * tall, aspect)

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ..blender.mesh_arrays import image_pixels, mesh_triangles, read
-from ..blender.occlusion import ranges
+from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
 
 RESOLUTION = 512
@@ -35,29 +35,8 @@ def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     low, high = points.min(0), points.max(0)
     scale = RESOLUTION / max(high - low)
     width, height = np.maximum(1, np.ceil((high - low) * scale)).astype(int)
-    pixels = (points - low) * scale
-    row, left, right = _spans(pixels[triangles])
-    row, left, right = (values[(row >= 0) & (row < height) & (left <= right)] for values in (row, left, right))
-    steps = np.zeros((height, width + 1), np.int32)
-    np.add.at(steps, (row, np.clip(left, 0, width)), 1)
-    np.add.at(steps, (row, np.clip(right + 1, 0, width)), -1)
-    return (steps.cumsum(1)[:, :width] > 0)[::-1]
-
-
-def _spans(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of triangles [T, 3, 2]: each row of pixels that one crosses, and the first and last pixel covered there."""
-    low = np.ceil(triangles[..., 1].min(1) - 0.5).astype(np.int64)
-    high = np.floor(triangles[..., 1].max(1) - 0.5).astype(np.int64)
-    triangle, row = ranges(np.arange(len(triangles)), low, np.maximum(high - low + 1, 0))
-    start, end = triangles[triangle], np.roll(triangles, -1, axis=1)[triangle]
-    with np.errstate(divide="ignore", invalid="ignore"):  # level sides meet no row, or all of it
-        along = (row[:, None] + 0.5 - start[..., 1]) / (end[..., 1] - start[..., 1])
-        x = start[..., 0] + along * (end[..., 0] - start[..., 0])
-    met = (along >= 0) & (along <= 1)
-    left, right = np.where(met, x, np.inf).min(1), np.where(met, x, -np.inf).max(1)
-    some = met.any(1)
-    first, last = np.ceil(left[some] - 0.5), np.floor(right[some] - 0.5)
-    return row[some], first.astype(np.int64), last.astype(np.int64)
+    flat = np.concatenate([(points - low) * scale, np.zeros((len(points), 1))], 1)
+    return depth_buffer(flat, triangles, (width, height))[1][::-1] >= 0
 
 
 def smiley_stamp() -> np.ndarray:

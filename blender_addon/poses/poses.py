@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
-from ..blender.mesh_arrays import vertex_points
+from ..blender.mesh_arrays import box_of, vertex_points
 from ..body.garments import armature_of
 from ..files.errors import InputError
 
@@ -118,8 +117,8 @@ SMALLEST, LARGEST = 0.2, 2 * DISTANCE
 
 def extent(obj: bpy.types.Object) -> tuple[float, float, float]:
     """Width, depth and height of the body as it stands now, in metres."""
-    corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
-    return tuple((np.ptp(corners, axis=0) * bpy.context.scene.unit_settings.scale_length).tolist())
+    low, high = box_of(obj)
+    return tuple(((high - low) * bpy.context.scene.unit_settings.scale_length).tolist())
 
 
 def require_size(obj: bpy.types.Object) -> None:

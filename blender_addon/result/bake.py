@@ -14,7 +14,7 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.mesh_arrays import corner_counts, mean_of_corners, mesh_triangles, read
-from ..blender.occlusion import cells_touched
+from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
 
 MARGIN = 4
@@ -79,10 +79,10 @@ def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) ->
     """[S, S, 4]: the colours on a UV map of the user's."""
     mesh.calc_loop_triangles()
     loops = read(mesh.loop_triangles, "loops", 3, np.int32)
-    face, claims = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], mesh_triangles(mesh)[1], size)
+    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], mesh_triangles(mesh)[1], size)
     pixels = np.zeros((size, size, 4), np.float32)
-    pixels[claims > 0, :3] = wanted[face[claims > 0]]
-    pixels[claims > 0, 3] = 1
+    pixels[face >= 0, :3] = wanted[face[face >= 0]]
+    pixels[face >= 0, 3] = 1
     return _spread(pixels)
 
 
@@ -125,28 +125,14 @@ def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
     )
 
 
-def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates [T, 3, 2] of faces [T] onto texels: a face of each [size, size], how many faces claim it.
+def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.ndarray:
+    """Texture coordinates [T, 3, 2] of faces [T] onto texels [size, size]: one of their faces, -1 for none.
 
     Row 0 is at the bottom, as Blender stores images. Triangles beyond the unit square are cut off.
     """
-    corners = places * size - 0.5  # texel middles at whole numbers
-    low = np.clip(np.ceil(corners.min(1)), 0, size).astype(np.int64)
-    high = np.clip(np.floor(corners.max(1)), -1, size - 1).astype(np.int64)
-    some = np.flatnonzero((high >= low).all(1))
-    texel, triangle = cells_touched(low[some], high[some], size)
-    triangle = some[triangle]
-    points = np.stack([texel % size, texel // size], -1)
-    sides = []
-    for corner in range(3):
-        a, b = corners[triangle, corner], corners[triangle, (corner + 1) % 3]
-        sides.append((b[:, 0] - a[:, 0]) * (points[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (points[:, 0] - a[:, 0]))
-    inside = (np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0)
-    claimed = np.unique(texel[inside] * len(places) + triangle_face[triangle[inside]])
-    texel, owner = claimed // len(places), claimed % len(places)
-    face = np.zeros(size * size, np.int64)
-    face[texel] = owner
-    return face.reshape(size, size), np.bincount(texel, minlength=size * size).reshape(size, size)
+    points = np.concatenate([places.reshape(-1, 2) * size, np.zeros((3 * len(places), 1))], 1)
+    _, owner = depth_buffer(points, np.arange(len(points)).reshape(-1, 3), (size, size))
+    return np.where(owner >= 0, triangle_face[owner], -1)
 
 
 def _spread(pixels: np.ndarray) -> np.ndarray:

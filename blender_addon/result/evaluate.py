@@ -12,7 +12,7 @@ from ..poses.poses import PoseChoice
 from ..properties import settings_of
 from ..session import session
 from ..trainer.command_lines import evaluate_command, look_command
-from ..trainer.jobs import FollowedJob, Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.onlooker import Onlooker
 from ..trainer.preferences import chosen_python, local_python
 from ..training import run_list
@@ -46,11 +46,9 @@ beside controls on the same images. The result is shown here and as a ring aroun
             options.append(f"--scene={scene}")
         elif not kept_back(run) and (input_folder(run) / "scene").is_dir():
             options.append(f"--scene={input_folder(run) / 'scene'}")
-        events = folder / "evaluate.jsonl"
-        events.unlink(missing_ok=True)
-        command = evaluate_command(python, run, options, events)
-        job = launch(FollowedJob("Evaluation", [command], folder, "evaluate", events, lambda job: _evaluated(job, run)))
-        return f"Evaluating {run.name}" + waits(job)
+        events = "evaluate.jsonl"
+        command, ended = evaluate_command(python, run, options, folder / events), lambda job: _evaluated(job, run)
+        return f"Evaluating {run.name}" + run_command("Evaluation", command, folder, "evaluate", ended, events)
 
 
 def _evaluated(job: Job, run: Path) -> str | None:

@@ -13,7 +13,7 @@ from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, object_of
 from ..properties import settings_of
 from ..trainer.command_lines import check_command, report_command
-from ..trainer.jobs import Job, launch, waits
+from ..trainer.jobs import Job, launch, run_command, waits
 from ..trainer.preferences import chosen_python
 from ..training import run_list, runs
 from ..training.detectors import thresholds
@@ -87,9 +87,8 @@ class CLOAK_OT_open_report(CloakOperator):
         report = run / "report.html"
         if report.exists():
             return _open(report)
-        command = report_command(chosen_python(), run)
-        job = launch(Job("Report", [command], runs.side_folder(run), "report", lambda job: _opened(job, report)))
-        return "Making the report" + waits(job)
+        command, folder = report_command(chosen_python(), run), runs.side_folder(run)
+        return "Making the report" + run_command("Report", command, folder, "report", lambda job: _opened(job, report))
 
 
 def _opened(job: Job, report: Path) -> str | None:

@@ -14,7 +14,7 @@ from ..files.errors import InputError
 from ..poses.poses import PoseChoice
 from ..properties import settings_of
 from ..trainer.command_lines import film_command, print_command
-from ..trainer.jobs import FollowedJob, Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui.operator import CloakOperator
@@ -39,8 +39,8 @@ class CLOAK_OT_print_sheets(CloakOperator):
             scene = side_folder(run) / "print scene"
             export_worn(context, obj, run, PoseChoice(), scene)
         command = print_command(python, run, scene, place)
-        job = launch(Job(self.bl_label, [command], side_folder(run), "print", lambda job: _told(job, place)))
-        return f"Laying the logo out in {place}" + waits(job)
+        waits = run_command(self.bl_label, command, side_folder(run), "print", lambda job: _told(job, place))
+        return f"Laying the logo out in {place}{waits}"
 
 
 class CLOAK_OT_turntable(CloakOperator):
@@ -89,11 +89,9 @@ def film(
         outputs.write_camera(context, folder / f"{name}.csv", middle_of_motion(bodies))
         options = [*options, f"--camera={folder / name}.csv"]
     options = [*options, f"--fps={outputs.film_fps(context.scene, suffix):g}", backgrounds_option(settings.judging)]
-    events = folder / f"{name}.jsonl"
-    events.unlink(missing_ok=True)
-    command = film_command(python, run, scene, [*options, f"--device={settings.device}"], place, events)
-    job = launch(FollowedJob(label, [command], folder, name, events, lambda job: _told(job, place)))
-    return f"Filming into {place}" + waits(job)
+    options, events = [*options, f"--device={settings.device}"], f"{name}.jsonl"
+    command = film_command(python, run, scene, options, place, folder / events)
+    return f"Filming into {place}" + run_command(label, command, folder, name, lambda job: _told(job, place), events)
 
 
 def middle_of_motion(bodies: Bodies) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..blender.blend_paths import first_free
 from ..body.objects import scene_axes
 from ..files.writing import write_text
 from ..training.runs import side_folder
@@ -24,10 +25,7 @@ MOST_KEYS = 120
 
 def new_place(run: Path, name: str, suffix: str = "") -> Path:
     """A path for something new, such as "turntable 2.gif"."""
-    folder, number = side_folder(run), 1
-    while (place := folder / (name + (f" {number}" if number > 1 else "") + suffix)).exists():
-        number += 1
-    return place
+    return first_free(side_folder(run), name, suffix)
 
 
 def made(run: Path) -> list[Path]:

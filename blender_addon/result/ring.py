@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..blender import colors
-from ..blender.mesh_arrays import to_world
+from ..blender.mesh_arrays import box_of
 from ..body.garments import is_dressed
 from ..properties import settings_of
 from ..training import run_list
@@ -101,8 +101,7 @@ def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
 
 def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
     """Where the ring lies: the middle below the body, and the body's largest extent, in Blender's units."""
-    corners = to_world(np.array(obj.bound_box, np.float64), np.array(obj.matrix_world))
-    low, high = corners.min(0), corners.max(0)
+    low, high = box_of(obj)
     middle = (low + high) / 2
     return Vector((middle[0], middle[1], low[2])), float((high - low).max())
 

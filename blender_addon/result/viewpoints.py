@@ -130,4 +130,4 @@ def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float
 
 def middle_of(obj: bpy.types.Object) -> Vector:
     """The middle of the body's box, in the world."""
-    return sum((obj.matrix_world @ Vector(corner) for corner in obj.bound_box), Vector()) / 8
+    return obj.matrix_world @ (sum(map(Vector, obj.bound_box), Vector()) / 8)

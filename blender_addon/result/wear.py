@@ -17,7 +17,7 @@ from ..files.reading import read_json
 from ..files.writing import write_json
 from ..properties import settings_of
 from ..trainer.command_lines import wear_command
-from ..trainer.jobs import Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
@@ -98,8 +98,8 @@ class CLOAK_OT_wear(CloakOperator):
         settings, run = settings_of(context), run_of(active_body(context))
         people, place = people_file(settings.judging.people), new_place(run, WEAR)
         command = wear_command(chosen_python(), run, people, judges(settings), settings.device, place)
-        job = launch(Job("Wear", [command], side_folder(run), "wear", lambda job: _ended(job, place)))
-        return f"{run.name} is put on by the people of {people.name}" + waits(job)
+        waits = run_command("Wear", command, side_folder(run), "wear", lambda job: _ended(job, place))
+        return f"{run.name} is put on by the people of {people.name}{waits}"
 
 
 def _ended(job: Job, place: Path) -> str | None:

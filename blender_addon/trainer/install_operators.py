@@ -75,12 +75,11 @@ index. Asks first, and says how much it takes"""
         return jobs.busy()
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        try:
-            self._found = _base(self.python, 10 * CLICK_SECONDS)
-            self.python = self._found.python
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        return self.attempt(self._ask, context)
+
+    def _ask(self, context: bpy.types.Context) -> set[str]:
+        self._found = _base(self.python, 10 * CLICK_SECONDS)
+        self.python = self._found.python
         return context.window_manager.invoke_props_dialog(self, width=460, confirm_text="Install")
 
     def draw(self, context: bpy.types.Context) -> None:

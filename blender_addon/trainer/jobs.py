@@ -380,6 +380,17 @@ def launch(job: Job) -> Job:
     return job
 
 
+def run_command(label: str, command: list[str], folder: Path, name: str, on_end: OnEnd, follow: str = "") -> str:
+    """Launch a job of one command; `follow` is the file in `folder` that its events go to.
+
+    Returns what its launcher adds to its message: ", after Training" where it waits its turn.
+    """
+    if follow:
+        (folder / follow).unlink(missing_ok=True)
+        return waits(launch(FollowedJob(label, [command], folder, name, folder / follow, on_end)))
+    return waits(launch(Job(label, [command], folder, name, on_end)))
+
+
 def waits(job: Job) -> str:
     """ ", after Training" for a job that waits its turn, for the message of who launched it."""
     return f", after {session.job.label}" if job.state == "waiting" else ""

@@ -15,7 +15,7 @@ from ..session import session
 from ..translations import said
 from ..ui.operator import CloakOperator
 from .install import InstallJob
-from .jobs import Job, busy, last_words, launch, require_idle
+from .jobs import Job, busy, last_words, require_idle, run_command
 from .python import INSTALL_LINE, about_command, ask_ahead, find_python, forget_answers, known_reason, parse_about
 
 PACKAGE = __package__.rpartition(".")[0]
@@ -205,8 +205,8 @@ class CLOAK_OT_test_python(CloakOperator):
         kept = preferences()
         if kept:
             kept.answer = "Starting the trainer..."
-        job = Job("Test", [about_command(python)], user_folder("test"), "test", lambda job: _show_answer(job, python))
-        launch(job)
+        command = about_command(python)
+        run_command("Test", command, user_folder("test"), "test", lambda job: _show_answer(job, python))
         return "Testing the trainer: the answer appears in the preferences"
 
 

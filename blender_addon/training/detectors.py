@@ -17,7 +17,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..blender.blend_paths import RELATIVE, absolute, blend_folder, portable
 from ..files.errors import InputError
 from ..trainer.command_lines import verify_command
-from ..trainer.jobs import Job, launch, waits
+from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python, user_folder
 from ..ui.operator import CloakOperator
 
@@ -260,17 +260,15 @@ class CLOAK_OT_detector_check(CloakOperator):
 
     def run(self, context: bpy.types.Context) -> str:
         detector = active_detector(context.scene.cloak)
-        return f"Checking {detector.title}" + waits(check(detector))
+        return f"Checking {detector.title}{check(detector)}"
 
 
-def check(detector: CloakDetector) -> Job:
-    """Ask the trainer about a detector; its answer comes into the list."""
+def check(detector: CloakDetector) -> str:
+    """Ask the trainer about a detector; its answer comes into the list. Returns ", after ..." where that waits."""
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
-    job = Job(
-        CHECK, [verify_command(chosen_python(), spec)], folder, f"check {len(spec)}", lambda job: _told(job, spec)
-    )
-    return launch(job)
+    command = verify_command(chosen_python(), spec)
+    return run_command(CHECK, command, folder, "check", lambda job: _told(job, spec))
 
 
 def _told(job: Job, spec: str) -> str | None:

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.blend_paths import absolute, blend_folder
+from ..blender.blend_paths import absolute, blend_folder, first_free
 from ..body.garments import WornColors, read_garments
 from ..body.objects import object_of, require_body, topology
 from ..exchange.colors import read_colors
@@ -64,12 +64,7 @@ def input_folder(run: Path) -> Path:
 def new_run(output: Path, obj: str, logo: str) -> Path:
     """A run folder in `output` that does not exist yet, named after object and logo."""
     name = re.sub(r'[\\/:*?"<>|\x00-\x1f]+', "_", f"{obj} {logo}").strip(" .") or "run"
-    number = 1
-    while True:
-        run = output / (name if number == 1 else f"{name} {number}")
-        if not run.exists() and not input_folder(run).exists():
-            return run
-        number += 1
+    return first_free(output, name, beside=".input")
 
 
 def side_folder(run: Path) -> Path:

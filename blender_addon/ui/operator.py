@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 
 from ..body.objects import active_body
@@ -39,11 +41,17 @@ class CloakOperator(bpy.types.Operator):
         raise NotImplementedError
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.attempt(self.run, context)
+
+    def attempt(self, work: Callable[..., str | set[str]], *arguments: object) -> set[str]:
+        """Do the work and report what it says. Returns Blender's answer; work may give another one itself."""
         try:
-            message = self.run(context)
+            message = work(*arguments)
         except InputError as error:
             self.report({"ERROR"}, said(str(error)))
             return {"CANCELLED"}
+        if isinstance(message, set):
+            return message
         if message:
             self.report({"INFO"}, said(message))
         return {"FINISHED"}
