@@ -45,6 +45,11 @@ class Transfer(Command):
     unseen: str | None = None
     """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
     back)."""
+    people: str | None = None
+    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on
+    beside the bodies (preset photographs), the others judge instead of renders."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     backgrounds: str = "procedural"
     """Folder of images, or procedural."""
     unseen_backgrounds: str | None = None
@@ -135,9 +140,12 @@ class Transfer(Command):
         from cloak_core.evaluation.store import RunStore
         from cloak_core.evaluation.store_options import StoreOptions
         from cloak_core.evaluation.transfer.matrix import Matrix
-        from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, families
+        from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, PHOTOGRAPHS, families
+        from cloak_core.scene.photographs.people import load_people
 
         started = time.monotonic()
+        if self.circle and self.people:
+            raise InputError("--circle: of renders; photographs are seen from where they were taken")
         if not self.detector:
             raise InputError("--detector: none given; name several, for each is judged on the training without it")
         specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
@@ -148,6 +156,7 @@ class Transfer(Command):
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
+            people=None if self.people is None else load_people(self.people, self.images),
         )
         options = StoreOptions(
             out=self.out,
@@ -160,7 +169,7 @@ class Transfer(Command):
             device=self.compute.device,
         )
         most = self.most_images or (240 if self.circle else None)
-        cameras = CIRCLE if self.circle else FRONT
+        cameras = PHOTOGRAPHS if self.people else CIRCLE if self.circle else FRONT
         sampled: dict[str, object] = {"hide": self.hide} if self.hide != "person" else {}
         sampled |= {"detectors_per_step": self.detectors_per_step} if self.detectors_per_step else {}
         cameras = replace(

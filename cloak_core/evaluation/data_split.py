@@ -9,8 +9,10 @@ from cloak_core.evaluation.trained_run import EMBEDDED
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
+from cloak_core.render.photographs.fits import people_identity
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.opening import load_scene
+from cloak_core.scene.photographs.people import People
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,9 @@ class DataSplit:
     backgrounds: Backgrounds
     unseen_backgrounds: Backgrounds
     detectors: dict[str, Detector]
+    people: People | None = None
+    """In photographs: where there are any, training sees them beside the bodies, and `unseen_people` judge."""
+    unseen_people: People | None = None
 
     def __post_init__(self) -> None:
         if self.bodies.topology != self.unseen.topology:
@@ -33,13 +38,14 @@ class DataSplit:
 
     def record(self) -> dict:
         """Describe the split for a configuration: names, counts and content hashes."""
+        parts = {"people": self.people, "unseen_people": self.unseen_people}
         return {
             "bodies": bodies_record(self.bodies),
             "unseen": bodies_record(self.unseen),
             "backgrounds": backgrounds_record(self.backgrounds),
             "unseen_backgrounds": backgrounds_record(self.unseen_backgrounds),
             "detectors": {spec: sha256_record(detector_record(d)) for spec, d in self.detectors.items()},
-        }
+        } | {name: people_record(part) for name, part in parts.items() if part is not None}
 
 
 def bodies_record(bodies: Bodies) -> dict:
@@ -58,6 +64,11 @@ def backgrounds_record(backgrounds: Backgrounds) -> dict:
     return {"count": len(backgrounds), "sha256": sha256_record(backgrounds.identities())}
 
 
+def people_record(people: People) -> dict:
+    """Describe people in photographs: their numbers and the content hash."""
+    return {"count": len(people), "photographs": len(people.photographs), "sha256": people_identity(people)}
+
+
 def open_data_split(
     detectors: dict[str, Detector],
     *,
@@ -65,15 +76,18 @@ def open_data_split(
     unseen: str | None = None,
     backgrounds: str = "procedural",
     unseen_backgrounds: str | None = None,
+    people: People | None = None,
 ) -> DataSplit:
     """Open scenes and backgrounds by spec and split them for these detectors.
 
     Without `unseen`, every second body of `scene` and every second outfit is kept from training; without
-    `unseen_backgrounds`, every second background. Embedded scenes and backgrounds have unseen parts of their own.
+    `unseen_backgrounds`, every second background; of `people` in photographs, those of every second photograph.
+    Embedded scenes and backgrounds have unseen parts of their own.
     InputError: there is only one body or background to split.
     """
     bodies = _open_bodies(scene, unseen)
-    return DataSplit(*bodies, *_open_backgrounds(backgrounds, unseen_backgrounds), detectors)
+    halves = () if people is None else people.halves()
+    return DataSplit(*bodies, *_open_backgrounds(backgrounds, unseen_backgrounds), detectors, *halves)
 
 
 def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:

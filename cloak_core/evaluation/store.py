@@ -23,14 +23,17 @@ from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, detector_record
-from cloak_core.evaluation.controls import NATURAL, STANDARD
+from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
 from cloak_core.evaluation.data_split import DataSplit, backgrounds_record, bodies_record
 from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
-from cloak_core.evaluation.renderer import BodyRenderer
+from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
+from cloak_core.evaluation.wearing.clothes import LogoClothes
+from cloak_core.evaluation.wearing.judging import PeopleRenderer
+from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -38,6 +41,8 @@ from cloak_core.files.identity import package_versions, sha256_arrays, sha256_re
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.render.photographs.fits import fit_people, people_identity
+from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
@@ -140,7 +145,9 @@ class RunStore:
         chosen = [self.split.detectors[spec] for spec in specs]
         with _precision(chosen, precision) as detectors, _clocked(folder):
             backgrounds, on_event = self.split.backgrounds, self.on_event
-            result = train(settings, bodies, logo, detectors, backgrounds, folder, resume=True, on_event=on_event)
+            people = () if self.split.people is None else fit_people(self.split.people)
+            heard = {"resume": True, "on_event": on_event, "people": people}
+            result = train(settings, bodies, logo, detectors, backgrounds, folder, **heard)
         if result.stopped:
             raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
 
@@ -174,6 +181,8 @@ class RunStore:
             "operating_points": [self.split.detectors[spec].operating_point for spec in specs],
             "backgrounds": backgrounds_record(self.split.backgrounds),
         }
+        if self.split.people is not None:
+            record["people"] = people_identity(self.split.people)
         return self._key(record | more | {"training": TRAINING_VERSION})
 
     # --- evaluation
@@ -189,15 +198,21 @@ class RunStore:
     ) -> Results:
         """Measure repetitions of one training on the same unseen images, beside controls, as one table.
 
-        angles: azimuths in degrees. specs: the judging detectors, all where none are given. bodies: the split's unseen
+        angles: azimuths in degrees. Where the split has people in photographs, they are what is seen, as they stand
+        there. specs: the judging detectors, all where none are given. bodies: the split's unseen
         bodies where none are given. changes: evaluation settings by name.
         """
         settings, specs = self.evaluate_settings(**changes), tuple(specs or self.specs)
         bodies = bodies or self.split.unseen
 
+        people = self.split.unseen_people
+
         def measured(one: Trained) -> Results:
-            make = lambda: self.renderer(one, angles, settings, bodies)
-            return self.measured(make, one, bodies, specs, tuple(map(float, angles)), settings)
+            if people is not None:
+                make, more = lambda: self.people_renderer(one, settings), {"people": people_identity(people)}
+            else:
+                make, more = lambda: self.renderer(one, angles, settings, bodies), {}
+            return self.measured(make, one, bodies, specs, tuple(map(float, angles)), settings, **more)
 
         return pool([measured(one) for one in trained])
 
@@ -223,9 +238,16 @@ class RunStore:
         backgrounds = self.split.unseen_backgrounds
         return make_renderer(trained.colors, logo, bodies, backgrounds, self.split.detectors, angles, settings)
 
+    def people_renderer(self, trained: Trained, settings: EvaluateSettings) -> PeopleRenderer:
+        """Make the renderer of the split's unseen people in photographs, who wear these colours."""
+        position = logo_positions(trained.logo.topology, trained.logo.face_ids)
+        worn, how = LogoClothes(LOGO, position, trained.colors), WearSettings(size=settings.size)
+        device = next(iter(self.split.detectors.values())).device
+        return PeopleRenderer(fit_people(self.split.unseen_people), [worn], self.split.unseen_backgrounds, how, device)
+
     def measured(
         self,
-        make: Callable[[], BodyRenderer],
+        make: Callable[[], EvaluationRenderer],
         trained: Trained,
         bodies: Bodies,
         specs: tuple[str, ...],

@@ -18,6 +18,7 @@ from cloak_core.evaluation.transfer.plan import (
     CIRCLE,
     FRONT,
     LADDER,
+    PHOTOGRAPHS,
     ablation_names,
     ablation_settings,
     families,
@@ -25,10 +26,13 @@ from cloak_core.evaluation.transfer.plan import (
     kinship,
 )
 from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.garments import chest_thighs
 from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.scene.photographs.people import People, load_people
 from tests.evaluation.made_split import Glow
+from tests.scene.photographs.made_people import write_people
 
 
 @pytest.mark.parametrize(
@@ -76,7 +80,7 @@ def test_rungs_are_alone_or_in_order_and_their_settings_exist():
         ablation_names(("best", "nothing"))
 
 
-def matrix(out: Path, **changes: object) -> Matrix:
+def matrix(out: Path, people: tuple[People, ...] = (), **changes: object) -> Matrix:
     detectors = {"onnx:red.onnx": Glow("red", 0), "yolo:a": Glow("green", 1), "yolo:b": Glow("blue", 2)}
     split = DataSplit(
         sample_bodies("train").select_poses([0]),
@@ -84,6 +88,7 @@ def matrix(out: Path, **changes: object) -> Matrix:
         load_backgrounds("procedural:train:2"),
         load_backgrounds("procedural:test:2"),
         detectors,
+        *people,
     )
     options = StoreOptions(out=out, steps=(1,), seeds=1, batch=1, images_per_view=1, size=32, samples=1)
     specs = tuple(detectors)
@@ -100,6 +105,24 @@ def test_surrogates_are_all_but_the_judged_network_and_if_asked_its_siblings(tmp
     assert whole.surrogates_for("onnx:red.onnx@64") == ("yolo:a", "yolo:b")
     with pytest.raises(InputError, match="none is left to train on without yolo:a"):
         matrix(tmp_path, surrogates=("yolo:a", "yolo:b"), cross_family_only=True).surrogates_for("yolo:a")
+
+
+@pytest.mark.slow
+def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
+    people = load_people(write_people(tmp_path / "people", 4))
+    seen, kept = people.halves()
+    assert not set(seen.photographs) & set(kept.photographs) and len(seen) + len(kept) == 4
+    of_people = matrix(tmp_path / "m", (seen, kept), judges=("yolo:a",), cameras=PHOTOGRAPHS)
+    of_people.fill(["recipe"])
+    (cell,) = gather(tmp_path / "m")
+    assert cell["n"] == len(kept) and cell["settings"] == {"preset": "photographs"} and cell["clothing"] is not None
+    (run,) = (tmp_path / "m" / "runs").iterdir()
+    assert set(read_json(run / "config.json")["people"]["photographs"]) == set(seen.photographs)
+    said = (show([cell], tmp_path / "page", "m")[-1]).read_text("utf-8")
+    assert "judged on 2 people in 2 other photographs" in said and "and on 2 people in 2 photographs" in said
+    # Other people are another training, and other images.
+    matrix(tmp_path / "m", (kept, seen), judges=("yolo:a",), cameras=PHOTOGRAPHS).fill(["recipe"])
+    assert len(list((tmp_path / "m" / "evaluations").iterdir())) == 2
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ class Matrix:
     def cell(self, ablation: str, judged: str) -> dict:
         """Train an ablation without one detector and let it judge: plain values."""
         surrogates = self.surrogates_for(judged)
-        settings = dict(self.cameras.training) | ablation_settings(ablation)
+        settings = dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people is not None)
         trained = [self._trained(surrogates, seed, settings) for seed in self.store.options.seed_list]
         test = {"controls": STANDARD} | self.cameras.test
         results = self.store.evaluate(trained, self.cameras.angles, [judged], **test)

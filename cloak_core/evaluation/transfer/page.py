@@ -65,14 +65,23 @@ def caption(cells: Sequence[dict]) -> str:
     """Say what was trained on and judged on."""
     cell, split = cells[-1], cells[-1]["materials"]
     bodies, unseen = split["bodies"], split["unseen"]
+    if "people" in split:
+        seen, kept = split["people"], split["unseen_people"]
+        people = f", and on {seen['count']} people in {seen['photographs']} photographs"
+        judged = f"{kept['count']} people in {kept['photographs']} other photographs"
+    else:
+        people = ""
+        judged = (
+            f"{len(unseen['poses'])} other bodies in {unseen['outfits']} other outfits before "
+            f"{split['unseen_backgrounds']['count']} other backgrounds"
+        )
     settings = ", ".join(f"{key} {value}" for key, value in cell["settings"].items() if key in _PLACES)
     seeds = max(len(c["by_seed"]) for c in cells)
     return (
         f"{cell['logo']} ({percent(cell['area_share'])} of the area), {cell['steps']} steps of {cell['batch']} images "
         f"({settings}), {seeds} {'seed' if seeds == 1 else 'seeds'}. Trained on {len(bodies['poses'])} bodies in "
-        f"{bodies['outfits']} outfits before {split['backgrounds']['count']} backgrounds; judged on "
-        f"{len(unseen['poses'])} other bodies in {unseen['outfits']} other outfits before "
-        f"{split['unseen_backgrounds']['count']} other backgrounds, {cell['images']} images a training, by a "
+        f"{bodies['outfits']} outfits before {split['backgrounds']['count']} backgrounds{people}; "
+        f"judged on {judged}, {cell['images']} images a training, by a "
         "detector that was left out of training. * has no sibling among its surrogates."
     )
 

@@ -91,10 +91,13 @@ def ablation_names(asked: Sequence[str]) -> tuple[str, ...]:
     return found
 
 
-def ablation_settings(name: str) -> dict[str, object]:
-    """Make the training settings of `best`, a technique alone upon it, +NAME (all up to it), or `recipe`."""
+def ablation_settings(name: str, photographs: bool = False) -> dict[str, object]:
+    """Make the training settings of `best`, a technique alone upon it, +NAME (all up to it), or `recipe`.
+
+    photographs: whether training sees people in photographs, for whom the recipe is another.
+    """
     if name == RECIPE:
-        return {"preset": "transfer"}
+        return {"preset": "photographs" if photographs else "transfer"}
     settings: dict[str, object] = {"preset": "best"}
     if not name.startswith("+"):
         return settings | (LADDER | ALONE).get(name, {})
@@ -120,6 +123,8 @@ class Cameras:
 
 
 FRONT = Cameras({"angles": "-10:10:5", "elevation": 6, "distance": 2.2}, tuple(map(float, range(-10, 11, 4))), {})
+PHOTOGRAPHS = Cameras({}, (), {})
+"""Photographs stand where they were taken, and the recipe for them says where cameras of renders stand."""
 CIRCLE = Cameras(
     {"angles": "0..360", "elevation": "0:30", "distance": "1.4:6"},
     tuple(map(float, range(0, 360, 10))),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +76,14 @@ class People:
     def photographs(self) -> tuple[str, ...]:
         """File names, in order, each once."""
         return tuple(dict.fromkeys(person.photograph for person in self.people))
+
+    def halves(self) -> tuple[People, People]:
+        """The people of every second photograph, and those of the others. `InputError`: there is only one."""
+        names = self.photographs
+        if len(names) < 2:
+            raise InputError(f"{self.name}: one photograph cannot be both trained on and unseen")
+        part = lambda start: tuple(person for person in self.people if person.photograph in names[start::2])
+        return replace(self, people=part(0)), replace(self, people=part(1))
 
 
 def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None) -> People:
