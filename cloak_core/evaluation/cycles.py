@@ -7,6 +7,7 @@ here, as for our own images: in display colours, image = body * alpha + backgrou
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +21,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.renderer import BodyRenderer, Indices
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -62,12 +64,14 @@ def first_trials(trials: pd.DataFrame) -> dict[tuple[int, float], int]:
 
 
 def in_cycles(
-    renderer: BodyRenderer, controls: Sequence[str], out: Path, light: str, on_frame: OnFrame
+    renderer: BodyRenderer, controls: Sequence[str], out: Path, light: str, on_progress: OnProgress | None
 ) -> CyclesRenderer:
     """Render the trials in one light of Cycles, in the first outfit; frames are kept in a folder in `out`."""
     require_blender()
     # Every other outfit would need frames of its own.
     renderer.trials = renderer.trials.assign(outfit=0)
+    done, frames = itertools.count(1), len(first_trials(renderer.trials)) * len(controls)
+    on_frame = lambda _: on_progress and on_progress(next(done), frames)
     return CyclesRenderer(renderer, render_frames(renderer, controls, out, SAMPLES, on_frame, (light,)), light)
 
 
@@ -176,11 +180,6 @@ class CyclesRenderer(BodyRenderer):
         super().__init__(**{field.name: getattr(renderer, field.name) for field in fields(BodyRenderer)})
         self._folder, self._light = folder, light
         self._bodies: dict[tuple[int, float, str], Tensor] = {}
-
-    @property
-    def frames(self) -> str:
-        """What the frames' content is known by."""
-        return self._folder.name
 
     def compose(
         self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.detectors.protocol import Detector, state_hash
-from cloak_core.evaluation.cycles import first_trials, in_cycles
+from cloak_core.evaluation.cycles import in_cycles
 from cloak_core.evaluation.evaluation_folder import check_folder, write_evaluation
 from cloak_core.evaluation.measure import OnProgress, all_controls, bare_indices, measure
 from cloak_core.evaluation.provenance import seen_in_training, trained_against
@@ -63,7 +62,10 @@ def evaluate(
         _log.warning("%s", warning)
     renderer = make_renderer(colors, logo, bodies, backgrounds, detectors, angles, settings)
     if settings.cycles is not None:
-        renderer = _in_cycles(renderer, settings, out, on_progress)
+        if out is None:
+            raise InputError("--cycles: frames are kept beside the evaluation: say where it goes (--out)")
+        frames = out.with_name("cycles")
+        renderer = in_cycles(renderer, all_controls(settings), frames, settings.cycles, on_progress)
     circumstances = _circumstances(renderer, settings, angles)
     circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
     return evaluate_renderer(renderer, detectors, settings, circumstances, out=out, on_progress=on_progress)
@@ -112,22 +114,6 @@ def detector_facts(detectors: Mapping[str, Detector]) -> dict:
     points = {spec: detector.operating_point for spec, detector in detectors.items()}
     assumed = [spec for spec, detector in detectors.items() if detector.operating_point_assumed]
     return {"operating_points": points, "operating_points_assumed": assumed}
-
-
-def _in_cycles(
-    renderer: BodyRenderer, settings: EvaluateSettings, out: Path | None, on_progress: OnProgress | None
-) -> BodyRenderer:
-    """Render with Cycles instead; frames stand beside the evaluation, and are rendered once."""
-    if out is None:
-        raise InputError("--cycles: frames are kept beside the evaluation: say where it goes (--out)")
-    controls, said = all_controls(settings), itertools.count(1)
-    every = len(first_trials(renderer.trials)) * len(controls)
-
-    def tell(_: str) -> None:
-        if on_progress is not None:
-            on_progress(next(said), every)
-
-    return in_cycles(renderer, controls, out.with_name("cycles"), settings.cycles, tell)
 
 
 def _circumstances(renderer: BodyRenderer, settings: EvaluateSettings, angles: Sequence[float]) -> dict:

@@ -5,6 +5,10 @@ import pytest
 import torch
 
 from cloak_core.bench import hostile_cases, stability, stability_checks
+from cloak_core.bench.oracle import screen_of
+from cloak_core.render.rasterizer import area_fragments
+from cloak_core.render.screen import GRID
+from cloak_core.render.types import Window
 
 
 @pytest.mark.parametrize("name", stability.CASES)
@@ -55,14 +59,24 @@ def test_hostile_scenes_keep_their_coverage(make: object, count: int) -> None:
     assert wrong == 0 and ("0 of" in remark) == (make is not hostile_cases.specks)
 
 
-def test_a_row_of_pixels_takes_bounded_time() -> None:
-    def thread(rng: np.random.Generator, count: int) -> hostile_cases.Triangles:
-        """Needles across two rows of pixels."""
-        x, y, depth = hostile_cases.needles(rng, count)
-        return x, 100 + y % 2, depth
+def crossing(rng: np.random.Generator, count: int) -> hostile_cases.Triangles:
+    """Needles in two rows of pixels."""
+    x, y, depth = hostile_cases.needles(rng, count)
+    return x, 100 + y % 2, depth
 
-    wrong, remark = hostile_cases.check(thread, 2000)
+
+def test_a_row_of_pixels_takes_bounded_time() -> None:
+    wrong, remark = hostile_cases.check(crossing, 2000)
     assert wrong == 0 and 100 < int(remark.split()[2]) < 832
+
+
+@pytest.mark.filterwarnings("ignore::cloak_core.render.types.CrowdedPixels")
+def test_what_is_sampled_does_not_depend_on_how_rows_are_shared() -> None:
+    x, y, depth = crossing(np.random.default_rng(0), 1200)
+    corners = (np.rint(t * GRID).astype(np.int64).ravel() for t in (x, y))
+    screen, triangles = screen_of(*corners, depth.ravel(), 416, 416), torch.arange(x.size).view(-1, 3).T.contiguous()
+    areas = lambda top, bottom: area_fragments(screen, triangles, None, Window(0, top, 416, bottom)).area
+    assert torch.equal(areas(100, 102), torch.cat([areas(100, 101), areas(101, 102)]))
 
 
 def test_light_that_is_off_is_a_mismatch(monkeypatch: pytest.MonkeyPatch) -> None:

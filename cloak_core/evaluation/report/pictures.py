@@ -1,4 +1,4 @@
-"""Draw pictures of an evaluation and contact sheets of them.
+"""Draw pictures of an evaluation.
 
 Rules decide which images are shown, before anyone has seen a score, or by the scores alone.
 """
@@ -6,37 +6,31 @@ Rules decide which images are shown, before anyone has seen a score, or by the s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import groupby
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import torch
 from jaxtyping import Float
 from matplotlib import font_manager
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageFont
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.renderer import EvaluationRenderer
-from cloak_core.evaluation.report.words import control_label, degrees
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.statistics import by_value, hidden, share
 from cloak_core.evaluation.trials import complete
-from cloak_core.scene.pictures import read_picture, save_picture
+from cloak_core.scene.pictures import save_picture
 
 BODIES = 3
 ANGLES = 5
 FAILURES = 6
 WORST = 10
-BOX, INK, SOFT, PAPER = (224, 52, 28), (31, 35, 40), (89, 99, 110), (255, 255, 255)
-"""Colours of boxes, of names, of what stands beside them, and of the sheet."""
-GAP, MARGIN, HEAD, FOOT = 10, 24, 34, 30
-"""Of a contact sheet, pixels."""
+INK, SOFT, PAPER = (31, 35, 40), (89, 99, 110), (255, 255, 255)
+"""Colours of names, of what stands beside them, and of the ground."""
 
 
 @torch.no_grad()
@@ -168,74 +162,7 @@ def to_pil(image: Float[Tensor, "3 H W"]) -> Image.Image:
     return Image.fromarray((image.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy())
 
 
-class Cell(NamedTuple):
-    """A picture of a contact sheet and the line below it."""
-
-    image: Image.Image
-    text: str
-    color: tuple[int, int, int] = SOFT
-
-
-def draw_sheet(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Cell]]], side: int) -> Image.Image:
-    """Draw a contact sheet: named rows of pictures, `side` pixels wide and high, under column heads."""
-    label = max(int(font(18, bold=True).getlength(name)) for name, _ in rows) + 2 * GAP
-    width = MARGIN * 2 + label + len(heads) * (side + GAP) - GAP
-    height = MARGIN + HEAD + len(rows) * (side + FOOT + GAP) + MARGIN - GAP
-    sheet = Image.new("RGB", (width, height), PAPER)
-    draw = ImageDraw.Draw(sheet)
-    left = MARGIN + label
-    for k, head in enumerate(heads):
-        draw.text((left + k * (side + GAP) + side / 2, MARGIN + HEAD / 2), head, SOFT, font(18), anchor="mm")
-    for r, (name, cells) in enumerate(rows):
-        top = MARGIN + HEAD + r * (side + FOOT + GAP)
-        draw.text((MARGIN, top + side / 2), name, INK, font(18, bold=True), anchor="lm")
-        for k, cell in enumerate(cells[: len(heads)]):
-            x = left + k * (side + GAP)
-            sheet.paste(cell.image, (x, top))
-            draw.text((x, top + side + 4), cell.text, cell.color, font(15), anchor="la")
-    return sheet
-
-
-def shot_cell(folder: Path, shot: Mapping, spec: str, side: int) -> Cell:
-    """Make a cell of a picture that `write_shot` wrote into `folder`, scaled to `side`, with the detector's boxes."""
-    image = Image.fromarray(read_picture(folder / Path(shot["file"]).name))
-    scale = side / image.width
-    image = image.resize((side, round(image.height * scale)), Image.Resampling.LANCZOS)
-    draw = ImageDraw.Draw(image)
-    boxes, score = shot["boxes"].get(spec, []), shot["scores"][spec]
-    for x1, y1, x2, y2, _ in boxes:
-        x1, y1 = max(x1 * scale, 0), max(y1 * scale, 0)
-        x2, y2 = min(x2 * scale, image.width - 1), min(y2 * scale, image.height - 1)
-        if x2 > x1 and y2 > y1:
-            draw.rectangle((x1, y1, x2, y2), outline=BOX, width=max(2, side // 90))
-    return Cell(image, f"person {score:.2f}", BOX) if boxes else Cell(image, f"no person (best {score:.2f})")
-
-
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Load the plots' font, which comes with matplotlib."""
     properties = font_manager.FontProperties(family="DejaVu Sans", weight="bold" if bold else "normal")
     return ImageFont.truetype(font_manager.findfont(properties), size)
-
-
-def contact_sheets(
-    renderer: EvaluationRenderer, rows: pd.DataFrame, spec: str, detector: Detector, threshold: float, side: int = 160
-) -> dict[str, Image.Image]:
-    """Draw pairs of own clothing and cloak: "gallery", chosen by rule, and "failures" where there are any.
-
-    rows: of the detector, under the trained colours. side: of a picture, pixels.
-    """
-    chosen = {"gallery": gallery_trials(renderer.trials), "failures": failure_trials(rows, threshold)}
-    sheets = {}
-    with TemporaryDirectory() as folder:
-        for name, trials in chosen.items():
-            shots = [draw_pair(Path(folder), renderer, trial, {spec: detector}, threshold) for trial in trials]
-            mixed = name == "failures"
-            bodies = [shots] if mixed else [list(own) for _, own in groupby(shots, lambda shot: shot["body"])]
-            pairs = [
-                (control_label(control), [shot_cell(Path(folder), shot[control], spec, side) for shot in mine])
-                for mine in bodies
-                for control in (CLOTHING, LOGO)
-            ]
-            heads = [(f"{shot['body'][:12]}, " if mixed else "") + degrees(shot["angle"]) for shot in bodies[0]]
-            sheets |= {name: draw_sheet(heads, pairs, side)} if trials else {}
-    return sheets

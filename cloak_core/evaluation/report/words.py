@@ -71,11 +71,6 @@ def _with_folder(spec: str) -> str:
     return f"{short_name(spec)} ({file.parent.name or file.stem})"
 
 
-def said(row: dict) -> str:
-    """Say a row's success with its interval and count."""
-    return f"{percent(row['success'])} (95 % interval {interval([row['low'], row['high']])}, n = {row['n']:,})"
-
-
 def file_name(spec: str) -> str:
     """Make a detector's name part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", short_name(spec).lower()).strip("-")
@@ -110,11 +105,8 @@ def lede(summary: dict) -> str:
 def badges(summary: dict) -> list[tuple[str, str]]:
     """List (kind, text) with kind good, bad or unknown: whether bodies and backgrounds are unseen."""
     words = {True: ("good", "unseen {}"), False: ("bad", "{} seen in training"), None: ("unknown", "{}: not known")}
-    marks = []
-    for part in ("bodies", "backgrounds"):
-        kind, text = words[summary["unseen"].get(part)]
-        marks.append((kind, text.format(part)))
-    return marks
+    told = {part: words[summary["unseen"].get(part)] for part in ("bodies", "backgrounds")}
+    return [(kind, text.format(part)) for part, (kind, text) in told.items()]
 
 
 def setting_rows(config: dict) -> list[tuple[str, str]]:
@@ -127,13 +119,16 @@ def fact_rows(config: dict, history: History) -> list[tuple[str, str]]:
     """List what was trained, on what, how long, with which versions."""
     parts = (config.get(key) for key in ("scene", "logo", "environment", "backgrounds"))
     scene, logo, environment, backgrounds = (part if isinstance(part, dict) else {} for part in parts)
+    number = lambda value, words: words.format(value) if isinstance(value, int) else ""
+    poses = scene["poses"] if isinstance(scene.get("poses"), list) else None
+    bodies = "" if poses is None else f"{len(poses)} {'body' if len(poses) == 1 else 'bodies'}"
     rows = [
         ("steps", f"{history.step:,}" if history.step else "none"),
         ("training time", duration(history.seconds) if history.seconds else ""),
         ("ended", history.outcome),
-        ("scene", _join(scene.get("name"), _count(scene.get("poses"), "body", "bodies"))),
-        ("logo", _join(_number(logo.get("faces"), "faces"), _of(scene.get("faces")))),
-        ("backgrounds", _number(backgrounds.get("count"), "images")),
+        ("scene", _join(scene.get("name"), bodies)),
+        ("logo", _join(number(logo.get("faces"), "{:,} faces"), number(scene.get("faces"), "of {:,}"))),
+        ("backgrounds", number(backgrounds.get("count"), "{:,} images")),
         ("colours", _colors(config)),
         ("topology", str(config.get("topology", ""))),
         ("cloak", str(config.get("cloak", ""))),
@@ -192,18 +187,6 @@ def _value(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(_value(v) for v in value)
     return str(value)
-
-
-def _count(items: object, one: str, many: str) -> str:
-    return f"{len(items)} {one if len(items) == 1 else many}" if isinstance(items, list) else ""
-
-
-def _number(value: object, unit: str) -> str:
-    return f"{value:,} {unit}" if isinstance(value, int) else ""
-
-
-def _of(value: object) -> str:
-    return f"of {value:,}" if isinstance(value, int) else ""
 
 
 def _join(*parts: object) -> str:

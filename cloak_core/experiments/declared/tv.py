@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from cloak_core.evaluation.report.pictures import Cell as Picture
-from cloak_core.evaluation.report.pictures import draw_sheet
 from cloak_core.evaluation.store import RunStore
 from cloak_core.experiments.charts import Lines
 from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Trainings, test_angles
+from cloak_core.experiments.sheets import Cell as Picture
+from cloak_core.experiments.sheets import draw_sheet
 from cloak_core.scene.pictures import read_picture
 
 PAPER_WEIGHTS = (0.0, 0.1, 2.5, 10.0)

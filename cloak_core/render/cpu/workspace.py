@@ -46,11 +46,7 @@ class Pixels(NamedTuple):
 
 PIECE = np.dtype(
     [
-        (
-            "plane",
-            np.float64,
-            (3,),
-        ),  # inverse depth in steps of 2^-42: at the pixel's corner, change right, change down
+        ("plane", np.float64, (3,)),  # inverse depth in steps of 2^-42 at the pixel's corner; change right and down
         ("bounds", np.float64, (2,)),  # least and greatest inverse depth, in steps
         ("id", np.int64),
         ("box", np.float64, (4,)),  # left, top, right, bottom
