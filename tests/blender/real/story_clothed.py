@@ -59,6 +59,8 @@ def steps():
     from made import centers, make_egg
 
     install(ZIP, PYTHON)
+    from cloak.blender import colors, faces
+
     view = bpy.context.preferences.view
     view.language = LANGUAGE
     view.use_translate_interface = view.use_translate_tooltips = True
@@ -74,12 +76,10 @@ def steps():
     bpy.context.view_layer.objects.active = obj
     for thing, color in ((obj, (0.8, 0.55, 0.4, 1)), (shirt, (0.15, 0.25, 0.6, 1))):
         material = bpy.data.materials.new(thing.name)
-        material.use_nodes = True
-        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = color
+        shader = next(n for n in colors.nodes_of(material)[0] if n.type == "BSDF_PRINCIPLED")  # its name is translated
+        shader.inputs["Base Color"].default_value = color
         thing.data.materials.append(material)
     frame()
-    from cloak.blender import faces
-
     places = centers(obj)
     settings = bpy.context.scene.cloak
     settings.output, settings.steps, settings.frame_end = str(Path(FOLDER, "runs")), 40, 1
