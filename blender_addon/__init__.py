@@ -19,7 +19,7 @@ from .logo import drag_stamp, heat, overlay, paint, pick, stamp_operators, tools
 from .logo import operators as logo_operators
 from .logo import panel as logo_panel
 from .poses import panel as poses_panel
-from .result import bake_operator, evaluate, eye, eye_drawing, judge_panels, output_operators, ring, wear
+from .result import evaluate, eye, eye_drawing, judge_panels, output_operators, ring, wear
 from .result import operators as result_operators
 from .result import panel as result_panel
 from .session import session
@@ -31,7 +31,7 @@ from .ui import thumbnails
 
 WITH_CLASSES = (
     *(preferences, install_operators, body_operators, logo_operators, pick, paint, stamp_operators, drag_stamp, heat),
-    *(detectors, training_operators, run_operators, result_operators, bake_operator, evaluate, output_operators),
+    *(detectors, training_operators, run_operators, result_operators, evaluate, output_operators),
     *(body_panel, logo_panel, poses_panel, training_panel, run_panels, result_panel, judge_panels, wear),
 )
 """Modules whose classes Blender is told of, in the order in which panels stand."""

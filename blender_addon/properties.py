@@ -211,10 +211,7 @@ class CloakSettings(bpy.types.PropertyGroup):
     angle_step: _whole("Step", "Degrees from one training azimuth to the next", 5, min=1, max=360)
     steps: _whole("Steps", "Updates of the colours", 600, min=1, max=10_000_000)
     device: _choice(
-        "Device",
-        "What to train on",
-        ("cpu", "CPU", "The processor"),
-        ("cuda", "GPU", "An NVIDIA graphics card (CUDA)"),
+        "Device", "What to train on", ("cpu", "CPU", "The processor"), ("cuda", "GPU", "An NVIDIA graphics card (CUDA)")
     )
     output: _path(
         "Output",
@@ -227,11 +224,7 @@ class CloakSettings(bpy.types.PropertyGroup):
         description="What the cloak is shown with",
         items=[
             ("SEEN", "As Detectors Saw", "Unlit: every colour is the trained one, whatever the light"),
-            (
-                "LOOKDEV",
-                "Lookdev",
-                "A matte cloth that light falls on: for pictures, not for judging",
-            ),
+            ("LOOKDEV", "Lookdev", "A matte cloth that light falls on: for pictures, not for judging"),
         ],
         update=_look_chosen,
     )

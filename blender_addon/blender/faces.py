@@ -20,21 +20,7 @@ import numpy as np
 from ..body.objects import topology
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from .mesh_arrays import (
-    corner_counts,
-    corner_edges,
-    current_mesh,
-    edited,
-    face_centers,
-    hidden_faces,
-    polygon_loops,
-    read,
-    selected,
-    to_world,
-    triangle_vectors,
-    vertex_points,
-    write_attribute,
-)
+from . import mesh_arrays as arrays
 from .symmetry import nearest_within
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
@@ -90,7 +76,7 @@ def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
     """Object Mode during the block; selection and hiding come along."""
     editing = obj.mode == "EDIT"
     if editing:
-        edited(obj)
+        arrays.edited(obj)
         bpy.ops.object.mode_set(mode="OBJECT")
     try:
         yield
@@ -101,8 +87,8 @@ def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
 
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
-    with current_mesh(obj) as mesh:
-        return read(mesh.attributes[name].data, "value", dtype=bool)
+    with arrays.current_mesh(obj) as mesh:
+        return arrays.read(mesh.attributes[name].data, "value", dtype=bool)
 
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
@@ -115,7 +101,7 @@ def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
             _write_edited(obj, name, (mask != old) & (mask == flag), flag)
         return
     with _object_mode(obj):
-        write_attribute(mesh, name, "BOOLEAN", mask)
+        arrays.write_attribute(mesh, name, "BOOLEAN", mask)
 
 
 def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
@@ -144,24 +130,24 @@ def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray, flag: bool
     for face in itertools.compress(bm.faces, mask.tolist()):
         face[layer] = flag
     bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    edited(obj)
+    arrays.edited(obj)
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of the selected faces; in Edit Mode hidden faces are never selected."""
-    with current_mesh(obj) as mesh:
-        return selected(mesh, "polygons") & ~hidden_faces(mesh)
+    with arrays.current_mesh(obj) as mesh:
+        return arrays.selected(mesh, "polygons") & ~arrays.hidden_faces(mesh)
 
 
 def read_hidden(obj: bpy.types.Object) -> np.ndarray:
     """Mask [F] of faces hidden in Edit Mode."""
-    with current_mesh(obj) as mesh:
-        return hidden_faces(mesh)
+    with arrays.current_mesh(obj) as mesh:
+        return arrays.hidden_faces(mesh)
 
 
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     """Select exactly the visible faces of `mask`; returns how many of its faces are hidden and stay unselected."""
-    with current_mesh(obj) as mesh:
+    with arrays.current_mesh(obj) as mesh:
         hidden = read_hidden(obj)
         visible = mask & ~hidden
         if obj.mode == "EDIT":
@@ -179,8 +165,8 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
     """Only what is selected now, or will be, is touched: Python takes each element by itself."""
     bm = bmesh.from_edit_mesh(obj.data)
     kinds = ("vertices", "edges", "polygons")
-    with current_mesh(obj) as mesh:
-        chosen = [np.flatnonzero(selected(mesh, kind)) for kind in kinds]
+    with arrays.current_mesh(obj) as mesh:
+        chosen = [np.flatnonzero(arrays.selected(mesh, kind)) for kind in kinds]
     for elements, indices in zip((bm.verts, bm.edges, bm.faces), chosen, strict=True):
         elements.ensure_lookup_table()
         for index in indices.tolist():
@@ -188,13 +174,13 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
     for index in np.flatnonzero(faces).tolist():
         bm.faces[index].select_set(True)
     bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    edited(obj)
+    arrays.edited(obj)
 
 
 def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Masks of the vertices and edges that border the faces of a mask."""
-    loop_total, loop_vertices = polygon_loops(mesh)
-    loop_edges = corner_edges(mesh)
+    loop_total, loop_vertices = arrays.polygon_loops(mesh)
+    loop_edges = arrays.corner_edges(mesh)
     corners = np.repeat(faces, loop_total)
     vertices, edges = np.zeros(len(mesh.vertices), bool), np.zeros(len(mesh.edges), bool)
     vertices[loop_vertices[corners]] = True
@@ -225,7 +211,7 @@ def remove_logo(obj: bpy.types.Object, name: str) -> None:
         layers = bmesh.from_edit_mesh(obj.data).faces.layers.bool
         layers.remove(layers[name])
         bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-        edited(obj)
+        arrays.edited(obj)
         return
     with _object_mode(obj):
         obj.data.attributes.remove(obj.data.attributes[name])
@@ -233,8 +219,8 @@ def remove_logo(obj: bpy.types.Object, name: str) -> None:
 
 def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """The faces of `mask` and all that share a corner with them."""
-    with current_mesh(obj) as now:
-        loop_total, loop_vertices = polygon_loops(now)
+    with arrays.current_mesh(obj) as now:
+        loop_total, loop_vertices = arrays.polygon_loops(now)
         touched = np.zeros(len(now.vertices), bool)
     touched[loop_vertices[np.repeat(mask, loop_total)]] = True
     return _any_corner(touched[loop_vertices], loop_total)
@@ -255,8 +241,11 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
 
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
-    with current_mesh(obj) as mesh:
-        centers, areas = face_centers(vertex_points(mesh), *polygon_loops(mesh)), read(mesh.polygons, "area")
+    with arrays.current_mesh(obj) as mesh:
+        centers, areas = (
+            arrays.face_centers(arrays.vertex_points(mesh), *arrays.polygon_loops(mesh)),
+            arrays.read(mesh.polygons, "area"),
+        )
     ids = np.flatnonzero(mask)
     reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
     opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)
@@ -276,8 +265,8 @@ def import_face_list(obj: bpy.types.Object, path: Path) -> str:
         raise InputError(
             f"{path}: made for topology {face_list.topology}, but '{obj.name}' has {own}: choose its own mesh"
         )
-    with current_mesh(obj) as mesh:
-        counts = corner_counts(mesh)
+    with arrays.current_mesh(obj) as mesh:
+        counts = arrays.corner_counts(mesh)
     count = len(counts)
     if face_list.index_of == "triangle" and (counts != 3).any():
         raise InputError(f"{path}: counts triangles, but '{obj.name}' has larger faces: triangulate it first")
@@ -324,9 +313,9 @@ class LogoStats:
 
 def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
     """Counts and areas of a logo."""
-    with current_mesh(obj) as mesh:
+    with arrays.current_mesh(obj) as mesh:
         vectors, polygon = _area_vectors(mesh, obj)
-        hidden = hidden_faces(mesh)
+        hidden = arrays.hidden_faces(mesh)
     areas = np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mask))
     # The front looks along +y, so front faces have normals along -y.
     frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(mask)), 0)
@@ -337,13 +326,13 @@ def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
 
 def face_areas(obj: bpy.types.Object) -> np.ndarray:
     """[F] areas in world space: sums over triangles, as the trainer counts them."""
-    with current_mesh(obj) as mesh:
+    with arrays.current_mesh(obj) as mesh:
         vectors, polygon = _area_vectors(mesh, obj)
         return np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mesh.polygons))
 
 
 def _area_vectors(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
-    points = to_world(vertex_points(mesh), np.array(obj.matrix_world))
+    points = arrays.to_world(arrays.vertex_points(mesh), np.array(obj.matrix_world))
     points -= points.mean(0)  # so that half the digits are enough, wherever the body stands
-    return triangle_vectors(mesh, points.astype(np.float32))
+    return arrays.triangle_vectors(mesh, points.astype(np.float32))

@@ -15,18 +15,7 @@ from mathutils import Vector
 from mathutils.geometry import closest_point_on_tri, intersect_ray_tri
 
 from ..files.errors import InputError
-from .mesh_arrays import (
-    corners_by_size,
-    evaluated_mesh,
-    face_centers,
-    face_count,
-    face_normals,
-    hidden_faces,
-    polygon_loops,
-    split_faces,
-    to_world,
-    vertex_points,
-)
+from . import mesh_arrays as arrays
 from .modifiers import carried_faces, lost_reason, numbered_faces
 
 
@@ -57,7 +46,7 @@ class Surface:
 
     def triangles(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vertices [n, 3] of the triangles of some faces, and the face of each [n]."""
-        return split_faces(self.points, self.starts, self.counts, self.loops, faces)
+        return arrays.split_faces(self.points, self.starts, self.counts, self.loops, faces)
 
     def hits(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """[n, 3] where a ray meets shown faces, the nearest first."""
@@ -109,10 +98,10 @@ def _squared(vectors: np.ndarray) -> np.ndarray:
 
 def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
     """The body as it is seen now: posed, and with its modifiers' faces where they come from its own."""
-    with evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
-        if len(mesh.polygons) == face_count(obj):
+    with arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+        if len(mesh.polygons) == arrays.face_count(obj):
             return _surface(obj, mesh, matrix, None)
-    with numbered_faces([obj]), evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
+    with numbered_faces([obj]), arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
         own = carried_faces(obj, mesh)
         if own is None:
             raise InputError(lost_reason(obj))
@@ -120,16 +109,16 @@ def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
 
 
 def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, own: np.ndarray | None) -> Surface:
-    placed = to_world(vertex_points(mesh), matrix)
+    placed = arrays.to_world(arrays.vertex_points(mesh), matrix)
     middle = placed.mean(0)
     points = (placed - middle).astype(np.float32)
-    counts, loops = polygon_loops(mesh)
+    counts, loops = arrays.polygon_loops(mesh)
     starts = np.cumsum(counts) - counts
-    centers = face_centers(points, counts, loops)
-    normals = face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
+    centers = arrays.face_centers(points, counts, loops)
+    normals = arrays.face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
     reach = np.empty(len(centers), np.float32)
-    for faces, corners in corners_by_size(counts, loops):
+    for faces, corners in arrays.corners_by_size(counts, loops):
         away = [_squared(points[corner] - centers[faces]) for corner in corners.T]
         reach[faces] = np.sqrt(np.maximum.reduce(away))
-    shown = ~hidden_faces(mesh)
-    return Surface(middle, points, centers, normals, reach, shown, starts, counts, loops, own, face_count(obj))
+    shown = ~arrays.hidden_faces(mesh)
+    return Surface(middle, points, centers, normals, reach, shown, starts, counts, loops, own, arrays.face_count(obj))

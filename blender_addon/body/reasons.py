@@ -29,9 +29,7 @@ def body_reason(context: bpy.types.Context) -> str:
     return refusal(active_body, context)
 
 
-def of_the_body(
-    reason: Callable[[bpy.types.Context, bpy.types.Object], str],
-) -> Callable[[bpy.types.Context], str]:
+def of_the_body(reason: Callable[[bpy.types.Context, bpy.types.Object], str]) -> Callable[[bpy.types.Context], str]:
     """A reason that asks about the active body; where there is none, why not."""
 
     @functools.wraps(reason)

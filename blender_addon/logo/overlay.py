@@ -18,17 +18,8 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..blender import colors, faces
+from ..blender import mesh_arrays as arrays
 from ..blender.faces import LogoStats
-from ..blender.mesh_arrays import (
-    corner_counts,
-    corner_edges,
-    current_mesh,
-    face_triangles,
-    hidden_faces,
-    read,
-    to_world,
-    vertex_points,
-)
 from ..body.garments import logo_mask, worn_by
 from ..session import session
 from . import front
@@ -99,7 +90,7 @@ class _Kept:
 
     def update(self, obj: bpy.types.Object) -> None:
         start = time.perf_counter()
-        with current_mesh(obj):
+        with arrays.current_mesh(obj):
             self.value = self._compute(obj, faces.read_faces(obj, self.wanted.logo))
         self.key, self._seconds = self.wanted, time.perf_counter() - start
 
@@ -120,7 +111,7 @@ def _catch_up() -> float | None:
     key = _key(obj)
     if key is None:
         return None
-    with current_mesh(obj):  # one copy for all
+    with arrays.current_mesh(obj):  # one copy for all
         for kept in late:
             kept.wanted = key
             kept.update(obj)
@@ -148,7 +139,7 @@ def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     back, found = np.array(obj.matrix_world.inverted_safe()), [tint_triangles(obj, mask)]
     for worn, on_it, logo in _worn_with(obj):
         if on_it.any():
-            found.append(to_world(tint_triangles(worn, on_it, logo), back @ np.array(worn.matrix_world)))
+            found.append(arrays.to_world(tint_triangles(worn, on_it, logo), back @ np.array(worn.matrix_world)))
     return np.concatenate(found).astype(np.float32)
 
 
@@ -164,10 +155,10 @@ def tint_triangles(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> n
 def outline_edges(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """[2 n, 3] float32: ends of the edges around the logo in the object's space, lifted off the surface."""
     mesh, mask = _shown_mesh(obj, mask)
-    edges = corner_edges(mesh)[np.repeat(mask, corner_counts(mesh))]
+    edges = arrays.corner_edges(mesh)[np.repeat(mask, arrays.corner_counts(mesh))]
     around = np.flatnonzero(np.bincount(edges, minlength=len(mesh.edges)) == 1)
-    ends = read(mesh.edges, "vertices", 2, np.int32)[around].ravel()
-    corners, normals = read(mesh.vertices, "co", 3)[ends], read(mesh.vertex_normals, "vector", 3)[ends]
+    ends = arrays.read(mesh.edges, "vertices", 2, np.int32)[around].ravel()
+    corners, normals = arrays.read(mesh.vertices, "co", 3)[ends], arrays.read(mesh.vertex_normals, "vector", 3)[ends]
     return (corners + 2 * LIFT * _size(obj) * normals).astype(np.float32)
 
 
@@ -177,8 +168,8 @@ def _size(obj: bpy.types.Object) -> float:
 
 
 def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    with current_mesh(obj) as mesh:
-        return _corners(mesh, mask & ~hidden_faces(mesh))
+    with arrays.current_mesh(obj) as mesh:
+        return _corners(mesh, mask & ~arrays.hidden_faces(mesh))
 
 
 def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tuple[bpy.types.Mesh, np.ndarray]:
@@ -195,13 +186,14 @@ def _carried_mask(
     attribute = evaluated.attributes.get(logo)
     if attribute is None or attribute.domain != "FACE":
         return obj.data, mask
-    return evaluated, read(attribute.data, "value", dtype=bool)
+    return evaluated, arrays.read(attribute.data, "value", dtype=bool)
 
 
 def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places and normals, [3 n, 3] each, of the corners of a mask's triangles."""
-    chosen = face_triangles(mesh, mask)[0].ravel()  # normals of the vertices: with the faces' own, edges would gape
-    return vertex_points(mesh)[chosen], read(mesh.vertex_normals, "vector", 3)[chosen]
+    # Normals of the vertices: with the faces' own, edges would gape.
+    chosen = arrays.face_triangles(mesh, mask)[0].ravel()
+    return arrays.vertex_points(mesh)[chosen], arrays.read(mesh.vertex_normals, "vector", 3)[chosen]
 
 
 _stats, _tint, _outline = _Kept(worn_stats), _Kept(worn_tint), _Kept(outline_edges)

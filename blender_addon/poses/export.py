@@ -28,7 +28,7 @@ from ..files.errors import InputError
 from ..files.identity import sha256_arrays, sha256_record
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json
-from ..ui.cursor import progress_cursor
+from ..ui.window import progress_cursor
 from .poses import PoseChoice, list_poses, require_size, visit
 from .simulations import first_frame, require_own_animation
 
@@ -198,13 +198,7 @@ class Export:
         return self.folder / "logo.npy"
 
 
-def export(
-    context: bpy.types.Context,
-    obj: bpy.types.Object,
-    logo: str,
-    choice: PoseChoice,
-    folder: Path,
-) -> Export:
+def export(context: bpy.types.Context, obj: bpy.types.Object, logo: str, choice: PoseChoice, folder: Path) -> Export:
     """Write scene package, face list and record into `folder`, which appears whole or not at all."""
     require_body(obj)
     clothing = worn_by(obj)

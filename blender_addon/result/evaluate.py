@@ -19,7 +19,7 @@ from ..training import run_list
 from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui.operator import CloakOperator
-from ..ui.redrawing import redraw
+from ..ui.window import redraw
 from . import eye
 from .evaluations import kept_back, read_evaluation
 from .judging import evaluate_options

@@ -27,7 +27,7 @@ from ..session import session
 from ..trainer.onlooker import Onlooker, Seen
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
-from ..ui.redrawing import redraw
+from ..ui.window import redraw
 from .reasons import worn_reason
 from .viewpoints import Viewpoint, middle_of, of_camera, of_region
 from .worn_scenes import export_worn

@@ -65,10 +65,7 @@ class CloakJudging(bpy.types.PropertyGroup):
     eye_from: EnumProperty(
         name="From",
         description="Where the detector looks from",
-        items=(
-            ("VIEW", "View", "Where you look from, as you move around"),
-            ("CAMERA", "Camera", "The scene's camera"),
-        ),
+        items=(("VIEW", "View", "Where you look from, as you move around"), ("CAMERA", "Camera", "The scene's camera")),
     )
     eye_background: IntProperty(
         name="Background",

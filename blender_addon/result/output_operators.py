@@ -7,7 +7,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.props import IntProperty
 
+from ..blender import colors
 from ..body.objects import active_body
 from ..exchange.bodies import Bodies
 from ..files.errors import InputError
@@ -17,8 +19,8 @@ from ..trainer.command_lines import film_command, print_command
 from ..trainer.jobs import Job, run_command
 from ..trainer.preferences import chosen_python
 from ..training.runs import input_folder, run_of, side_folder
-from ..ui.operator import CloakOperator
-from . import outputs
+from ..ui.operator import BodyOperator, CloakOperator
+from . import bake, outputs
 from .judging import backgrounds_option
 from .reasons import camera_film_reason, film_reason, made_reason
 from .viewpoints import middle_of, of_camera
@@ -102,6 +104,30 @@ def middle_of_motion(bodies: Bodies) -> np.ndarray:
 def _told(job: Job, place: Path) -> str | None:
     # Its name alone: in the panel the way there takes three lines, and the list below opens it.
     return f"Wrote {place.name}" if job.state == "done" else None
+
+
+class CLOAK_OT_bake(BodyOperator):
+    """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
+or one with too little room, Cloak makes one of its own"""
+
+    bl_label = "Bake to Image"
+
+    size: IntProperty(name="Size", description="Texels along each side", default=2048, min=16, max=8192)
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        reason = BodyOperator.needs(context)
+        if reason or colors.CLOAK in context.object.data.color_attributes:
+            return reason
+        return "Train, or load colours, first"
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
+        done = bake.bake(obj, self.size)
+        material = bake.baked_material(done.image, done.uv_map)
+        faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
+        made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
+        return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"
 
 
 class CLOAK_OT_show_made(CloakOperator):

@@ -22,7 +22,7 @@ import bpy
 
 from ..files.errors import InputError
 from ..session import session
-from ..ui.redrawing import redraw
+from ..ui.window import redraw
 from .progress import Progress, take_event
 from .python import clean_environment, no_window
 
@@ -303,12 +303,7 @@ class TrainingJob(FollowedJob):
     """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
 
     def __init__(
-        self,
-        command: list[str],
-        run: Path,
-        folder: Path,
-        on_end: OnEnd | None = None,
-        process: Process | None = None,
+        self, command: list[str], run: Path, folder: Path, on_end: OnEnd | None = None, process: Process | None = None
     ) -> None:
         self.run = run
         self.is_ours = process is None

@@ -22,7 +22,7 @@ from ..files.errors import InputError
 from ..properties import output_folder, settings_of
 from ..session import session
 from ..trainer import jobs
-from ..ui.redrawing import redraw
+from ..ui.window import redraw
 from .run_states import RunState, find_runs, read_state
 from .runs import import_colors, input_folder, run_of
 
@@ -113,10 +113,7 @@ class CloakWindow(bpy.types.PropertyGroup):
 
     runs: CollectionProperty(name="Runs", description="The runs that were found", type=CloakRun, options={"SKIP_SAVE"})
     run_index: IntProperty(
-        name="Run",
-        description="The run whose colours the active body wears, or will wear",
-        get=_index,
-        set=_set_index,
+        name="Run", description="The run whose colours the active body wears, or will wear", get=_index, set=_set_index
     )
 
 

@@ -10,7 +10,7 @@ import bpy
 from ..body.objects import active_body
 from ..files.errors import InputError
 from ..translations import said
-from .cursor import progress_cursor
+from .window import progress_cursor
 
 PLAIN = {"REGISTER"}
 WITH_UNDO = {"REGISTER", "UNDO"}
