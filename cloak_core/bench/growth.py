@@ -9,18 +9,18 @@ each point held at most, and how much of that came with building (Linux only).
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import os
-import subprocess
-import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from cloak_core.bench.records import circumstances, table, with_earlier
 from cloak_core.bench.views import machine
@@ -28,10 +28,9 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
 from cloak_core.jobs.handing_out import Tell
+from cloak_core.render.settings import RenderSettings
+from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
-
-if TYPE_CHECKING:
-    from cloak_core.render.view_cache import ViewCache
 
 _log = logging.getLogger(__name__)
 
@@ -126,13 +125,11 @@ def tables(result: dict) -> str:
 
 def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
     """One point, in a process of its own, so that its peak of memory is its own."""
-    request = json.dumps([work.triangles, work.views, work.side, work.samples, threads, memory])
-    command = [sys.executable, "-m", "cloak_core.bench.growth", request]
-    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": str(threads)})
-    if done.returncode:
-        last = (done.stderr.strip().splitlines() or ["no output"])[-1]
-        raise InputError(f"growth: the point {work} failed: {last}")
-    return {"size": size} | json.loads(done.stdout)
+    try:
+        with ProcessPoolExecutor(1, get_context("spawn")) as process:
+            return {"size": size} | process.submit(_run, work, threads, memory).result()
+    except BrokenProcessPool as error:
+        raise InputError(f"growth: the point {work} failed: {error}") from None
 
 
 def sphere(triangles: int, radius: float = 0.9) -> Bodies:
@@ -154,8 +151,6 @@ def sphere(triangles: int, radius: float = 0.9) -> Bodies:
 
 
 def _run(work: Work, threads: int, memory: int) -> dict:
-    import torch
-
     torch.set_num_threads(threads)
     bodies = sphere(work.triangles)
     keys = [(0, replace(work.camera, azimuth=360.0 * i / work.views)) for i in range(work.views)]
@@ -171,9 +166,6 @@ def _run(work: Work, threads: int, memory: int) -> dict:
 
 
 def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewCache:
-    from cloak_core.render.settings import RenderSettings
-    from cloak_core.render.view_cache import ViewCache
-
     cache = ViewCache(bodies, RenderSettings(samples=work.samples, memory_bytes=memory))
     cache.screen(keys[:1])  # what is done once for each pose
     return cache
@@ -197,8 +189,3 @@ def _forget_peak() -> None:
     """Let VmHWM start anew from what is resident now."""
     with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
         file.write("5")
-
-
-if __name__ == "__main__":
-    *numbers, count, limit = json.loads(sys.argv[1])
-    print(json.dumps(_run(Work(*numbers), count, limit)))

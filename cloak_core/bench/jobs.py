@@ -106,16 +106,5 @@ def _planned(
 def jobs_table(result: dict) -> list[str]:
     """Lines of Markdown: the plan."""
     head = ("trainings", "cores", "days", "handing out", "disk", "files", "cores that one can feed")
-    rows = [
-        (
-            f"{plan['trainings']:,}",
-            f"{plan['cores']:,}",
-            f"{plan['days']:g}",
-            f"{plan['handing_out_hours']:g} h",
-            f"{plan['gigabytes']:,.0f} GB",
-            f"{plan['files']:,}",
-            f"{plan['most_cores']:,}",
-        )
-        for plan in result["plan"]
-    ]
-    return table(head, rows)
+    line = "{trainings:,}|{cores:,}|{days:g}|{handing_out_hours:g} h|{gigabytes:,.0f} GB|{files:,}|{most_cores:,}"
+    return table(head, [line.format(**plan).split("|") for plan in result["plan"]])
