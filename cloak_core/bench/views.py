@@ -151,7 +151,7 @@ def clock(device: str = "cpu") -> str:
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Within, torch uses this many threads."""
+    """Bounds, torch uses this many threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

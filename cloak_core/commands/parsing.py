@@ -11,7 +11,7 @@ import typing
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from cloak_core.attack.settings.values import Written
+from cloak_core.attack.settings.values import Parsable
 from cloak_core.commands.base import Command
 from cloak_core.commands.help import one_command
 from cloak_core.commands.usage import FOUR_DEEP, missing, usage
@@ -25,10 +25,10 @@ def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
     """Ranges, angles and weights, as they spell themselves; None for every other type."""
     kinds = typing.get_args(info.type) if info.type_origin in (types.UnionType, typing.Union) else (info.type,)
     kind, optional = kinds[0], types.NoneType in kinds
-    if not (isinstance(kind, type) and issubclass(kind, Written)):
+    if not (isinstance(kind, type) and issubclass(kind, Parsable)):
         return None
 
-    def read(words: list[str]) -> Written | None:
+    def read(words: list[str]) -> Parsable | None:
         return None if optional and words == ["None"] else kind.parse(words[0])
 
     return PrimitiveConstructorSpec(

@@ -7,54 +7,54 @@ from typing import Annotated, Literal
 
 from cloak_core.attack.settings import check_settings
 from cloak_core.attack.settings.loss import Hide
-from cloak_core.attack.settings.values import Within
+from cloak_core.attack.settings.values import Bounds
 
 
 @dataclass(frozen=True, kw_only=True)
 class HardenSettings:
     """How a detector is hardened. The defaults are those that the figures in docs/defence.md were measured with."""
 
-    steps: Annotated[int, Within(1, 10_000_000)] = 700
+    steps: Annotated[int, Bounds(1, 10_000_000)] = 700
     """Updates of the detector."""
-    max_seconds: Annotated[float | None, Within(ends="()")] = None
+    max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
-    batch: Annotated[int, Within(1, 4096)] = 6
+    batch: Annotated[int, Bounds(1, 4096)] = 6
     """Rendered images per update, in a cloak."""
-    clean: Annotated[int, Within(0, 4096)] = 3
+    clean: Annotated[int, Bounds(0, 4096)] = 3
     """The first so many of them are shown in their own clothes, too."""
-    cloaked_weight: Annotated[float, Within(0, 1000, "(]")] = 1.0
+    cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 1.0
     """How much an image in a cloak counts beside one without and a picture: more makes the detector more robust, less
     keeps more of its answers without cloaks."""
-    pictures: Annotated[int, Within(0, 4096)] = 2
+    pictures: Annotated[int, Bounds(0, 4096)] = 2
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
-    decoys: Annotated[int, Within(0, 4096)] = 3
+    decoys: Annotated[int, Bounds(0, 4096)] = 3
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
-    cloaks: Annotated[int, Within(1, 256)] = 4
+    cloaks: Annotated[int, Bounds(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
-    life: Annotated[int, Within(1, 100_000)] = 32
+    life: Annotated[int, Bounds(1, 100_000)] = 32
     """Turns after which a cloak makes room for a new one, on another logo and from other colours."""
-    attack_steps: Annotated[int, Within(0, 1000)] = 3
+    attack_steps: Annotated[int, Bounds(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
-    attack_lr: Annotated[float, Within(0, 1, "(]")] = 0.05
+    attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.05
     """Their learning rate (Adam), in units of colour. 0.1 is too much: colours flicker, and after 60 steps nothing was
     hidden where 0.03 to 0.05 hid more than 0.8."""
-    lr: Annotated[float, Within(0, 1, "()")] = 1e-3
+    lr: Annotated[float, Bounds(0, 1, "()")] = 1e-3
     """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0."""
-    sure: Annotated[float, Within(0, 1, "[)")] = 0.9
+    sure: Annotated[float, Bounds(0, 1, "[)")] = 0.9
     """Where the unhardened detector reports the rendered person, it is to be at least so sure; 0: as sure as it was."""
-    average: Annotated[float, Within(0, 1, "[)")] = 0.99
+    average: Annotated[float, Bounds(0, 1, "[)")] = 0.99
     """Decay of the running average of the weights, which is what gets written."""
-    size: Annotated[int, Within(32, 4096)] = 320
+    size: Annotated[int, Bounds(32, 4096)] = 320
     """Width and height of the rendered images, pixels."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the network while it learns and is attacked; what is written has float32 either way. bfloat16 takes
     less than half the time on processors and devices that are made for it."""
-    checkpoint_every: Annotated[int, Within(1, 10_000_000)] = 50
+    checkpoint_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between checkpoints."""
-    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Every random draw derives from it."""
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cloak_core.attack.settings import check_settings
-from cloak_core.attack.settings.values import Within
+from cloak_core.attack.settings.values import Bounds
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import STANDARD
 from cloak_core.evaluation.intervals import RESAMPLES
@@ -19,36 +19,36 @@ from cloak_core.scene.cameras import Camera
 class EvaluateSettings(RenderOptions):
     """How to evaluate. The defaults are the paper's camera and threshold."""
 
-    images_per_view: Annotated[int, Within(1)] = 4
+    images_per_view: Annotated[int, Bounds(1)] = 4
     """Images (background, shift, outfit) of every body at every angle, elevation and distance."""
-    most_images: Annotated[int | None, Within(1)] = None
+    most_images: Annotated[int | None, Bounds(1)] = None
     """Where these are more, only so many of them, drawn by the seed."""
     distances: tuple[float, ...] = (2.2,)
     """Camera distances, metres."""
-    elevation: Annotated[float, Within(-90, 90)] = 6.0
+    elevation: Annotated[float, Bounds(-90, 90)] = 6.0
     """Camera elevation, degrees."""
     elevations: tuple[float, ...] = ()
     """Several elevations instead, degrees: every body is seen from each at every angle and distance."""
-    field_of_view: Annotated[float, Within(0, 180, "()")] = 60.0
+    field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
-    size: Annotated[int, Within(16, 4096)] = 416
+    size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the images, pixels."""
     cycles: Literal["matching", "studio", "sky"] | None = None
     """Bodies as Blender's Cycles renders them in this light (needs bpy): our model's own, lamps in a room, or sun and
     sky. In their first outfit, from one distance and elevation; into RUN/evaluation-LIGHT."""
-    shift: Annotated[int, Within()] = 50
+    shift: Annotated[int, Bounds()] = 50
     """The body is moved by up to this many pixels along both axes, as in training; 0 keeps it in the middle."""
-    threshold: Annotated[float, Within(0, 1, "()")] = THRESHOLD
+    threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
     """A person counts as detected above this score."""
     controls: tuple[Literal["clothing", "grey", "random", "stripes", "checks"], ...] = STANDARD
     """What the logo is compared with."""
-    bare: Annotated[int, Within(1)] = 256
+    bare: Annotated[int, Bounds(1)] = 256
     """At most this many bare backgrounds are looked at for false alarms."""
-    resamples: Annotated[int, Within(100)] = RESAMPLES
+    resamples: Annotated[int, Bounds(100)] = RESAMPLES
     """Bootstrap resamples behind each interval."""
-    batch: Annotated[int, Within(1)] = 16
+    batch: Annotated[int, Bounds(1)] = 16
     """Images the detectors see at once."""
-    seed: Annotated[int, Within()] = 0
+    seed: Annotated[int, Bounds()] = 0
     """Every random draw derives from it: backgrounds, shifts, outfits and the random-colour logo."""
 
     def __post_init__(self) -> None:

@@ -27,7 +27,7 @@ from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
-from cloak_core.attack.settings.values import Within, Written, from_plain, option
+from cloak_core.attack.settings.values import Bounds, Parsable, from_plain, option
 from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 
@@ -214,7 +214,7 @@ def settings_record(settings: TrainSettings) -> dict[str, object]:
     values = {"preset": settings.preset}
     for name in COMPONENTS:
         values |= vars(getattr(settings, name))
-    return {name: str(value) if isinstance(value, Written) else value for name, value in values.items()}
+    return {name: str(value) if isinstance(value, Parsable) else value for name, value in values.items()}
 
 
 def check_settings(settings: object) -> None:
@@ -222,7 +222,7 @@ def check_settings(settings: object) -> None:
     for name, kind in hints_of(type(settings)).items():
         value = getattr(settings, name)
         for bounds in getattr(kind, "__metadata__", ()):
-            if isinstance(bounds, Within) and value not in bounds:
+            if isinstance(bounds, Bounds) and value not in bounds:
                 raise InputError(f"{option(name)}: {value} is not in {bounds}")
     if hasattr(settings, "check"):
         settings.check()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from cloak_core.attack.settings.values import NotNegative, Weights, Within
+from cloak_core.attack.settings.values import Bounds, NotNegative, Weights
 from cloak_core.files.errors import InputError
 
 Loss = Literal["score", "objectness", "log", "margin"]
@@ -38,7 +38,7 @@ class LossSettings:
     only some, those are then asked more often)."""
     detector_weights: Weights | None = None
     """For a weighted ensemble: one weight for each detector, A,B,C; only their ratios count."""
-    detectors_per_step: Annotated[int | None, Within(1, 4096)] = None
+    detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
     """Ask at most so many of the detectors in each step, drawn anew; None asks all."""
     tv_weight: NotNegative = 2.5
     """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from cloak_core.attack.settings.values import Positive, Within
+from cloak_core.attack.settings.values import Bounds, Positive
 from cloak_core.files.errors import InputError
 
 
@@ -18,15 +18,15 @@ class OptimizerSettings:
     (MI-FGSM, Dong et al., CVPR 2018)."""
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
-    momentum: Annotated[float, Within(0, 1, "[)")] = 0.0
+    momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """Of SGD and mi, [0, 1)."""
-    sharpness: Annotated[float, Within(0, 0.5)] = 0.0
+    sharpness: Annotated[float, Bounds(0, 0.5)] = 0.0
     """The gradient is taken where colours are worse by so much (root mean square, in units of colour), so that they
     end where all around is good, too (SAM, Foret et al., ICLR 2021); 0 switches it off."""
     ascent: Literal["gradient", "momentum"] = "gradient"
     """Which way is worse: up the gradient, which is taken first and doubles the cost of a step, or up the optimiser's
     own momentum, which costs nothing (Becker et al., 2024)."""
-    smooth: Annotated[int, Within(0, 1000)] = 0
+    smooth: Annotated[int, Bounds(0, 1000)] = 0
     """Colours are those of free parameters after so many rounds of averaging with neighbouring faces: what is finer
     cannot be learned. 0 leaves each face its own."""
     schedule: Literal["constant", "step", "cosine"] = "step"

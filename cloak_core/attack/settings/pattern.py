@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from cloak_core.attack.settings.values import Positive, Within
+from cloak_core.attack.settings.values import Bounds, Positive
 from cloak_core.files.errors import InputError
 
 
@@ -13,16 +13,16 @@ from cloak_core.files.errors import InputError
 class PatternSettings:
     """Which colours there may be, and how finely they may change."""
 
-    colors_at_most: Annotated[int | None, Within(2, 256)] = None
+    colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
     """End with at most so many distinct colours (inks, yarns, cloths): those of --palette (chosen among them where it
     has more), without one learnt. None leaves each face its own."""
     pattern: Literal["free", "camouflage", "tile"] = "free"
     """Where colours may change: from face to face, between patches no smaller than --feature-cm (camouflage), or
     between squares of --feature-cm of a cloth that repeats every --tile-cm all over the logo (tile)."""
-    feature_cm: Annotated[float, Within(0, 100, "(]")] = 2.0
+    feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
     """Of camouflage: the smallest patch, centimetres along the body in the first pose. Each has at least the area of
     a disc so wide."""
-    tile_cm: Annotated[float, Within(0, 1000, "(]")] = 50.0
+    tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
     """Of a cloth that repeats: its width and height, centimetres."""
     profile: str | None = None
     """Profile of a printer and a camera (`cloak calibrate`): training then sees, and keeps, the colours that come out

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from cloak_core.attack.settings.values import Within
+from cloak_core.attack.settings.values import Bounds
 from cloak_core.files.errors import InputError
 
 
@@ -17,7 +17,7 @@ class ComputeSettings:
 
     device: str = "cpu"
     """Torch device: cpu, cuda, cuda:1."""
-    threads: Annotated[int | None, Within(1, 4096)] = None
+    threads: Annotated[int | None, Bounds(1, 4096)] = None
     """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
 
 
@@ -25,32 +25,32 @@ class ComputeSettings:
 class RunSettings:
     """How long the run is, and what it keeps."""
 
-    epochs: Annotated[float | None, Within(ends="()")] = 100.0
+    epochs: Annotated[float | None, Bounds(ends="()")] = 100.0
     """Passes over the data; an epoch shows every background once at every training angle. None when steps count."""
-    steps: Annotated[int | None, Within(1, 10_000_000)] = None
+    steps: Annotated[int | None, Bounds(1, 10_000_000)] = None
     """Updates of the colours, instead of epochs."""
-    batch: Annotated[int, Within(1, 4096)] = 8
+    batch: Annotated[int, Bounds(1, 4096)] = 8
     """Images per update."""
-    microbatch: Annotated[int | None, Within(1, 4096)] = None
+    microbatch: Annotated[int | None, Bounds(1, 4096)] = None
     """Images that a detector sees at a time, which bounds its memory; None shows it the whole batch. The gradient is
     that of the whole batch either way, but for rounding."""
-    max_seconds: Annotated[float | None, Within(ends="()")] = None
+    max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop in order (checkpoint written, resumable) after this much training time, seconds."""
-    held_out: Annotated[float, Within(0, 0.5)] = 0.0
+    held_out: Annotated[float, Bounds(0, 0.5)] = 0.0
     """Share of the training poses and backgrounds that is set aside; the colours that do best on it are kept."""
-    held_out_every: Annotated[int, Within(1, 10_000_000)] = 50
+    held_out_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between measurements on what is held out."""
-    patience: Annotated[int, Within(0, 10_000_000)] = 0
+    patience: Annotated[int, Bounds(0, 10_000_000)] = 0
     """End after so many measurements in a row without a better one; 0 trains to the end."""
-    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+    seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Every random draw derives from it."""
-    threshold: Annotated[float, Within(0, 1, "()")] = 0.6
+    threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
     """A person counts as detected above this score (only for the success that events tell)."""
-    checkpoint_every: Annotated[int, Within()] = 100
+    checkpoint_every: Annotated[int, Bounds()] = 100
     """Steps between checkpoints; 0 writes one at the end alone."""
-    preview_every: Annotated[int, Within()] = 100
+    preview_every: Annotated[int, Bounds()] = 100
     """Steps between preview pictures; 0 writes none."""
-    snapshot_every: Annotated[int, Within()] = 0
+    snapshot_every: Annotated[int, Bounds()] = 0
     """Steps between copies of the colours in RUN/snapshots, for `cloak evaluate --over-time`; 0 keeps none."""
 
     def check(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from cloak_core.attack.settings.values import Within
+from cloak_core.attack.settings.values import Bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,12 +15,12 @@ class SurrogateSettings:
     Drawn anew for each image from (seed, step); the detector itself stays as it is.
     """
 
-    shake: Annotated[float, Within(0, 1)] = 0.0
+    shake: Annotated[float, Bounds(0, 1)] = 0.0
     """Where a network adds two feature maps, the residual branch (where neither is one: both) is multiplied by up to
     1 ± this: ShakeDrop as T-SEA has it (CVPR 2023). 0 switches it off."""
-    random_depth: Annotated[float, Within(0, 1, "[)")] = 0.0
+    random_depth: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """Chance that a residual branch is left out of an image's way through the network."""
-    activation_noise: Annotated[float, Within(0, 1, "[)")] = 0.0
+    activation_noise: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """Each channel that a convolution gives is multiplied by up to 1 ± this; also for networks without residuals."""
 
     @property

@@ -20,7 +20,7 @@ SECTOR = 10.0
 
 
 @dataclass(frozen=True)
-class Within:
+class Bounds:
     """Bounds of a number, or of both ends of a range; stands in a field's annotation."""
 
     low: float | int = 0
@@ -39,22 +39,22 @@ class Within:
         return f"{self.ends[0]}{self.low:g}, {self.high:g}{self.ends[1]}"
 
 
-Positive = typing.Annotated[float, Within(ends="()")]
-NotNegative = typing.Annotated[float, Within(ends="[)")]
+Positive = typing.Annotated[float, Bounds(ends="()")]
+NotNegative = typing.Annotated[float, Bounds(ends="[)")]
 
 
-class Written:
+class Parsable:
     """A value that options spell as text: `parse` reads what `str` writes. ValueError: text that is none."""
 
     metavar: ClassVar[str]
 
     @classmethod
-    def parse(cls, text: str) -> Written:
+    def parse(cls, text: str) -> Parsable:
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Range(Written):
+class Range(Parsable):
     """From `low` to `high`, both included; a single number where they are equal."""
 
     metavar = "LOW:HIGH"
@@ -82,7 +82,7 @@ class Range(Written):
         return _spelled((self.low, self.high) if self.width else (self.low,), ":")
 
 
-class Angles(tuple[float, ...], Written):
+class Angles(tuple[float, ...], Parsable):
     """Single angles in degrees, in [-360, 360], each once: "0", "-10,0,10" or FIRST:LAST:STEP (LAST included)."""
 
     metavar = "A:B:STEP"
@@ -121,7 +121,7 @@ class Angles(tuple[float, ...], Written):
 
 
 @dataclass(frozen=True)
-class Azimuths(Written):
+class Azimuths(Parsable):
     """Angles to train at: single ones, or LOW..HIGH, anything in between in sectors of equal width."""
 
     metavar = "A:B:STEP|LOW..HIGH"
@@ -164,7 +164,7 @@ class Azimuths(Written):
         return str(self.of) if isinstance(self.of, Angles) else _spelled((self.of.low, self.of.high), "..")
 
 
-class Weights(tuple[float, ...], Written):
+class Weights(tuple[float, ...], Parsable):
     """A weight for each of several things: none negative, not all zero."""
 
     metavar = "A,B,C"
@@ -217,7 +217,7 @@ def from_plain(name: str, value: object, kind: object) -> object:
         if value not in known:
             raise InputError(f"{option(name)}: {value!r} is not one of {', '.join(map(str, known))}")
         return known[known.index(value)]  # 4 for 4.0
-    if issubclass(kind, Written):
+    if issubclass(kind, Parsable):
         return _read(name, value, kind)
     if kind is float and isinstance(value, int):
         value = float(value)
@@ -234,7 +234,7 @@ def unannotated(kind: object) -> object:
     return typing.get_args(kind)[0] if typing.get_origin(kind) is typing.Annotated else kind
 
 
-def _read(name: str, value: object, kind: type[Written]) -> Written:
+def _read(name: str, value: object, kind: type[Parsable]) -> Parsable:
     if isinstance(value, kind):
         return value
     text = repr(value) if isinstance(value, (int, float)) else value  # angles = 0 in a TOML file

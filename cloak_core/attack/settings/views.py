@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from cloak_core.attack.settings.values import Angles, Azimuths, Range, Within
+from cloak_core.attack.settings.values import Angles, Azimuths, Bounds, Range
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import RenderOptions
 from cloak_core.scene.cameras import Camera
@@ -18,20 +18,20 @@ class ViewSettings(RenderOptions):
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
     """Training azimuths in degrees: "0", "-10,0,10", FIRST:LAST:STEP (last included), or LOW..HIGH for any angle in
     between, dealt evenly ten degrees by ten degrees; 0..360 is the full circle."""
-    angle_jitter: Annotated[float, Within(0, 180)] = 0.0
+    angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
     """Each azimuth is moved by up to this many degrees, uniformly; 0 keeps the angles and lets views be reused."""
-    hard_views: Annotated[float, Within(0, 1)] = 0.0
+    hard_views: Annotated[float, Bounds(0, 1)] = 0.0
     """Share of the images whose pose and azimuth are drawn by how surely the detectors still find a person there; the
     others are dealt evenly."""
-    elevation: Annotated[Range, Within(-90, 90)] = Range(6.0, 6.0)
+    elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
     """Camera elevation in degrees: one number, or LOW:HIGH for a uniform draw per image."""
-    elevation_jitter: Annotated[float, Within(0, 22.5)] = 0.0
+    elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
     """Standard deviation of the elevation, degrees."""
-    distance: Annotated[Range, Within(ends="()")] = Range(2.2, 2.2)
+    distance: Annotated[Range, Bounds(ends="()")] = Range(2.2, 2.2)
     """Camera distance in metres: one number, or LOW:HIGH for a uniform draw per image."""
-    field_of_view: Annotated[float, Within(0, 180, "()")] = 60.0
+    field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
-    size: Annotated[int, Within(16, 4096)] = 416
+    size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the rendered images, pixels."""
     outfits: Literal["random", "first"] = "random"
     """Clothing of the body outside the logo: a random one per image, or the first."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from cloak_core.attack.settings import check_settings
-from cloak_core.attack.settings.values import Angles, Positive, Within
+from cloak_core.attack.settings.values import Angles, Bounds, Positive
 from cloak_core.detectors import THRESHOLD
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import RenderOptions
@@ -36,7 +36,7 @@ class FilmSettings(RenderOptions):
     angles: Angles = Angles((0.0,))
     """Azimuths at which a take begins, in degrees: A:B:STEP or a comma list. Of several takes the first is the film;
     all are counted."""
-    elevation: Annotated[float, Within(-90, 90)] = 6.0
+    elevation: Annotated[float, Bounds(-90, 90)] = 6.0
     """Camera elevation, degrees."""
     distance: Positive = 2.2
     """Camera distance, metres."""
@@ -48,29 +48,29 @@ class FilmSettings(RenderOptions):
     """How often an orbit goes around; below 0 the other way."""
     follow: bool = False
     """The camera looks at the middle of each pose, for people who walk away (default: at that of the whole motion)."""
-    field_of_view: Annotated[float, Within(0, 180, "()")] = 60.0
+    field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
-    size: Annotated[int, Within(16, 2048)] = 416
+    size: Annotated[int, Bounds(16, 2048)] = 416
     """Width and height of each of the two pictures, pixels."""
-    fps: Annotated[float, Within(0.1, 240)] = 25.0
+    fps: Annotated[float, Bounds(0.1, 240)] = 25.0
     """Frames of the film a second."""
     poses_per_second: Positive | None = None
     """Poses of the scene a second (default: one a frame of a motion; single poses are held for a second each)."""
     seconds: Positive | None = None
     """Length of a take (default: once through the poses or the keyframes; a moving camera takes at least 4 s)."""
-    outfit: Annotated[int, Within()] = 0
+    outfit: Annotated[int, Bounds()] = 0
     """Which of the scene's outfits is the own clothing; further takes wear the next ones."""
-    threshold: Annotated[float, Within(0, 1, "()")] = THRESHOLD
+    threshold: Annotated[float, Bounds(0, 1, "()")] = THRESHOLD
     """A person counts as detected above this score."""
     track: bool = False
     """Draw the numbers of the tracks that a plain IoU tracker confirms; they are counted in any case."""
-    track_hits: Annotated[int, Within(1)] = 3
+    track_hits: Annotated[int, Bounds(1)] = 3
     """Frames in a row that confirm a track."""
-    track_misses: Annotated[int, Within()] = 5
+    track_misses: Annotated[int, Bounds()] = 5
     """Frames in a row without it that a confirmed track outlives."""
-    track_iou: Annotated[float, Within(0, 1, "()")] = 0.3
+    track_iou: Annotated[float, Bounds(0, 1, "()")] = 0.3
     """Overlap from which a box goes on with a track."""
-    batch: Annotated[int, Within(1)] = 8
+    batch: Annotated[int, Bounds(1)] = 8
     """Images the detectors see at once."""
 
     def __post_init__(self) -> None:

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from cloak_core.attack.settings.values import Within
+from cloak_core.attack.settings.values import Bounds
 
 
 @dataclass(frozen=True, kw_only=True)
 class WearSettings:
     """How people in photographs are dressed and judged."""
 
-    context: Annotated[float, Within(1, 8)] = 1.25
+    context: Annotated[float, Bounds(1, 8)] = 1.25
     """Side of each image, in heights of the person's box."""
-    size: Annotated[int, Within(64, 4096)] = 416
+    size: Annotated[int, Bounds(64, 4096)] = 416
     """Width and height of each image, pixels."""
-    threshold: Annotated[float, Within(0, 1, "()")] = 0.6
+    threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
     """A person counts as found above this score; the detectors' own thresholds stand beside it."""
-    bare: Annotated[int, Within(0, 1024)] = 16
+    bare: Annotated[int, Bounds(0, 1024)] = 16
     """Backgrounds without people on which false alarms are counted."""
-    batch: Annotated[int, Within(1, 1024)] = 8
+    batch: Annotated[int, Bounds(1, 1024)] = 8
     """Images that a detector sees at a time."""

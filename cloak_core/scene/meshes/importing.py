@@ -16,10 +16,10 @@ from cloak_core.files.reading import open_regular
 from cloak_core.scene.blender.outside import SUFFIXES, read_through_blender
 from cloak_core.scene.meshes.gltf import read_gltf
 from cloak_core.scene.meshes.mesh_file import MAX_FILE_BYTES, MeshFile
+from cloak_core.scene.meshes.obj import read_obj
+from cloak_core.scene.meshes.ply import read_ply
 from cloak_core.scene.meshes.polygons import triangulate
-from cloak_core.scene.meshes.stanford import read_ply
 from cloak_core.scene.meshes.textures import dress_in_textures
-from cloak_core.scene.meshes.wavefront import read_obj
 
 READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 READERS |= dict.fromkeys(SUFFIXES, read_through_blender)

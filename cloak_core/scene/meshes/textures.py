@@ -18,7 +18,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_BYTES, read_npz
 from cloak_core.scene.geometry import PLACES, sum_by_face
-from cloak_core.scene.meshes.wavefront import read_obj
+from cloak_core.scene.meshes.obj import read_obj
 from cloak_core.scene.pictures import read_picture
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
