@@ -94,7 +94,7 @@ class CLOAK_PT_settings(CloakPanel, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "config")
         angles = column.column(align=True)
-        angles.prop(settings, "angle_first", text="Angles From (°)")
+        angles.prop(settings, "angle_first", text="Angles (°)")
         angles.prop(settings, "angle_last", text="To (°)")
         angles.prop(settings, "angle_step", text="Step (°)")
         column.prop(settings, "device")

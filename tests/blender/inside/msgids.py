@@ -7,8 +7,8 @@ from pathlib import Path
 import bpy
 import cloak
 from cloak.logo import tools
-from cloak.result import evaluations, eye_drawing, judge_panels, panel
-from cloak.training import run_panels
+from cloak.result import evaluations, eye_drawing, judge_panels, judging, panel
+from cloak.training import detectors, run_panels
 
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
@@ -52,6 +52,27 @@ def of_drawing() -> Iterator[str]:
                 for word in node.keywords:
                     if word.arg in WORDS:
                         yield from _texts(word.value)
+
+
+def labels() -> Iterator[str]:
+    """Names that the panels put on the left of a value; those of switches stand on the right and have room."""
+    kinds = (
+        cloak.properties.CloakSettings,
+        cloak.properties.CloakObject,
+        judging.CloakJudging,
+        detectors.CloakDetector,
+    )
+    known = {prop.identifier: prop for kind in kinds for prop in kind.bl_rna.properties if prop.type != "BOOLEAN"}
+    for path in (path for path in ROOM.rglob("*.py") if "panel" in path.name or path.name == "wear.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if not isinstance(node, ast.Call) or getattr(node.func, "attr", "") != "prop":
+                continue
+            if getattr(node.args[1], "value", "") in known:
+                words = {word.arg: word.value for word in node.keywords}
+                if "text" in words:
+                    yield from _texts(words["text"])
+                elif "expand" not in words:
+                    yield known[node.args[1].value].name
 
 
 def _texts(node: ast.AST) -> Iterator[str]:
