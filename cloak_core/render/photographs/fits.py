@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import fields
 
@@ -36,6 +37,14 @@ def fit_people(people: People, on_progress: Callable[[int, int], None] | None = 
         if on_progress is not None:
             on_progress(number + 1, len(people))
     return found
+
+
+def people_identity(people: People) -> str:
+    """SHA-256 over all people as they are dressed: pixels, masks, landmarks, and how they are fitted."""
+    digest = hashlib.sha256(f"fits {VERSION}".encode())
+    for person in people.people:
+        digest.update(f"{person.identity} {person.box}".encode())
+    return digest.hexdigest()
 
 
 def _packed(fit: Fit) -> bytes:
