@@ -7,7 +7,7 @@ import torch
 from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.packing import DEPTH_BITS, ID_BITS, LIMIT
+from cloak_core.render.packing import unpack_inverse_depth
 from cloak_core.render.projection import project
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.screen import GRID, GUARD
@@ -161,7 +161,7 @@ def test_depth_is_perspective_correct() -> None:
     x, y = np.array([0, 64, 0]) * GRID, np.array([0, 0, 64]) * GRID
     screen = screen_of(x, y, np.array([1.0, 0.1, 0.5]), 64, 64)
     visibility = rasterize(screen, triangles_of([[0, 1, 2]]))
-    depth = (LIMIT - (visibility.packed[0] >> ID_BITS)).double() / (1 << DEPTH_BITS)
+    depth = unpack_inverse_depth(visibility.packed[0])
     row, column = torch.meshgrid(torch.arange(40).double() + 0.5, torch.arange(20).double() + 0.5, indexing="ij")
     expected = 1.0 - 0.9 * column / 64 - 0.5 * row / 64
     np.testing.assert_allclose(depth[:40, :20], expected, rtol=1e-10)
