@@ -21,7 +21,11 @@ LOW = 0.1
 
 @dataclass(kw_only=True)
 class Check(Command):
-    """Show what a detector says of a photograph, or of clean renders."""
+    """Show what a detector says of a photograph, or of clean renders.
+
+    Or of people in photographs (--people). Of `masked=SIDE:SPEC` it also says the certified recall: people whom no patch
+    of SIDE pixels can hide.
+    """
 
     example = "builtin --image person.jpg --out seen.png"
 
@@ -41,13 +45,17 @@ class Check(Command):
     """With --scene: azimuths in degrees."""
     seed: int = 0
     """With --scene: every random draw derives from it."""
+    patterns: bool = False
+    """With --scene: also show it patterned cloth that nobody wears, before the backgrounds."""
+    people: str | None = None
+    """People in photographs, as in cloak wear; the photographs lie beside the file."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         prepare_process(self.compute)
-        if (self.image is None) == (self.scene is None):
-            raise InputError("detectors check: give either --image, or --scene and --backgrounds")
+        if [self.image, self.scene, self.people].count(None) != 2:
+            raise InputError("detectors check: give either --image, or --scene and --backgrounds, or --people")
         if self.image is not None:
             from cloak_core.detectors.check import check_image
 
@@ -57,15 +65,24 @@ class Check(Command):
                 raise InputError(f"--threshold: {self.threshold:g} is not in [0, 1)")
             detector = self.options.load([self.spec], self.compute.device)[0]
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
+        if self.people is not None:
+            from cloak_core.evaluation.clean import check_people
+            from cloak_core.scene.photographs.people import load_people
+
+            return check_people(self.options.load([self.spec], self.compute.device)[0], load_people(self.people))
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.evaluation.clean import check_scene
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
         detector = self.options.load([self.spec], self.compute.device)[0]
-        return check_scene(
-            detector, load_scene(self.scene), load_backgrounds(self.backgrounds), self.angles, seed=self.seed
-        )
+        bodies, backgrounds = load_scene(self.scene), load_backgrounds(self.backgrounds)
+        result = check_scene(detector, bodies, backgrounds, self.angles, seed=self.seed)
+        if self.patterns:
+            from cloak_core.evaluation.negatives import pattern_alarms
+
+            result["patterns"] = pattern_alarms(detector, backgrounds, bodies, self.seed)
+        return result
 
     def show(self, result: dict) -> None:
         point = operating_point(result)
@@ -79,10 +96,20 @@ class Check(Command):
                 out.print("its scores are low here: say @conf= where you know from which one it reports")
             self._show_pixels(result)
         else:
-            out.print(f"clean recall {result['clean_recall']:.3f}, false alarms {result['false_alarms']:.3f} at 0.6")
-            own = f"clean recall {result['clean_recall_own']:.3f}, false alarms {result['false_alarms_own']:.3f}"
-            out.print(f"{own} {point}")
-            for alarm in result["alarms"]:
+            for end, where in (("", "at 0.6"), ("_own", point)):
+                names = {
+                    "clean recall": "clean_recall",
+                    "false alarms": "false_alarms",
+                    "certified": "certified_recall",
+                }
+                told = [f"{name} {result[key + end]:.3f}" for name, key in names.items() if key + end in result]
+                out.print(f"{', '.join(told)} {where}")
+            for kind, told in result.get("patterns", {}).items():
+                alarms = f"{told['alarms']:.3f} ({told['plain']:.3f} without it) at 0.6"
+                out.print(
+                    f"false alarms on cloth that nobody wears, {kind}: {alarms}; {told['alarms_own']:.3f} {point}"
+                )
+            for alarm in result.get("alarms", []):
                 out.print(f"  {alarm['score']:.3f}  {alarm['background']}: a person where nobody is")
 
     @staticmethod

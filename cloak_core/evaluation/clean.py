@@ -14,6 +14,7 @@ from torch import Tensor
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
+from cloak_core.evaluation.certified import certified_recall
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import batches
 from cloak_core.evaluation.renderer import BodyRenderer, render_images
@@ -50,7 +51,7 @@ def check_scene(
     `images_per_view` backgrounds drawn at random, moved by up to `SHIFT` pixels. Returns {"clean_recall",
     "false_alarms": at `threshold`, "clean_recall_own", "false_alarms_own": at the detector's "operating_point",
     "operating_point_assumed": nobody said which that is, "n": renders, "backgrounds": bare backgrounds,
-    "alarms": the names and best scores of backgrounds above either threshold, the worst first}.
+    "alarms": the names and best scores of backgrounds above either threshold, the worst first}, and `certified_recall`.
     """
     if not len(angles):
         raise InputError("--angles: none given")
@@ -80,7 +81,7 @@ def check_scene(
         "n": len(pose),
         "backgrounds": len(backgrounds),
         "alarms": [{"background": backgrounds.names[i], "score": round(float(bare[i]), 4)} for i in loudest],
-    }
+    } | certified_recall(detector, renderer, threshold)
 
 
 def clean_renders(count: int, size: tuple[int, int], seed: int = 0) -> UInt8[Tensor, "B 3 H W"]:

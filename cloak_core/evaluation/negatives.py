@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
+from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.evaluation.trained_run import read_run
@@ -54,6 +55,21 @@ def pattern_scores(
                 for k, (score, plain) in enumerate(zip(*scores, strict=True))
             ]
     return pd.DataFrame(rows)
+
+
+def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, seed: int = 0) -> dict[str, dict]:
+    """Measure how often patterned cloth that nobody wears is reported as a person, by kind of pattern.
+
+    Returns {KIND: {"alarms": share of pictures above 0.6, "alarms_own": above the detector's own threshold, "plain",
+    "plain_own": the same of these pictures without the cloth, "n"}}.
+    """
+    table, told = pattern_scores({detector.spec: detector}, backgrounds, bodies, seed=seed), {}
+    for kind, rows in table.groupby("pattern"):
+        told[str(kind)] = {"n": len(rows)}
+        for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
+            for name, column in (("alarms", "score"), ("plain", "plain")):
+                told[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+    return told
 
 
 def _pictures(

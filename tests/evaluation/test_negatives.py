@@ -1,10 +1,12 @@
 """False alarms on cloth that nobody wears, and thresholds that make them equal."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.negatives import CLOAK, RANDOM, cloak_textures, pattern_scores
+from cloak_core.evaluation import negatives
+from cloak_core.evaluation.negatives import CLOAK, RANDOM, cloak_textures, pattern_alarms, pattern_scores
 from cloak_core.evaluation.statistics import matched_threshold
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
@@ -29,3 +31,11 @@ def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth() 
     assert first.drop(columns="detector").equals(second.drop(columns="detector"))
     assert (first["score"] != first["plain"]).mean() > 0.5
     assert np.array_equal(first["plain"][:6], first["plain"][6:])  # the same backgrounds again
+
+
+def test_alarms_are_told_by_kind_with_and_without_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {"pattern": [CLOAK, CLOAK, RANDOM], "score": [0.9, 0.55, 0.1], "plain": [0.7, 0.1, 0.1]}
+    monkeypatch.setattr(negatives, "pattern_scores", lambda *_, **__: pd.DataFrame(scores))
+    told = pattern_alarms(load_detector("builtin"), load_backgrounds("procedural:test:1"), sample_bodies("unseen"))
+    assert told[CLOAK] == {"n": 2, "alarms": 0.5, "plain": 0.5, "alarms_own": 1.0, "plain_own": 0.5}
+    assert told[RANDOM] == {"n": 1, "alarms": 0.0, "plain": 0.0, "alarms_own": 0.0, "plain_own": 0.0}

@@ -31,11 +31,7 @@ class DefendedDetector(Detector):
             self.person = inner.person
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        # A defence works on bytes of pictures, not on numbers of eight bits' precision.
-        with torch.autocast(images.device.type, enabled=False):
-            seen, windows = self.defence.placed(images)
-        found = self.inner(seen)
-        return found if windows is None else found._replace(boxes=_restored(found.boxes, windows, images.shape))
+        return self.defence.detect(self.inner, images)
 
     def verify(self, before: str) -> None:
         """See `Detector.verify`; the inner detector verifies itself, too."""
@@ -51,12 +47,3 @@ def defend(inner: Detector, head: str) -> DefendedDetector:
     defended = DefendedDetector(inner, name, value, spec).to(inner.device)
     defended.freeze()
     return defended
-
-
-def _restored(
-    boxes: Float[Tensor, "B N 4"], windows: Float[Tensor, "B 3"], shape: torch.Size
-) -> Float[Tensor, "B N 4"]:
-    """Boxes seen through windows, in the pixels of the images of this shape."""
-    size = boxes.new_tensor([shape[3], shape[2]] * 2)
-    side, centre = windows[:, None, :1].to(boxes), windows[:, None, [1, 2, 1, 2]].to(boxes)
-    return (side * (2 * boxes / size - 1) + centre + 1) * size / 2

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from cloak_core.detectors.filters import blurred, through_jpeg, windowed
+from cloak_core.detectors.protocol import Detections, Detector
 
 
 def straight_through(images: Float[Tensor, "*shape"], value: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
@@ -28,6 +29,23 @@ class Defence(nn.Module):
     def placed(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B 3 H W"], Float[Tensor, "B 3"] | None]:
         """The images that the detector sees, and their windows (`filters.windowed`) where they were moved."""
         return self(images), None
+
+    def detect(self, inner: Detector, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        """What the inner detector says of the images behind the defence; boxes in the pixels of the images given."""
+        # A defence works on bytes of pictures, not on numbers of eight bits' precision.
+        with torch.autocast(images.device.type, enabled=False):
+            seen, windows = self.placed(images)
+        found = inner(seen)
+        return found if windows is None else found._replace(boxes=_restored(found.boxes, windows, images.shape))
+
+
+def _restored(
+    boxes: Float[Tensor, "B N 4"], windows: Float[Tensor, "B 3"], shape: torch.Size
+) -> Float[Tensor, "B N 4"]:
+    """Boxes seen through windows, in the pixels of the images of this shape."""
+    size = boxes.new_tensor([shape[3], shape[2]] * 2)
+    side, centre = windows[:, None, :1].to(boxes), windows[:, None, [1, 2, 1, 2]].to(boxes)
+    return (side * (2 * boxes / size - 1) + centre + 1) * size / 2
 
 
 class Jpeg(Defence):

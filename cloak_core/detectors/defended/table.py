@@ -93,6 +93,14 @@ DEFENCES = {
         made_by="masking:SegmenterMask",
         what="paints over what our own small network takes for a patch; attacked through its soft decision",
     ),
+    "masked": Kind(
+        value="side of the patch in pixels",
+        least=1.0,
+        most=4096.0,
+        step=1,
+        made_by="masks:Masks",
+        what="reports what the image shows under any of 36 masks: a certified floor under one patch of this size",
+    ),
 }
 
 
