@@ -23,8 +23,8 @@ LOW = 0.1
 class Check(Command):
     """Show what a detector says of a photograph, or of clean renders.
 
-    Or of people in photographs (--people). Of `masked=SIDE:SPEC` it also says the certified recall: people whom no patch
-    of SIDE pixels can hide.
+    Or of people in photographs (--people). Of `masked=SIDE:SPEC` it also says the certified recall: people whom no
+    patch of SIDE pixels can hide.
     """
 
     example = "builtin --image person.jpg --out seen.png"
