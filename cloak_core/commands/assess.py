@@ -38,9 +38,9 @@ class Assess(Command):
     example = "builtin --quick --out cards"
 
     specs: Positional[tuple[str, ...]] = ()
-    """Detectors, as in cloak train; of one without gradients the black-box part alone is made."""
+    """Detectors, as in cloak train; a detector without gradients gets the black-box part alone."""
     out: Path
-    """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all that were asked for."""
+    """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all detectors."""
     quick: bool = False
     """Short attacks and few images: ten minutes on two cores for a small detector (default: about an hour)."""
     full: bool = False

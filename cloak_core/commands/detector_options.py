@@ -15,13 +15,14 @@ class DetectorOptions:
     """How detectors are loaded and run."""
 
     person_class: str | None = None
-    """Class to look for, by name or index, where it is not called person; SPEC@person=CLASS for one of several."""
+    """Name or index of the class to look for, where it is not called person; SPEC@person=CLASS for one of several
+    detectors."""
     precision: Literal["float32", "bfloat16", "auto"] = "float32"
-    """bfloat16 runs detectors under autocast (quicker on GPUs, rough gradients), auto where the device gains by it."""
+    """bfloat16 runs detectors under autocast (faster on GPUs, rough gradients); auto uses it where the device gains."""
     compile: bool = False
-    """Run detectors through torch.compile (needs a C++ compiler; the first images of each size take long)."""
+    """Run detectors through torch.compile; needs a C++ compiler, and the first images of each size take long."""
     layout: str | None = None
-    """Of an ONNX model's outputs: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
+    """Output layout of an ONNX model: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
     download: bool = False
     """Fetch official weights of torchvision and transformers models that are not on this machine."""
 

@@ -38,15 +38,15 @@ class Harden(Command):
     out: Path
     """Folder to write; a new one unless --resume."""
     resume: bool = False
-    """Go on with the hardening in --out from its last checkpoint."""
+    """Continue the hardening in --out from its last checkpoint."""
     scene: str = "sample:train"
     """Bodies in cloaks: scene folder, .npz, or sample[:train]."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     photos: str | None = None
-    """Folder of photographs with people, of whom the detector is to report what it reported; no labels."""
+    """Folder of photographs with people: the detector is to keep what it reported there. No labels are needed."""
     cloak: UseAppendAction[tuple[str, ...]] = ()
-    """Runs or zoo:NAME to be hardened against as well, on the bodies of --scene. Judge by others."""
+    """Runs or zoo:NAME to harden against as well, on the bodies of --scene. Judge the result by others."""
     assess: bool = True
     """Leave out the robustness cards of the detector before and after, which otherwise are made in OUT/cards."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)

@@ -36,11 +36,11 @@ class Judge(Command):
     pictures: Path | None = None
     """CSV of the pictures instead (file and cloak; person, scene, distance, pair, x1, y1, x2, y2 where known)."""
     boxes: Path | None = None
-    """CSV of people's boxes (file, x1, y1, x2, y2; person where several are in a picture), upright pixels."""
+    """CSV of people's boxes in upright pixels (file, x1, y1, x2, y2; person where a picture shows several)."""
     out: Path | None = None
     """Folder for report.html, summary.json and scores.csv (default: DIR/judge)."""
     plan: bool = False
-    """Judge nothing: say how wide intervals will be for so many people, scenes and pictures."""
+    """Judge nothing; print how wide intervals will be for numbers of people, scenes and pictures."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[JudgeSettings], arg(name="judging")] = field(default_factory=JudgeSettings)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)

@@ -33,11 +33,10 @@ class SharingOptions:
     """Where the work is done."""
 
     ray: str | None = None
-    """On a Ray cluster (extra ray): local for this machine's cores and GPUs, or the address of one that runs (auto,
-    HOST:6379, ray://HOST:10001), whose machines see the same files; each run, or part of the work, takes --threads
-    cores (default: in order, here)."""
+    """Share the work over a Ray cluster (extra ray): local for this machine, or an address (auto, HOST:6379,
+    ray://HOST:10001) whose machines see the same files. Each run takes --threads cores (default: in order, here)."""
     gpus_per_run: float = 1.0
-    """With --ray and --device cuda: how many GPUs, or what share of one, each takes."""
+    """With --ray and --device cuda: GPUs, or share of one, for each run."""
 
     def executor(self) -> RayCluster | None:
         """InputError: Ray is not installed. None: in order, here."""

@@ -44,34 +44,33 @@ class Train(Command):
     )
 
     scene: str | None = None
-    """Bodies to train on: scene folder, .npz, or sample[:train]. May be left out where --people are given."""
+    """Bodies to train on: scene folder, .npz, or sample:train. Not needed with --people."""
     people: str | None = None
-    """People in photographs to train on, beside the scene or alone: a COCO file with masks and landmarks;
-    PEOPLE.json[0::2] takes some of the photographs."""
+    """People in photographs to train on, beside or instead of --scene: a COCO file with masks and landmarks;
+    PEOPLE.json[0::2] takes every second photograph."""
     images: Path | None = None
     """Folder of these photographs (default: beside the file, or images/ beside it)."""
     logo: Path
-    """Face list (.npy), from Blender or `cloak logo`; or regions of the scene by name: chest+thighs."""
+    """Faces to colour: a face list (.npy) from Blender or `cloak logo`, or regions of the scene, chest+thighs."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """What to hide from: builtin, darknet:CFG:WEIGHTS[@SIZE], python:FILE.py:FUNCTION ... (default: builtin)."""
+    """Detector to hide from: builtin, onnx:FILE, darknet:CFG:WEIGHTS, python:FILE:FUNCTION ... (default: builtin)."""
     query_prior: UseAppendAction[tuple[str, ...]] = ()
-    """With --black-box-queries: surrogates, as in --detector, whose gradients say where to look."""
+    """With --black-box-queries: surrogates, as in --detector, whose gradients lead the search."""
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     made_from: str | None = None
-    """What --scene was made from, where that is embedded (sample:train): evaluation then knows what was kept back."""
+    """Scene that --scene was copied from (sample:train), so that evaluation knows which bodies are unseen."""
     out: Path
     """Run folder to write; a new one unless --resume."""
     resume: bool = False
-    """Go on with the run in --out from its last checkpoint."""
+    """Continue the run in --out from its last checkpoint."""
     config: Path | None = None
-    """TOML file of settings (options without their dashes); options given here win."""
+    """TOML file of settings, named as the options without dashes; options on the command line win."""
     tensorboard: bool = False
-    """Write TensorBoard's files into RUN/tensorboard as well (extra `tensorboard`)."""
+    """Also write TensorBoard files into RUN/tensorboard (extra `tensorboard`)."""
     preset: Preset = "best"
-    """What the settings below start from: the paper's text, its reference code, what was measured to work best, the
-    recipe for detectors that training never saw (several --detector as surrogates), or the one for people in
-    photographs, which is the default with --people."""
+    """Settings to start from: paper (the paper's text), reference (its code), best (against these detectors), transfer
+    (for detectors that training never saw, with several --detector), photographs (the default with --people)."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]

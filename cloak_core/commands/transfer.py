@@ -37,9 +37,9 @@ class Transfer(Command):
     example = "--detector onnx:a.onnx --detector onnx:b.onnx --detector onnx:c.onnx --out matrix"
 
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Surrogates, as in cloak train; each judged detector's are all of these but itself."""
+    """Surrogates, as in cloak train; each judged detector is left out of its own."""
     judge: UseAppendAction[tuple[str, ...]] = ()
-    """Judged detectors (default: every --detector); one that is no --detector is never trained on."""
+    """Judged detectors (default: every --detector); others than --detector are never trained on."""
     scene: str = "sample"
     """Bodies: scene folder, .npz, or sample."""
     unseen: str | None = None
@@ -63,12 +63,12 @@ class Transfer(Command):
     noise, cutout, window, quality, colour, background, sharpness, mi, smooth, views), +NAME for all up to it, or
     ladder."""
     strangers_only: bool = False
-    """Leave a judged detector's siblings out of its surrogates, too."""
+    """Also leave detectors of the judged one's family out of its surrogates."""
     kin: UseAppendAction[tuple[str, ...]] = ()
-    """PART_OF_A_SPEC=FAMILY where names do not tell who is a sibling (all YOLOs are, and all R-CNNs)."""
+    """PART_OF_A_SPEC=FAMILY, where names do not tell the family (all YOLOs are one, and all R-CNNs)."""
     circle: bool = False
-    """Train and judge all around: 36 azimuths, elevations 0 to 30, 1.4 to 6 m (default: azimuths -10..10, 6 degrees,
-    2.2 m)."""
+    """Train and judge all around: 36 azimuths, elevations 0 to 30 degrees, 1.4 to 6 m (default: azimuths -10..10, 6
+    degrees, 2.2 m)."""
     steps: int | None = None
     """Updates of a training (default: what the rung's preset says)."""
     seeds: int = 1
@@ -78,7 +78,7 @@ class Transfer(Command):
     batch: int | None = None
     """Images per update (default: what the preset says)."""
     detectors_per_step: int | None = None
-    """So many of the surrogates, drawn anew, are asked in each update (default: all)."""
+    """Ask this many of the surrogates in each update, drawn at random (default: all)."""
     hide: Hide = "person"
     """What cloaks are trained to hide: the class person alone, or everything on the body. Each aim needs its --out."""
     size: int = 416
@@ -88,11 +88,11 @@ class Transfer(Command):
     most_images: int | None = None
     """At most so many test images (default: 240 with --circle, else all)."""
     budget_minutes: float | None = None
-    """Stop in order after so long, all in all; the same command goes on."""
+    """Stop after this many minutes in all; the same command continues."""
     publish: Path | None = None
     """Folder that takes the table and the heat map as NAME.md and NAME.png, NAME that of --out."""
     redraw: bool = False
-    """Train and judge nothing: draw and write again from the cells in --out."""
+    """Write table and heat map again from the cells in --out; train and judge nothing."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
     sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(

@@ -18,34 +18,32 @@ class LossSettings:
     """What training minimises."""
 
     hide: Hide = "person"
-    """From what to hide: the class person alone, or every class on the body, so that nothing is reported in the
-    person's place."""
+    """What to hide: the class person alone, or every class on the body."""
     loss: Loss = "score"
-    """Of each image's boxes: the person score, the objectness (of boxes whose likeliest class is person), the log of
-    the score, -log(1 - score), which keeps its gradient where the score saturates, or the margin above each detector's
-    own operating point, which keeps it down to there."""
+    """What is minimised of each box: score, of the person; objectness, where person is the likeliest class; log, which
+    is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score lies above the
+    detector's own operating point, in logits."""
     margin: NotNegative = 1.0
-    """For loss margin: how far below the operating point, in logits, half the gradient is left. Further down, other
-    detectors are hidden from more often."""
+    """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
+    from more of the detectors that training never saw."""
     reduce: Reduce = "max"
-    """From an image's boxes to one number: the largest, the mean of the ten best (topk), or a soft maximum."""
+    """How an image's boxes become one number: the largest, the mean of the ten largest (topk), or a soft maximum."""
     rpn_weight: NotNegative = 0.0
-    """Two-stage detectors: weight of the objectness that their first stage gives the proposals behind person boxes;
-    what lowers it kills the proposal itself."""
+    """For two-stage detectors: weight of the first stage's objectness of the proposals behind person boxes."""
     ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
-    """Of several detectors' losses for an image: the mean, the largest (the detector that sees most), weighted, or
-    weighted by how surely each still found a person lately, beside its own operating point (adaptive; where a step asks
-    only some, those are then asked more often)."""
+    """How the losses of several detectors are combined: mean; max, the detector that sees most; weighted, by
+    --detector-weights; adaptive, by how surely each detector found a person lately."""
     detector_weights: Weights | None = None
-    """For a weighted ensemble: one weight for each detector, A,B,C; only their ratios count."""
+    """For --ensemble weighted: one weight per detector, A,B,C. Only their ratios count."""
     detectors_per_step: Annotated[int | None, Bounds(1, 4096)] = None
-    """Ask at most so many of the detectors in each step, drawn anew; None asks all."""
+    """Ask at most this many detectors in each step, drawn at random; None asks all."""
     tv_weight: NotNegative = 2.5
-    """Weight of total variation (sum over inner edges of metres x colour difference, divided by the logo's faces)."""
+    """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
+    number of the logo's faces."""
     nps_weight: NotNegative = 0.0
-    """Weight of non-printability: the mean distance of the colours to the nearest one of the palette."""
+    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
     palette: str | None = None
-    """Palette file of what can be printed: a colour a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
 
     def check(self) -> None:
         """InputError: values that do not go together."""

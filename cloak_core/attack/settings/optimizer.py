@@ -14,32 +14,31 @@ class OptimizerSettings:
     """How the colours begin and move."""
 
     optimizer: Literal["sgd", "adam", "mi"] = "sgd"
-    """What follows the gradient; mi: steps of the learning rate along the signs of a momentum of normalised gradients
-    (MI-FGSM, Dong et al., CVPR 2018)."""
+    """SGD, Adam, or mi: sign steps along a momentum of normalised gradients (MI-FGSM, Dong et al., CVPR 2018)."""
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Of SGD and mi, [0, 1)."""
+    """For sgd and mi, in [0, 1)."""
     sharpness: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """The gradient is taken where colours are worse by so much (root mean square, in units of colour), so that they
-    end where all around is good, too (SAM, Foret et al., ICLR 2021); 0 switches it off."""
+    """Take the gradient where colours are worse by this much, root mean square (sharpness-aware minimisation, Foret et
+    al., ICLR 2021); 0 switches it off."""
     ascent: Literal["gradient", "momentum"] = "gradient"
-    """Which way is worse: up the gradient, which is taken first and doubles the cost of a step, or up the optimiser's
-    own momentum, which costs nothing (Becker et al., 2024)."""
+    """With --sharpness, how the worse colours are found: along the gradient, which doubles the cost of a step, or along
+    the optimiser's momentum, which costs nothing (Becker et al., 2024)."""
     smooth: Annotated[int, Bounds(0, 1000)] = 0
-    """Colours are those of free parameters after so many rounds of averaging with neighbouring faces: what is finer
-    cannot be learned. 0 leaves each face its own."""
+    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
+    frequencies are learnt; 0 gives each face its own colour."""
     schedule: Literal["constant", "step", "cosine"] = "step"
-    """Learning rate over time: constant, times 0.1 every so many epochs (step), or a cosine that ends at 1 %."""
+    """Learning rate over time: constant, times 0.1 every --lr-epochs (step), or a cosine that ends at 1 %."""
     lr_epochs: Positive = 10.0
-    """Epochs between the drops of schedule step."""
+    """With --schedule step: epochs between drops."""
     gamut: Literal["projection", "sigmoid"] = "projection"
-    """Colours stay in [0, 1] by a projection after every update, or as the sigmoid of free parameters."""
+    """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
     initial: Literal["grey", "random", "clothing", "animal"] = "grey"
-    """First colours: grey, random (uniform per face and channel), those of the first outfit, or a dog's face drawn on
-    the front and on the back: what transfers to detectors of many classes tends to end as one."""
+    """First colours: grey; random, uniform per face and channel; clothing, the first outfit; or animal, a dog's face on
+    front and back, which helps against detectors of many classes."""
     init: str | None = None
-    """Go on from these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
+    """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
     transfer`)."""
 
     def check(self) -> None:

@@ -14,27 +14,26 @@ class PatternSettings:
     """Which colours there may be, and how finely they may change."""
 
     colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most so many distinct colours (inks, yarns, cloths): those of --palette (chosen among them where it
-    has more), without one learnt. None leaves each face its own."""
+    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
+    None gives each face its own colour."""
     pattern: Literal["free", "camouflage", "tile"] = "free"
-    """Where colours may change: from face to face, between patches no smaller than --feature-cm (camouflage), or
-    between squares of --feature-cm of a cloth that repeats every --tile-cm all over the logo (tile)."""
+    """Where colours may change: free, from face to face; camouflage, between patches no smaller than --feature-cm;
+    tile, between squares of --feature-cm in a cloth that repeats every --tile-cm."""
     feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
-    """Of camouflage: the smallest patch, centimetres along the body in the first pose. Each has at least the area of
-    a disc so wide."""
+    """Diameter of the smallest patch, centimetres along the body in the first pose."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
-    """Of a cloth that repeats: its width and height, centimetres."""
+    """For --pattern tile: width and height of the cloth that repeats, centimetres."""
     profile: str | None = None
-    """Profile of a printer and a camera (`cloak calibrate`): training then sees, and keeps, the colours that come out
-    of them; `cloak print --profile` writes those to send."""
+    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
+    `cloak print --profile` writes the colours to send."""
 
     near: str | None = None
     """Stay close to a garment: #rrggbb, clothing (the first outfit), a picture as cloth (FILE.png@tile=0.5, metres),
     colours of this logo (.npy), a run of it or zoo:NAME."""
     within: Positive | None = None
-    """How close: the largest mean CIEDE2000 of the faces from that garment's colours; about 1 is just visible."""
+    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
     within_most: Positive | None = None
-    """The largest 95th percentile of it; None: twice the mean."""
+    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
 
     def check(self) -> None:
         """InputError: values that do not go together."""

@@ -13,9 +13,9 @@ class QuerySettings:
     """How a detector is asked that gives no gradient."""
 
     black_box_queries: Annotated[int | None, Bounds(1, 10_000_000)] = None
-    """Search with the detectors' answers alone, showing them so many images in all; best from transferred colours
-    (--init). Steps, optimiser and loss then mean nothing; None trains by gradients."""
+    """Search with the detectors' answers alone, with this many images in all; best begun from transferred colours
+    (--init). Steps, optimiser and loss have no effect then. None trains by gradients."""
     query_change: Annotated[float, Bounds(0, 1, "(]")] = 0.1
-    """How far a question moves colours to either side, in units of colour."""
+    """How far a query moves the colours to either side, in units of colour [0, 1]."""
     query_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.02
-    """How far an answer that agrees with those before moves them."""
+    """How far the colours follow the estimated gradient in each update, in units of colour [0, 1]."""

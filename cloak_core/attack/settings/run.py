@@ -26,28 +26,28 @@ class RunSettings:
     """How long the run is, and what it keeps."""
 
     epochs: Annotated[float | None, Bounds(ends="()")] = 100.0
-    """Passes over the data; an epoch shows every background once at every training angle. None when steps count."""
+    """Passes over the data, instead of --steps; an epoch shows every background once at every training angle."""
     steps: Annotated[int | None, Bounds(1, 10_000_000)] = None
-    """Updates of the colours, instead of epochs."""
+    """Updates of the colours, instead of --epochs."""
     batch: Annotated[int, Bounds(1, 4096)] = 8
     """Images per update."""
     microbatch: Annotated[int | None, Bounds(1, 4096)] = None
-    """Images that a detector sees at a time, which bounds its memory; None shows it the whole batch. The gradient is
-    that of the whole batch either way, but for rounding."""
+    """Images that a detector sees at once, to bound memory; None: the whole batch. The gradient is the same up to
+    rounding."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
-    """Stop in order (checkpoint written, resumable) after this much training time, seconds."""
+    """Stop after this much training time, seconds, with a checkpoint to resume from."""
     held_out: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """Share of the training poses and backgrounds that is set aside; the colours that do best on it are kept."""
+    """Share of the training poses and backgrounds that is set aside to choose the best colours."""
     held_out_every: Annotated[int, Bounds(1, 10_000_000)] = 50
-    """Steps between measurements on what is held out."""
+    """Steps between measurements on the held-out share."""
     patience: Annotated[int, Bounds(0, 10_000_000)] = 0
-    """End after so many measurements in a row without a better one; 0 trains to the end."""
+    """Stop after this many measurements in a row without improvement; 0 trains to the end."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0
     """Every random draw derives from it."""
     threshold: Annotated[float, Bounds(0, 1, "()")] = 0.6
-    """A person counts as detected above this score (only for the success that events tell)."""
+    """Score above which a person counts as detected, in the success that events report."""
     checkpoint_every: Annotated[int, Bounds()] = 100
-    """Steps between checkpoints; 0 writes one at the end alone."""
+    """Steps between checkpoints; 0 writes one at the end."""
     preview_every: Annotated[int, Bounds()] = 100
     """Steps between preview pictures; 0 writes none."""
     snapshot_every: Annotated[int, Bounds()] = 0

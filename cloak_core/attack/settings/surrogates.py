@@ -16,12 +16,11 @@ class SurrogateSettings:
     """
 
     shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Where a network adds two feature maps, the residual branch (where neither is one: both) is multiplied by up to
-    1 ± this: ShakeDrop as T-SEA has it (CVPR 2023). 0 switches it off."""
+    """Multiply residual branches by up to 1 ± this, as T-SEA's ShakeDrop (CVPR 2023); 0 switches it off."""
     random_depth: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Chance that a residual branch is left out of an image's way through the network."""
+    """Probability that a residual branch is left out, for each image."""
     activation_noise: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Each channel that a convolution gives is multiplied by up to 1 ± this; also for networks without residuals."""
+    """Multiply each channel of a convolution's output by up to 1 ± this; also for networks without residuals."""
 
     @property
     def on(self) -> bool:

@@ -16,25 +16,25 @@ class ViewSettings(RenderOptions):
     """What the rendered images show of the body."""
 
     angles: Azimuths = Azimuths(Angles((-10.0, -5.0, 0.0, 5.0, 10.0)))
-    """Training azimuths in degrees: "0", "-10,0,10", FIRST:LAST:STEP (last included), or LOW..HIGH for any angle in
-    between, dealt evenly ten degrees by ten degrees; 0..360 is the full circle."""
+    """Azimuths of the camera, degrees: 0; -10,0,10; FIRST:LAST:STEP with LAST included; or LOW..HIGH for any angle in
+    between, drawn evenly from sectors of ten degrees. 0..360 is the full circle."""
     angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
-    """Each azimuth is moved by up to this many degrees, uniformly; 0 keeps the angles and lets views be reused."""
+    """Change each azimuth by up to this many degrees, uniformly; 0 keeps the azimuths, so that views can be reused."""
     hard_views: Annotated[float, Bounds(0, 1)] = 0.0
-    """Share of the images whose pose and azimuth are drawn by how surely the detectors still find a person there; the
-    others are dealt evenly."""
+    """Share of the images that show poses and azimuths where detectors still find the person; the others are drawn
+    evenly."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
-    """Camera elevation in degrees: one number, or LOW:HIGH for a uniform draw per image."""
+    """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
     """Standard deviation of the elevation, degrees."""
     distance: Annotated[Range, Bounds(ends="()")] = Range(2.2, 2.2)
-    """Camera distance in metres: one number, or LOW:HIGH for a uniform draw per image."""
+    """Camera distance, metres: one number, or LOW:HIGH for a uniform draw per image."""
     field_of_view: Annotated[float, Bounds(0, 180, "()")] = 60.0
     """Vertical field of view, degrees."""
     size: Annotated[int, Bounds(16, 4096)] = 416
     """Width and height of the rendered images, pixels."""
     outfits: Literal["random", "first"] = "random"
-    """Clothing of the body outside the logo: a random one per image, or the first."""
+    """Clothing of the body outside the logo: a random outfit per image, or the first."""
 
     def camera(self, azimuth: float, elevation: float, distance: float) -> Camera:
         """The camera at a place, degrees and metres."""
