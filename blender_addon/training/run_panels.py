@@ -56,7 +56,8 @@ class CLOAK_PT_runs(CloakPanel, bpy.types.Panel):
     def _chosen(self, context: bpy.types.Context, state: RunState) -> None:
         of = f" of '{state.object}', logo '{state.logo}'" if state.object else ""
         against = f", against {', '.join(map(without_folders, state.detectors))}" if state.detectors else ""
-        words = f"{state.state.capitalize()} at {state.progress.describe()}{of}{against}"
+        reached = f" at {state.progress.describe()}" if state.progress.steps else ""
+        words = f"{state.state.capitalize()}{reached}{of}{against}"
         wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
 
 

@@ -136,6 +136,8 @@ def _read(run: Path) -> RunState:
     progress, state, why = _read_events(run / "events.jsonl")
     if not run.is_dir():
         why = jobs.last_words(folder / "train.log") or "its training never began"
+    elif not (run / "events.jsonl").exists() and (run / "colors.npy").is_file() and not names:
+        state = DONE  # colours without a training's log, such as the zoo's
     elif state == FAILED and not why:
         why = f"its process ended without a word after step {progress.step}"
     found = {"detectors": _detectors(run / "config.json"), "unseen": _unseen(run / SUMMARY)}

@@ -13,6 +13,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from cloak import translations
 from cloak.blender import colors
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
@@ -371,3 +372,10 @@ def test_the_real_trainer_holds_the_lock_that_the_list_asks_for(tmp_path, real_t
     assert run_states.is_running(tmp_path)
     holder.communicate(timeout=120)
     assert not run_states.is_running(tmp_path)
+
+
+def test_colours_without_a_training_log_are_a_finished_run(dressed):
+    """Such as the zoo's: `cloak zoo export`."""
+    state = run_states.read_state(folder_of(dressed))
+    assert (state.state, state.why, state.detectors) == ("done", "", ("builtin",))
+    assert translations.translate("Done, against builtin", "de") == "Fertig, gegen builtin"
