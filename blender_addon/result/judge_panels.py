@@ -62,7 +62,9 @@ class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
     def _result(self, context: bpy.types.Context, found: Evaluation) -> None:
         if found.outdated:
             wrapped(self.layout, context, "The run has newer colours: evaluate again", icon="ERROR")
-        wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
+        job = session.job_of("Evaluation")
+        if job is None or found.describe() not in job.message:  # which stands above
+            wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
         for judged in found.detectors:
             self._table(judged, found.threshold)
         self.layout.prop(settings_of(context).judging, "ring", text="Ring around the Body")

@@ -64,6 +64,7 @@ def steps():
     view = bpy.context.preferences.view
     view.language = LANGUAGE
     view.use_translate_interface = view.use_translate_tooltips = True
+    open_panel("evaluation")  # before it is first drawn closed
     tidy()
     obj = make_egg(60, name="Mina")
     shirt = make_egg(40, 1.1, "Shirt")
@@ -107,8 +108,6 @@ def steps():
     yield from until_done()
     yield from scroll(60)
     yield from picture("verdict")
-    open_panel("evaluation")
-    yield from show_tab()
     settings.judging.images = 24
     settings.judging.angle = 45
     yield from click("evaluate", cloak.evaluate)
