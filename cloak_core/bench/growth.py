@@ -44,7 +44,7 @@ _SIZES = {
 
 @dataclass(frozen=True)
 class Work:
-    """One point: a sphere of so many triangles, seen by so many cameras."""
+    """One point: the triangles of a sphere, and the cameras that see it."""
 
     triangles: int = 55_000
     views: int = 1
@@ -133,7 +133,7 @@ def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
 
 
 def sphere(triangles: int, radius: float = 0.9) -> Bodies:
-    """A closed sphere of about so many triangles."""
+    """Make a closed sphere of about this many triangles."""
     rings = max(3, round(math.sqrt(triangles / 4)))
     sectors = 2 * rings
     polar = np.linspace(0, np.pi, rings + 1)[1:-1, None]

@@ -89,7 +89,7 @@ def _planned(
     megabytes: float,
     files: int,
 ) -> dict:
-    """What so many trainings come to; `overhead`: seconds that the one process that hands out spends on each."""
+    """Estimate the cost of many trainings; overhead: seconds that the scheduling process spends on each."""
     work = trainings * (train_seconds + evaluate_seconds)
     return {
         "trainings": trainings,

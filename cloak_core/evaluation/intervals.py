@@ -111,7 +111,7 @@ def bootstrap_interval(
 
 
 def _pigeonhole(hit: np.ndarray, count: np.ndarray, resamples: int, rng: np.random.Generator) -> np.ndarray:
-    """Compute rates of resamples that draw every way's clusters anew; those that drew no image are left out."""
+    """Compute rates of resamples that draw every way's clusters anew; resamples without any image are left out."""
     seeds, bodies, backgrounds = hit.shape
     weights = [rng.multinomial(n, np.full(n, 1 / n), resamples) for n in (bodies, backgrounds, seeds)]
 

@@ -1,4 +1,4 @@
-"""Measure success over time: of a run's snapshots after so many steps, seconds and queries."""
+"""Measure success over time: evaluate the snapshots of a run."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ class Backend(Protocol):
     ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
         """Composite B bodies, except the M logo pixels, over the rows of a canvas; change: of the bodies' pixels.
 
-        Returns what the logo's pixels show beside the logo, and their rows: the last for those that left the image.
+        Returns what the logo's pixels show beside the logo, and their rows: the last row for pixels outside the image.
         """
 
     def logo_matrix(self, views: Sequence[BakedView]) -> LogoMatrix:

@@ -1,4 +1,4 @@
-"""The triangles of one view, those that cross the near plane or leave the guard band clipped (Sutherland-Hodgman).
+"""List the triangles of one view, clipped to the near plane and the guard band (Sutherland-Hodgman).
 
 Clipping is done in view space, float64. Triangles that share an edge stay watertight: they cut it in the same point.
 """

@@ -68,7 +68,7 @@ class Canvas:
     base: Float32[Tensor, "M 3"]
     """What the logo's pixels show beside the logo: the rest of the body, the highlight, the background at an edge."""
     target: Int64[Tensor, " M"]
-    """Rows of the logo's pixels; the last row for those that a shift moved out of the image."""
+    """Rows of the logo's pixels; the last row for pixels that a shift moves out of the image."""
     logo: LogoMatrix
     """What the logo's colours add to them."""
     scale: Float32[Tensor, "B 1 1"] | Float32[Tensor, "1 3"] | Float32[Tensor, "B 1 3"] | None

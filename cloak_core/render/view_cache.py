@@ -1,6 +1,6 @@
 """Views of a scene, built once and kept.
 
-A view is one pose seen by one camera: for each covered pixel, how much of which face's colour it shows. Baking a view
+A view is one pose seen by one camera: for each covered pixel, the weights of the faces' colours. Baking a view
 for a logo folds all else into a constant base image; rendering a baked view is a sparse product (compositing.py).
 """
 

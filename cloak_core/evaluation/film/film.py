@@ -36,7 +36,7 @@ VIEW_BYTES = 1 << 30
 """Memory for views between measuring a film and drawing it."""
 TURNTABLE_FRAMES, LEAST_FRAMES, TURNTABLE_FPS = 24, 8, 8.0
 TURNTABLE_SHARE = 8
-"""A turntable has at most one image for so many of the evaluation's own."""
+"""A turntable has at most one image for every eight of the evaluation."""
 TURNTABLE_SIDE = 256
 """Most pixels along a turntable picture's side."""
 

@@ -149,7 +149,7 @@ def _scores(detector: Detector, found: Detections, box: tuple | None, scale: flo
 
 
 def _read(path: Path, settings: JudgeSettings) -> Iterator[tuple[UInt8[np.ndarray, "h w 3"], float]]:
-    """Read a photograph, or every so many-th frame of a video, upright and reduced; yield it and its scale."""
+    """Read a photograph, or every `settings.every`-th frame of a video, upright and reduced; yield it and its scale."""
     if path.suffix.lower() in videos.SUFFIXES:
         for frame in videos.read_frames(path, settings.every, settings.most_frames):
             yield _reduced(Image.fromarray(frame), settings.longest)

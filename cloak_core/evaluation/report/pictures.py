@@ -75,7 +75,7 @@ def gallery_trials(trials: pd.DataFrame) -> list[int]:
 
 
 def _spaced(values: np.ndarray, count: int) -> np.ndarray:
-    """At most so many of the values, evenly."""
+    """Choose at most `count` of the values, evenly spaced."""
     return values[np.linspace(0, len(values) - 1, min(count, len(values))).round().astype(int)]
 
 

@@ -75,7 +75,7 @@ class Matrix:
         return [tuple(group) for group in found.values()]
 
     def surrogates_for(self, judged: str) -> tuple[str, ...]:
-        """List those that are not the judged network itself, at whatever input size, nor (if asked) of its family."""
+        """List the surrogates that are not the judged network, at any input size, nor (if asked) of its family."""
         detectors = self.store.split.detectors
         own = state_hash(detectors[judged])
         kept = [spec for spec in self.surrogates if spec != judged and state_hash(detectors[spec]) != own]

@@ -21,8 +21,8 @@ from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
 MOST_PAIRS = 1 << 20
 """Pairs of triangle and pixel at most in one band, or those of a single row."""
 ROW_CUTS, PIXEL_CUTS = 1 << 19, 64
-"""Tests of a convex part against a triangle that a row of pixels may take, and those that each pixel may take in any
-case. Rows, unlike bands, are the same however many threads share a view."""
+"""Most tests of a convex part against a triangle in a row of pixels; beyond, each pixel may still take the second
+number. They are counted by row because bands depend on the number of threads."""
 
 
 def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:

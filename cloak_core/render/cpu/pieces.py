@@ -23,7 +23,7 @@ NOTHING = 1e-9
 
 @loop
 def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
-    """List triangles that touch the window and have area, those that face the camera first.
+    """List triangles that touch the window and have area: first front-facing, then back-facing ones.
 
     Returns index and doubled area, first and last row; and for every row of the window how many pixels at most they
     touch there.

@@ -16,7 +16,7 @@ from cloak_core.render.types import FlatTriangles
 
 _SCALE = float(1 << DEPTH_BITS)
 _SHORT = 4
-"""Rows of up to so many samples are tried one by one; beyond, a division for each edge is quicker."""
+"""The samples of rows up to this length are tested one by one; beyond, a division for each edge is quicker."""
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:

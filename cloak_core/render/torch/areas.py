@@ -86,7 +86,7 @@ def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Ten
 
 
 def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tuple[int, int]]:
-    """Rows from .. to (exclusive), each with at most so many pairs of triangle and pixel, or a single row."""
+    """Yield bands of rows, from .. to (exclusive), of at most `most` pairs of triangle and pixel, or of one row."""
     left, right, top, bottom = box
     load = torch.zeros(window.y1 - window.y0 + 1, dtype=torch.int64, device=box.device)
     load.index_add_(0, top - window.y0, right - left + 1).index_add_(0, bottom + 1 - window.y0, left - right - 1)

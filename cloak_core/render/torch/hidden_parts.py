@@ -34,7 +34,7 @@ def cut_hidden(
     """Cut away what is hidden of pieces, sorted by place: convex parts, the piece of each part, and crowded pieces.
 
     Crowded pieces are those of pixels that take more pieces or cuts than allowed; they have no parts. In each turn
-    every piece meets one more of those that may hide it.
+    every piece meets one more piece that may hide it.
     """
     lines, name = _lines(pieces, triangles, width), triangles.ids.index_select(0, pieces.owner)
     _, pixel, size = torch.unique_consecutive(pieces.place, return_inverse=True, return_counts=True)

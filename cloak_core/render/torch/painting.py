@@ -1,6 +1,6 @@
 """Bodies composited over backgrounds, and the logo into its pixels and back, in torch.
 
-Few operations, none of which waits for the device.
+There are few operations, and none waits for the device.
 """
 
 from __future__ import annotations
