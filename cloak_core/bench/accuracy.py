@@ -49,7 +49,7 @@ FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 
 
 def default_name() -> str:
-    """The point of the default `RenderSettings`."""
+    """Name the point of the default `RenderSettings`."""
     return _name(RenderSettings().samples)
 
 
@@ -65,7 +65,7 @@ def run_bench_accuracy(
     only: tuple[str, ...] = (),
     tell: Tell = _log.info,
 ) -> dict:
-    """All points of all scenes (or of `only` some of them); `tell` hears of each that is done.
+    """Measure all points of all scenes (or of `only` some of them); `tell` hears of each that is done.
 
     With `out`, also a table, a plot and the JSON in that folder, after each scene; scenes measured there earlier stay
     beside these.
@@ -89,7 +89,7 @@ def run_bench_accuracy(
 
 
 def measure(scene: Scene, repeats: int, threads: int, peers: dict[str, str]) -> dict:
-    """Every way to build a view of one scene, timed and compared. peers: as `available` says."""
+    """Time and compare every way to build a view of one scene. peers: as `available` says."""
     light = Light()
     exact = reference(scene.bodies, scene.camera, light)
     judge = Judge(scene, exact)
@@ -178,12 +178,12 @@ class Judge:
         return self._rms(ours, ours.image(self.colors, self.black) - exact.image(self.colors, self.black))
 
     def _rms(self, ours: Matrix, difference: Tensor) -> float:
-        """Over the pixels of the body."""
+        """Compute the root mean square over the pixels of the body."""
         body = (self.exact.coverage > 0) | (ours.coverage > 0)
         return float(difference[body].double().pow(2).mean().sqrt())
 
     def _hidden(self, areas: Matrix) -> float:
-        """Share of the weight that lies where nothing of its face is seen."""
+        """Compute the share of the weight that lies where nothing of its face is seen."""
         entries, truth = (m.pixel * m.face_count + m.face for m in (areas, self.areas))
         weight = areas.weight.double()
         return float(weight[~torch.isin(entries, truth)].sum() / weight.sum().clamp(min=1e-30))

@@ -46,7 +46,7 @@ def write_report(result: dict, folder: Path) -> dict:
 
 
 def tables(result: dict) -> str:
-    """One table for each scene; the default setting in bold."""
+    """Write one table for each scene; the default setting in bold."""
     lines = []
     for name, scene in result["scenes"].items():
         lines += ["", f"### {name}: {scene['triangles']:,} triangles, {scene['pixels']:,} pixels", ""]
@@ -72,7 +72,7 @@ def pareto(points: list[dict], error: str = "gradient_smooth") -> list[dict]:
 
 
 def plot(result: dict, path: Path) -> None:
-    """Errors against the time of a new view: for each scene the gradient's above the image's, four scenes side by
+    """Plot errors against the time of a new view: for each scene the gradient's above the image's, four scenes side by
     side."""
     from matplotlib.figure import Figure
 

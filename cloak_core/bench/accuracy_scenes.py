@@ -27,7 +27,7 @@ FAR = replace(SIDE, distance=8.0)
 
 
 def make_scene(name: str, bodies: Bodies) -> Scene:
-    """One of `SCENES`, from the first pose of these bodies."""
+    """Make one of `SCENES`, from the first pose of these bodies."""
     return SCENES[name](bodies.select_poses([0]))
 
 
@@ -38,7 +38,7 @@ def _million(body: Bodies) -> Scene:
 
 
 def _with(body: Bodies, vertices: np.ndarray, triangles: np.ndarray) -> Bodies:
-    """The body and more triangles, each a face."""
+    """Join the body and more triangles, each a face."""
     first = body.vertices[0]
     return Bodies(
         vertices=np.concatenate([first, vertices])[None].astype(np.float32),
@@ -47,13 +47,13 @@ def _with(body: Bodies, vertices: np.ndarray, triangles: np.ndarray) -> Bodies:
 
 
 def _outside(body: Bodies, metres: float) -> np.ndarray:
-    """The body's vertices moved outwards."""
+    """Move the body's vertices outwards."""
     vertices = body.vertices[0].astype(np.float64)
     return vertices + metres * vertex_normals(vertices, body.triangles)
 
 
 def _shell(body: Bodies, metres: float) -> Scene:
-    """A closed surface all around the body, seen from far away."""
+    """Put a closed surface all around the body, seen from far away."""
     return Scene(_with(body, _outside(body, metres), body.triangles), FAR)
 
 

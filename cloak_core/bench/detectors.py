@@ -58,7 +58,7 @@ def _bench(spec: str, batch: int, size: int, repeats: int, device: str, options:
 
 
 def write_table(results: dict[str, dict[str, float]], path: Path, device: str = "cpu") -> None:
-    """The figures of `run_bench_detectors` as a Markdown table, with machine, versions and date."""
+    """Write the figures of `run_bench_detectors` as a Markdown table, with machine, versions and date."""
     rows = []
     for spec, figures in results.items():
         cells = [f"{figures[key]:.1f}" if key in figures else "" for key in ("forward_ms", "gradient_ms", "naive_ms")]

@@ -17,7 +17,7 @@ Line = tuple[Fraction, Fraction, Fraction]
 def visible_shares(
     x: Iterable, y: Iterable, inverse_depth: Iterable, triangles: Iterable, size: tuple[int, int], unit: int, cull: bool
 ) -> dict[tuple[int, int], Fraction]:
-    """The exact share of each pixel by (pixel, triangle).
+    """Compute the exact share of each pixel by (pixel, triangle).
 
     x, y: whole numbers, `unit` to a pixel; inverse_depth: floats; size: width and height in pixels; cull: drop
     triangles that show their back.
@@ -50,13 +50,13 @@ def visible_shares(
 
 
 def near_pixel(points: list[Point], column: int, row: int) -> bool:
-    """Whether the bounding box of a polygon meets a pixel."""
+    """Test whether the bounding box of a polygon meets a pixel."""
     xs, ys = zip(*points, strict=True)
     return min(xs) < column + 1 and max(xs) > column and min(ys) < row + 1 and max(ys) > row
 
 
 def hiding(face: tuple, other: tuple) -> list[Line] | None:
-    """The convex area in which another triangle hides this one; None: nowhere."""
+    """Find the convex area in which another triangle hides this one; None: nowhere."""
     (name, _, _, own), (other_name, _, outline, nearer) = face, other
     difference = tuple(b - a for a, b in zip(own, nearer, strict=True))
     if name == other_name:
@@ -80,7 +80,7 @@ def without(polygon: list[Point], lines: list[Line] | None) -> list[list[Point]]
 
 
 def clip(polygon: list[Point], lines: list[Line]) -> list[Point]:
-    """The part of a convex polygon inside of lines."""
+    """Clip a convex polygon to the inside of lines."""
     for a, b, c in lines:
         kept = []
         for i, (x0, y0) in enumerate(polygon):
@@ -96,7 +96,7 @@ def clip(polygon: list[Point], lines: list[Line]) -> list[Point]:
 
 
 def sides(points: list[Point]) -> list[Line]:
-    """The lines of the sides of a polygon that runs clockwise on a screen with y down."""
+    """Compute the lines of the sides of a polygon that runs clockwise on a screen with y down."""
     lines = []
     for i, (x0, y0) in enumerate(points):
         x1, y1 = points[(i + 1) % len(points)]
@@ -105,7 +105,7 @@ def sides(points: list[Point]) -> list[Line]:
 
 
 def plane(points: list[Point], near: list[Fraction]) -> Line:
-    """The inverse depth of a triangle as a linear function."""
+    """Compute the inverse depth of a triangle as a linear function."""
     (x0, y0), (x1, y1), (x2, y2) = points
     twice = 2 * area(points)
     a = ((near[1] - near[0]) * (y2 - y0) - (near[2] - near[0]) * (y1 - y0)) / twice
@@ -114,6 +114,6 @@ def plane(points: list[Point], near: list[Fraction]) -> Line:
 
 
 def area(points: list[Point]) -> Fraction:
-    """The signed area, positive where clockwise on a screen with y down."""
+    """Compute the signed area, positive where clockwise on a screen with y down."""
     pairs = zip(points, points[1:] + points[:1], strict=True)
     return sum((x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in pairs), Fraction(0)) / 2

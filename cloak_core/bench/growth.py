@@ -90,7 +90,7 @@ def _result(series: dict) -> dict:
 
 
 def exponents(points: list[dict], power: int = 1) -> dict[str, float]:
-    """Slopes of log(time) and log(memory) over log(size to the `power`), over the last three points."""
+    """Compute the slopes of log(time) and log(memory) over log(size to the `power`), over the last three points."""
     size, seconds, memory = (np.log([p[key] for p in points[-3:]]) for key in ("size", "seconds", "working_mib"))
     time, space = (float(np.polyfit(power * size, values, 1)[0]) for values in (seconds, memory))
     return {"exponent": time, "memory_exponent": space}
@@ -106,7 +106,7 @@ def write_report(series: dict, folder: Path) -> dict:
 
 
 def tables(result: dict) -> str:
-    """One table for each series."""
+    """Write one table for each series."""
     lines = []
     for name, record in result["series"].items():
         heading = "pixels along each side" if name == "pixels" else name
@@ -124,7 +124,7 @@ def tables(result: dict) -> str:
 
 
 def _measured(work: Work, size: int, threads: int, memory: int) -> dict:
-    """One point, in a process of its own, so that its peak of memory is its own."""
+    """Measure one point, in a process of its own, so that its peak of memory is its own."""
     try:
         with ProcessPoolExecutor(1, get_context("spawn")) as process:
             return {"size": size} | process.submit(_run, work, threads, memory).result()
@@ -172,7 +172,7 @@ def _ready(bodies: Bodies, work: Work, keys: list, memory: int) -> ViewCache:
 
 
 def _build(cache: ViewCache, keys: list) -> float:
-    """Seconds to build and keep all views, part by part."""
+    """Time, in seconds, building and keeping all views, part by part."""
     start = time.perf_counter()
     for part in range(0, len(keys), 16):
         cache.views(keys[part : part + 16])
@@ -180,7 +180,7 @@ def _build(cache: ViewCache, keys: list) -> float:
 
 
 def _memory(key: str) -> float:
-    """MiB of this process that are resident now (VmRSS) or were at most (VmHWM)."""
+    """Read the MiB of this process that are resident now (VmRSS) or were at most (VmHWM)."""
     with open("/proc/self/status", encoding="ascii") as file:
         return next(int(line.split()[1]) for line in file if line.startswith(key)) / 1024
 

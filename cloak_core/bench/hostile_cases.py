@@ -63,7 +63,7 @@ def specks(rng: np.random.Generator, count: int) -> Triangles:
 
 
 def check(make: Callable[[np.random.Generator, int], Triangles], count: int) -> tuple[int, str]:
-    """Pixels covered more than once, one more where coverage is off; and the time and the sampled pixels in words."""
+    """Count pixels covered twice, one more where coverage is off; also tell the time and the sampled pixels."""
     x, y, depth = make(np.random.default_rng(0), count)
     snapped_x, snapped_y = (np.rint(t * GRID).astype(np.int64).ravel() for t in (x, y))
     screen, triangles = screen_of(snapped_x, snapped_y, depth.ravel(), SIDE, SIDE), torch.arange(x.size).view(-1, 3).T

@@ -73,19 +73,19 @@ def simulate(design: Design, rng: np.random.Generator) -> Draw:
 
 
 def _mean_logit(truth: float, sd: float) -> float:
-    """The mean whose logistic-normal expectation is `truth` (Gauss-Hermite quadrature)."""
+    """Find the mean whose logistic-normal expectation is `truth` (Gauss-Hermite quadrature)."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(61)
     return brentq(lambda mean: (expit(mean + sd * nodes) * weights).sum() / weights.sum() - truth, -10, 80)
 
 
 def bootstrap(draw: Draw) -> Bounds:
-    """The stretched pigeonhole bootstrap alone."""
+    """Compute the stretched pigeonhole bootstrap's interval alone."""
     hit, count = cells(draw.hits, [draw.seed, draw.body, draw.background])
     return bootstrap_interval(hit, count, RESAMPLES, 0.95, np.random.default_rng(0))
 
 
 def korn_graubard(draw: Draw) -> Bounds:
-    """Exact binomial interval at the effective sample size (Korn and Graubard, Survey Methodology 24, 1998).
+    """Compute the exact binomial interval at the effective size (Korn and Graubard, Survey Methodology 24, 1998).
 
     The effective size is at most the number of bodies: images of one body are no independent draws.
     """
@@ -101,7 +101,7 @@ def korn_graubard(draw: Draw) -> Bounds:
 
 
 def ours(draw: Draw) -> Bounds:
-    """What every report prints: `clustered_rate`."""
+    """Compute the interval that every report prints: `clustered_rate`."""
     rate = clustered_rate(draw.hits, draw.body, draw.background, draw.seed, resamples=RESAMPLES)
     return rate.low, rate.high
 
@@ -130,7 +130,7 @@ def run_bench_intervals(repetitions: int = 200) -> dict:
 
 
 def intervals_page(result: dict, command: str) -> str:
-    """The page docs/reports/intervals.md: what was simulated, and a row for each design."""
+    """Write the page docs/reports/intervals.md: what was simulated, and a row for each design."""
     worst = ", ".join(f"{name} {100 * value:.0f} %" for name, value in result["worst"].items())
     heads = ["bodies", "backgrounds", "seeds", "success", "sd between bodies", "never hidden"]
     heads += [f"{name}: covers, width" for name in METHODS]

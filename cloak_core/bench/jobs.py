@@ -20,7 +20,7 @@ DAY = 86_400.0
 
 
 def nothing(number: int) -> int:
-    """A job's work that takes no time."""
+    """Do a job's work that takes no time."""
     return number
 
 
@@ -67,7 +67,7 @@ def _by_ray(count: int) -> float:
 
 
 def _results(count: int) -> float:
-    """Milliseconds to write, and once to read, what is recorded of a run."""
+    """Time, in milliseconds, writing and once reading what is recorded of a run."""
     record = {"name": "run", "varied": {"seed": 0}, "step": 600, "seconds": 1.0, "loss": 0.1, "success": 1.0}
     with tempfile.TemporaryDirectory() as folder:
         paths = [Path(folder, f"{number}.json") for number in range(count)]

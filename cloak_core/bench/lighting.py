@@ -24,7 +24,7 @@ class TwinLight:
         self._eye = np.asarray(pivot) + camera.distance * self._back
 
     def __call__(self, triangle: Int64[np.ndarray, " N"], x: Reals, y: Reals) -> tuple[Reals, Reals]:
-        """Weight of the surface colour, and highlight, where the rays through points of the image meet triangles.
+        """Compute surface weight and highlight where the rays through points of the image meet triangles.
 
         x, y: pixels from the image's top left corner. A point a little outside its triangle is lit as on its edge.
         """
@@ -44,7 +44,7 @@ class TwinLight:
 
 
 def vertex_normals(vertices: Float64[np.ndarray, "V 3"], triangles: np.ndarray) -> Float64[np.ndarray, "V 3"]:
-    """Unit sums of the cross products around each vertex."""
+    """Compute unit sums of the cross products around each vertex."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     cross, normals = np.cross(b - a, c - a), np.zeros_like(vertices)
     for i in range(3):

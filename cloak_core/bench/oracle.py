@@ -45,7 +45,7 @@ class Piece:
 
 
 def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
-    """All triangles [3, T] of all views, cut where they must be."""
+    """List all triangles [3, T] of all views, cut where they must be."""
     x, y, inverse_depth = (t.tolist() for t in (screen.x, screen.y, screen.inverse_depth))
     safe = screen.in_guard_band.tolist() if screen.in_guard_band is not None else None
     result = []
@@ -64,7 +64,7 @@ def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
 
 
 def covered(piece: Piece, sample_x: np.ndarray, sample_y: np.ndarray) -> np.ndarray:
-    """Which samples, at these snapped positions (int64), the piece covers under the top-left rule."""
+    """Mark the samples, at these snapped positions (int64), that the piece covers under the top-left rule."""
     if piece.area == 0:
         return np.zeros(sample_x.shape, bool)
     a, b, c = piece.corners if piece.area > 0 else piece.corners[::-1]
@@ -78,7 +78,7 @@ def covered(piece: Piece, sample_x: np.ndarray, sample_y: np.ndarray) -> np.ndar
 
 
 def depth(piece: Piece, x: int, y: int) -> int:
-    """The depth number of a covered sample, as documented: smaller is nearer."""
+    """Compute the depth number of a covered sample, as documented: smaller is nearer."""
     corners = piece.corners if piece.area > 0 else piece.corners[::-1]
     first = min(range(3), key=lambda i: (corners[i].y, -corners[i].x))
     c0, c1, c2 = (corners[(first + i) % 3] for i in range(3))
@@ -112,7 +112,7 @@ def sample_positions(width: int, height: int, grid: int) -> tuple[np.ndarray, np
 
 
 def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None = None) -> np.ndarray:
-    """Triangle ids int32 [B, H, W, S] as `rasterize(...).triangles()` must give them; -1 = none."""
+    """Compute the triangle ids int32 [B, H, W, S] that `rasterize(...).triangles()` must give; -1 = none."""
     sample_x, sample_y = sample_positions(screen.width, screen.height, grid)
     ids = np.full((len(screen.x), *sample_x.shape), -1, np.int32)
     best = np.full(ids.shape, np.iinfo(np.int64).max)
@@ -128,7 +128,7 @@ def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None =
 
 
 def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = False) -> np.ndarray:
-    """How many triangles cover each sample, int64 [B, H, W, S]."""
+    """Count the triangles that cover each sample, int64 [B, H, W, S]."""
     sample_x, sample_y = sample_positions(screen.width, screen.height, grid)
     count = np.zeros((len(screen.x), *sample_x.shape), np.int64)
     for piece in pieces(screen, triangles):
@@ -140,7 +140,7 @@ def hits(screen: Screen, triangles: Tensor, grid: int = 1, front_only: bool = Fa
 def screen_of(
     x: np.ndarray, y: np.ndarray, inverse_depth: np.ndarray, width: int, height: int, near: float = 1.0
 ) -> Screen:
-    """A one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
+    """Make a one-view screen from snapped integer coordinates [V] directly, for cases made by hand."""
 
     def row(values: np.ndarray, dtype: torch.dtype) -> Tensor:
         return torch.as_tensor(np.asarray(values)).to(dtype).reshape(1, -1)

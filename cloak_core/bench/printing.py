@@ -42,7 +42,7 @@ UNSEEN = 500
 
 
 def printed(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Linear light that the cloth gives back where these sRGB colours were sent."""
+    """Compute the linear light that the cloth gives back where these sRGB colours were sent."""
     ink = 1 - np.asarray(sent, np.float64)
     ink = (ink + 4 * DOT_GAIN * ink * (1 - ink)).clip(0, 1)
     c, m, y = (ink[:, [k]] for k in range(3))
@@ -53,14 +53,14 @@ def printed(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def photographed(light: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """sRGB that the camera makes of linear light; no noise."""
+    """Compute the sRGB that the camera makes of linear light; no noise."""
     raw = (light @ MIX.T * WHITE_BALANCE * EXPOSURE).clip(0, 1)
     coded = to_srgb(raw)
     return coded + 0.12 * np.sin(2 * np.pi * (coded - 0.5)) / np.pi  # more contrast in the middle
 
 
 def come_out(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """sRGB as printed and photographed."""
+    """Compute sRGB as printed and photographed."""
     return photographed(printed(sent)).astype(np.float32)
 
 
@@ -97,7 +97,7 @@ def photograph(chart: Path, seed: int, turns: int = 0) -> bytes:
 
 
 def _perspective(start: np.ndarray, end: np.ndarray) -> list[float]:
-    """Pillow's eight numbers: from the places of the new picture to those of the old one."""
+    """Fit Pillow's eight numbers: from the places of the new picture to those of the old one."""
     rows, values = [], []
     for (x, y), (u, v) in zip(start, end, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]

@@ -10,7 +10,7 @@ from cloak_core.files.errors import InputError
 
 
 def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
-    """What an earlier run left in a JSON file under `key`, and what is new instead or beside it, in that order."""
+    """Merge what an earlier run left in a JSON file under `key` with what is new, in that order."""
     known = {}
     if path.exists():
         try:

@@ -45,13 +45,13 @@ class Matrix:
         return (body + (1 - self.coverage.double()).unsqueeze(1) * background.double()).clamp(0, 1)
 
     def gradient(self, upstream: Float[Tensor, "pixels 3"]) -> Float[Tensor, "F 3"]:
-        """Of sum(upstream * image before clamping) with respect to the face colours, float64."""
+        """Differentiate sum(upstream * image before clamping) by the face colours, float64."""
         result = torch.zeros(self.face_count, 3, dtype=torch.float64)
         return result.index_add_(0, self.face, self.weight.double().unsqueeze(1) * upstream.double()[self.pixel])
 
 
 def matrix_of(view: View, face_count: int) -> Matrix:
-    """The matrix of a view."""
+    """Make the matrix of a view."""
     view = replace(view, **{k: v.cpu() for k, v in vars(view).items() if isinstance(v, Tensor)})
     pixels = view.height * view.width
     row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face))
@@ -97,7 +97,7 @@ def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Re
 
 
 def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, width: int) -> Float64[Tensor, "3 P"]:
-    """Area, weight and highlight of every piece, with three points for each triangle of its parts' fans.
+    """Integrate area, weight and highlight of every piece, with three points for each triangle of its parts' fans.
 
     The points integrate quadratic functions exactly.
     """
@@ -123,5 +123,5 @@ def _sums(index: Tensor, values: Tensor, count: int) -> Float64[Tensor, " count"
 
 
 def closed_outward(bodies: Bodies, pose: int = 0) -> bool:
-    """Whether triangles that show their back can be left out, unless the near plane cuts the body open."""
+    """Tell whether triangles that show their back can be left out, unless the near plane cuts the body open."""
     return is_closed(bodies.triangles) and bool(np.asarray(is_outward(bodies))[pose])

@@ -56,7 +56,7 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
 
 
 def mismatches(case: Case, grid: int) -> int:
-    """Samples at which the rasterizer and its twin differ, or whose number of covering triangles is wrong."""
+    """Count samples at which the rasterizer and its twin differ, or whose number of covering triangles is wrong."""
     cull = torch.tensor([case.cull] * len(case.screen.x))
     ours = rasterize(case.screen, case.triangles, grid, cull).triangles().numpy()
     wrong = int((ours != twin(case.screen, case.triangles, grid, cull)).sum())
@@ -87,7 +87,7 @@ def _exact_shares(case: Case) -> dict[tuple[int, int], Fraction]:
 
 
 def depth_error(case: Case, limit: int = 200) -> Fraction:
-    """Largest difference between a sample's depth and its exact value, in units of the depth's last place."""
+    """Find the largest difference between a sample's depth and its exact value, in units of the depth's last place."""
     x, y = (t[..., 0] for t in sample_positions(case.screen.width, case.screen.height, 1))
     worst = Fraction(0)
     for piece in pieces(case.screen, case.triangles)[:limit]:

@@ -100,7 +100,7 @@ def _strips(rng: np.random.Generator) -> Case:
 
 
 def _identical(rng: np.random.Generator) -> Case:
-    """One triangle again and again, its corners in any order, and one behind it listed first."""
+    """Repeat one triangle, its corners in any order, with one behind it listed first."""
     x, y = rng.integers(-2 * GRID, 10 * GRID, (2, 3))
     again = [rng.permutation(3) for _ in range(20)]
     return _snapped(np.tile(x, 2), np.tile(y, 2), [0.5, 0.6, 0.7, 0.2, 0.2, 0.2], [[3, 4, 5], *again])
@@ -140,14 +140,14 @@ def _space(rng: np.random.Generator, spread: float, camera: Camera, flatten: flo
 
 
 def ball(rng: np.random.Generator, levels: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """A closed, convex, outward body in a random orientation: a subdivided icosahedron. Vertices [V, 3], triangles."""
+    """Make a closed, convex, outward body, randomly oriented: a subdivided icosahedron. Vertices [V, 3], triangles."""
     solid = trimesh.creation.icosphere(subdivisions=levels)
     turn = np.linalg.qr(rng.normal(0, 1, (3, 3)))[0]
     return solid.vertices @ (turn * np.linalg.det(turn)), solid.faces
 
 
 def _closed(rng: np.random.Generator) -> Case:
-    """A convex body that fills the image: its front covers every sample exactly once."""
+    """Fill the image with a convex body: its front covers every sample exactly once."""
     points, triangles = ball(rng)
     camera = Camera(distance=3.0, field_of_view=20.0, width=16, height=16)
     screen = project(torch.from_numpy(points.T.copy()).unsqueeze(0), [camera], [(0.0, 0.0, 0.0)])
@@ -175,7 +175,7 @@ def _layers(rng: np.random.Generator) -> Case:
 
 
 def _shell(rng: np.random.Generator, cull: bool = True) -> Case:
-    """A convex body a ten-thousandth within another."""
+    """Put a convex body a ten-thousandth within another."""
     points, triangles = ball(rng)
     both = np.concatenate([points, points * 1.0001])
     screen = project(

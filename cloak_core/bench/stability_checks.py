@@ -45,7 +45,7 @@ def _ids(vertices: Tensor, triangles: Tensor, cameras: list[Camera]) -> Tensor:
 
 
 def batch_and_threads() -> tuple[int, str]:
-    """Face ids of views together on four threads, and one by one on one."""
+    """Compare face ids of views together on four threads, and one by one on one."""
     cameras = [Camera(azimuth=a, distance=d, width=64, height=48) for a in (0, 80) for d in (0.4, 2.0)]
     vertices, triangles = _body()
     with torch_threads(4):
@@ -79,7 +79,7 @@ def _differ(a: View, b: View) -> int:
 
 
 def images() -> tuple[int, str]:
-    """Views built together on four threads, and one by one on one."""
+    """Compare views built together on four threads, and one by one on one."""
     wrong = 0
     for samples in (None, 4):
         with torch_threads(4):
@@ -91,7 +91,7 @@ def images() -> tuple[int, str]:
 
 
 def precision() -> tuple[int, str]:
-    """Light in float32 against its twin in float64, at every visible sample: weights and highlights."""
+    """Compare light in float32 with its float64 twin, at every visible sample: weights and highlights."""
     bodies, wrong, worst, ulp = _ball(), 0, 0.0, 0.0
     for pose, camera in _KEYS:
         view = matrix_of(
@@ -107,14 +107,14 @@ def precision() -> tuple[int, str]:
 
 
 def float32_input() -> tuple[int, str]:
-    """The same numbers handed over in float32 and in float64."""
+    """Compare the same numbers handed over in float32 and in float64."""
     bodies = _ball()
     double = replace(bodies, vertices=bodies.vertices.astype(np.float64))
     return _differ(*(ViewCache(b).view(*_KEYS[0]) for b in (bodies, double))), ""
 
 
 def cuda() -> tuple[int, str] | None:
-    """Face ids and images on the CPU and on CUDA; None where there is no CUDA device."""
+    """Compare face ids and images on the CPU and on CUDA; None where there is no CUDA device."""
     if not torch.cuda.is_available():
         return None
     vertices, triangles = _body()
@@ -130,7 +130,7 @@ def cuda() -> tuple[int, str] | None:
 
 
 def loops() -> tuple[int, str]:
-    """Face ids and images from compiled loops, and from the torch operations that other devices run."""
+    """Compare face ids and images from compiled loops, and from the torch operations that other devices run."""
     vertices, triangles = _body()
     cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
     ours, views = (
@@ -146,7 +146,7 @@ def loops() -> tuple[int, str]:
 
 
 def million_in_one_pixel() -> tuple[int, str]:
-    """A million triangles inside one pixel: one of them is seen at its centre, nothing anywhere else."""
+    """Put a million triangles inside one pixel: one is seen at its centre, nothing anywhere else."""
     rng = np.random.default_rng(1)
     corner = rng.integers(2 * GRID, 3 * GRID, (2, 3_000_000))
     screen = screen_of(*corner, rng.uniform(0.1, 0.9, 3_000_000), 5, 5)

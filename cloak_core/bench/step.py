@@ -68,7 +68,7 @@ def run_bench_step(
 
 
 def step_table(result: dict) -> str:
-    """A record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
+    """Write a record of `run_bench_step` as Markdown: a line for each detector, then machine and threads."""
     rows = [figures for figures in result.values() if isinstance(figures, dict) and "floor_ms" in figures]
     head = ["detector", "batch", "views", "floor, ms", "step, ms", "ratio", "beside the detector, ms per image"]
     lines = [

@@ -39,7 +39,7 @@ def run_bench_views(
     device: str = "cpu",
     camera: Camera | None = None,
 ) -> dict:
-    """Milliseconds per view (of the clock that `clock` says), one view at a time: median and least of `repeats` runs.
+    """Time one view at a time, milliseconds (of the clock that `clock` says): median and least of `repeats` runs.
 
     Visibility is project, cover and depth; a new view is everything a cached render needs, from vertices in memory;
     stored is reading the view that an earlier run built; cached is a render of a chest-and-thighs logo onto a ready
@@ -92,7 +92,7 @@ def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]
 
 
 def cached_render(cache: ViewCache, camera: Camera) -> Callable[[], None]:
-    """One render of the logo onto a ready background with its gradient, ready to be called again and again.
+    """Prepare one render of the logo onto a ready background with its gradient, to be called again and again.
 
     Ready as training has it: background and incoming gradient lie channels-last in memory, as images do here.
     """
@@ -113,7 +113,7 @@ def cached_render(cache: ViewCache, camera: Camera) -> Callable[[], None]:
 
 
 def chest_and_thighs(bodies: Bodies) -> np.ndarray:
-    """Faces [L] of the logo to measure with: the named region where there is one, else its height on a standing body.
+    """Choose the faces [L] of the logo to measure with: the named region, or by height on a standing body.
 
     An upright body carries its chest at 0.66 to 0.82 of its height and its thighs at 0.3 to 0.48; the front is what
     faces +z.
@@ -151,7 +151,7 @@ def clock(device: str = "cpu") -> str:
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Bounds, torch uses this many threads."""
+    """Let torch use this many threads within."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -161,7 +161,7 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def machine(device: str = "cpu") -> dict[str, str]:
-    """What the figures were measured on."""
+    """Describe what the figures were measured on."""
     name = torch.cuda.get_device_name() if str(device).startswith("cuda") else _processor()
     return {
         "date": time.strftime("%Y-%m-%d"),

@@ -49,12 +49,12 @@ def random_colors(seed: int, image: int, count: int) -> Float[np.ndarray, "L 3"]
 
 
 def _pattern(control: str, centers: Float[np.ndarray, "L 3"]) -> np.ndarray:
-    """Bool [L]: which of the two colours a face has; stripes run around the body, checks are their cross in x and y."""
+    """Tell which of two colours each face has, bool [L]: stripes run around the body, checks cross them in x and y."""
     cell = np.floor(centers / STRIPE).astype(np.int64)
     return (cell[:, 1] if control == "stripes" else cell[:, 0] + cell[:, 1]) % 2 == 0
 
 
 def _two_tone(trained: Float[np.ndarray, "L 3"], light: np.ndarray) -> Float[np.ndarray, "L 3"]:
-    """Two greys about mid-grey as far apart as the trained colours are: the same standard deviation of luminance."""
+    """Make two greys about mid-grey with the trained colours' standard deviation of luminance."""
     contrast = min(0.5, float((trained @ np.array([0.2126, 0.7152, 0.0722], np.float32)).std()))
     return np.where(light[:, None], 0.5 + contrast, 0.5 - contrast).astype(np.float32).repeat(3, 1)

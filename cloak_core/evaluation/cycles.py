@@ -47,7 +47,7 @@ class NoBlender(InputError):
 
 
 def require_blender() -> str:
-    """A Python with Blender; NoBlender says in one line how to come by one."""
+    """Find a Python with Blender; NoBlender says in one line how to install one."""
     python = find_bpy() if SCRIPT.exists() else None
     if python is None:
         raise NoBlender(
@@ -151,12 +151,12 @@ def _view(renderer: BodyRenderer, trial: int) -> dict:
 
 
 def file_name(light: str, pose: int, angle: float, control: str) -> str:
-    """The PNG of a frame."""
+    """Name the PNG of a frame."""
     return f"{light}-{pose}-{angle:+g}-{control}.png"
 
 
 def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray, "T 3"]:
-    """Colours of all triangles with the logo's faces coloured as `control` says, in the first outfit."""
+    """Look up the colours of all triangles, the logo's faces coloured as `control` says, in the first outfit."""
     bodies, ids = renderer.bodies, renderer.logo.face_ids
     faces = bodies.face_colors[0].copy()
     if control == "random":
@@ -167,7 +167,7 @@ def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray
 
 
 def _normals(bodies: Bodies, pose: int) -> Float32[np.ndarray, "V 3"]:
-    """The vertex normals our renderer shades with."""
+    """Compute the vertex normals that our renderer shades with."""
     triangles, vertices = bodies.triangles.T.astype(np.int64), bodies.vertices[pose].T.astype(np.float64)
     operator = NormalOperator(torch.from_numpy(triangles), bodies.vertex_count)
     return operator(torch.from_numpy(vertices)).T.contiguous().numpy()
@@ -184,7 +184,7 @@ class CyclesRenderer(BodyRenderer):
     def compose(
         self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
     ) -> Iterator[Float[Tensor, "B 3 H W"]]:
-        """The images of these trials under each control; `views` are not looked at."""
+        """Yield the images of these trials under each control; `views` are not used."""
         behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
         seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
         for control in controls:
@@ -193,7 +193,7 @@ class CyclesRenderer(BodyRenderer):
             yield torch.stack(images)
 
     def body(self, pose: int, angle: float, control: str = LOGO) -> Float[Tensor, "4 H W"]:
-        """One frame: RGBA in [0, 1], straight alpha."""
+        """Read one frame: RGBA in [0, 1], straight alpha."""
         key = (pose, angle, control)
         if key not in self._bodies:
             pixels = read_picture(self._folder / file_name(self._light, *key), "RGBA")
@@ -202,7 +202,7 @@ class CyclesRenderer(BodyRenderer):
 
 
 def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tensor, "4 H W"]:
-    """The body moved by whole pixels; what leaves the image is lost, what comes in is empty."""
+    """Move the body by whole pixels; what leaves the image is lost, what comes in is empty."""
     height, width = body.shape[1:]
     moved = torch.zeros_like(body)
     y, x = max(0, down), max(0, right)
@@ -212,7 +212,7 @@ def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tenso
 
 
 def image_difference(ours: BodyRenderer, cycles: CyclesRenderer, control: str = LOGO) -> dict[str, float]:
-    """How the bodies differ on average over poses and angles, before mid-grey, in display colours [0, 1].
+    """Compare the bodies' images, averaged over poses and angles, before mid-grey, in display colours [0, 1].
 
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
     cover the pixel wholly, so that silhouettes do not count.

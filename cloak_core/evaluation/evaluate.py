@@ -110,14 +110,14 @@ def measure_frozen(
 
 
 def detector_facts(detectors: Mapping[str, Detector]) -> dict:
-    """The summary's `operating_points`, by spec, and which of them are assumed."""
+    """Return the summary's `operating_points`, by spec, and which of them are assumed."""
     points = {spec: detector.operating_point for spec, detector in detectors.items()}
     assumed = [spec for spec, detector in detectors.items() if detector.operating_point_assumed]
     return {"operating_points": points, "operating_points_assumed": assumed}
 
 
 def _circumstances(renderer: BodyRenderer, settings: EvaluateSettings, angles: Sequence[float]) -> dict:
-    """The summary's `settings` and `inputs`: how, and of what, it was made."""
+    """Record how and from what the summary was made: its `settings` and `inputs`."""
     inputs = {
         "bodies": list(renderer.body_names),
         "scene": renderer.bodies.name,

@@ -61,7 +61,7 @@ def measure(
 
 
 def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:
-    """The trained colours and what they are compared with; own clothing always is."""
+    """List the trained colours and their controls; own clothing is always among them."""
     return tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
 
 
@@ -98,7 +98,7 @@ def _judge_trials(
     progress: Progress,
     on_images: OnImages | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], Float32[np.ndarray, "N 4"]]:
-    """Scores [D, C, N] of every trial by column of the results, found boxes, and true boxes; `size` images at once."""
+    """Judge all trials, `size` images at once: scores [D, C, N] by column of the results, found boxes, true boxes."""
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
@@ -145,7 +145,7 @@ def image_scores(detector: Detector, detections: Detections, best: OnBody) -> di
 def _judge_bare(
     renderer: EvaluationRenderer, detectors: Sequence[Detector], backgrounds: np.ndarray, size: int, progress: Progress
 ) -> Float32[np.ndarray, "D M"]:
-    """Best scores on backgrounds with nobody in front."""
+    """Find the best scores on backgrounds without a person."""
     score = [np.zeros((len(detectors), 0), np.float32)]
     for batch in batches(backgrounds, size):
         images = renderer.bare(batch)
@@ -157,7 +157,7 @@ def _judge_bare(
 def _boxes(
     detector: int, control: int, batch: np.ndarray, detections: Detections, true: Float[Tensor, "B 4"]
 ) -> Iterator[tuple[np.ndarray, ...]]:
-    """Columns of `Results.boxes` for each image of a batch: person boxes after non-maximum suppression."""
+    """Yield columns of `Results.boxes` for each image of a batch: person boxes after non-maximum suppression."""
     for image, boxes, truth in zip(batch, person_boxes(detections, BOX_THRESHOLD), true, strict=True):
         boxes = boxes[:MOST_BOXES]  # best first
         # In double precision: whether an overlap is 0.55 or just below shall not hang on rounding.

@@ -101,7 +101,7 @@ class BodyRenderer:
         self._controls: dict[str, Tensor] = {}
 
     def views(self, indices: Indices) -> list[BakedView]:
-        """The baked view of each of these trials."""
+        """Return the baked view of each of these trials."""
         faces, (pose, outfit) = self.logo.face_ids, (self.trials[name].to_numpy() for name in ("pose", "outfit"))
         return [self.view_cache.bake(int(pose[i]), self.camera(i), faces, int(outfit[i])) for i in map(int, indices)]
 
@@ -121,7 +121,7 @@ class BodyRenderer:
         return true_boxes(views, self.shifts(indices)).to(self._device, torch.float32)
 
     def about_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> Detections:
-        """The detections as they are: nobody else is in these images."""
+        """Return the detections as they are: nobody else is in these images."""
         return detections
 
     def on_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> OnBody:
@@ -159,7 +159,7 @@ class BodyRenderer:
         return torch.cat([color, alpha])[:, y0:y1, x0:x1].permute(1, 2, 0)
 
     def camera(self, index: int) -> Camera:
-        """The camera of a trial."""
+        """Return the camera of a trial."""
         distance, azimuth, elevation = (float(self.trials.at[index, x]) for x in ("distance", "angle", "elevation"))
         return replace(self.viewpoint, distance=distance, azimuth=azimuth, elevation=elevation)
 
@@ -179,11 +179,11 @@ class BodyRenderer:
         return self.backdrops.batch(numbers, self.viewpoint.height, self.viewpoint.width).to(self._device)
 
     def backgrounds(self, indices: Indices) -> Float[Tensor, "B 3 H W"]:
-        """What is behind the bodies of these trials."""
+        """Return the backgrounds of these trials."""
         return self.bare(self.trials["background"].to_numpy()[np.asarray(indices, np.int64)])
 
     def shifts(self, indices: Indices) -> Int64[Tensor, "B 2"]:
-        """How far the bodies of these trials are moved: pixels right and down."""
+        """Return how far the bodies of these trials are moved: pixels right and down."""
         moved = self.trials[["shift_x", "shift_y"]].to_numpy(np.int64)[np.asarray(indices, np.int64)]
         return torch.from_numpy(moved).to(self._device)
 

@@ -67,7 +67,7 @@ class Results:
         return int(self.images["training"].max()) + 1
 
     def rows(self, detector: str, control: str, **where: float | int) -> pd.DataFrame:
-        """The rows of one detector under one control, in the order of images; `where`: columns with these values.
+        """Select the rows of a detector under a control, in the order of images; `where`: columns with these values.
 
         Several trainings share their bodies' own clothing, grey and random colours: those are counted once.
         """
@@ -80,7 +80,7 @@ class Results:
         return table[kept]
 
     def boxes_of(self, rows: pd.DataFrame) -> pd.DataFrame:
-        """The boxes in the images of these rows (of one detector and control)."""
+        """Select the boxes in the images of these rows (of one detector and control)."""
         if not len(rows):
             return self.boxes[:0]
         first = rows.iloc[0]
@@ -95,7 +95,7 @@ class Results:
         return dict(list(self.boxes.groupby(["detector", "control"], observed=True)))
 
     def scores(self, detector: str, control: str, column: str = "score", training: int = 0) -> np.ndarray:
-        """One training's scores [N] of one detector under one control, in the order of images."""
+        """Select one training's scores [N] of one detector under one control, in the order of images."""
         rows = self.rows(detector, control)
         return rows.loc[rows["training"] == training, column].to_numpy()
 
@@ -189,7 +189,7 @@ def make_results(
 
 
 def _grid(kinds: Mapping[str, pd.CategoricalDtype], shape: tuple[int, ...], trials: pd.DataFrame) -> pd.DataFrame:
-    """A row for each of D detectors, C controls and N images, in this order, with what the images show."""
+    """Make a row for each of D detectors, C controls and N images, in this order, with what the images show."""
     detector, control, image = (way.ravel() for way in np.indices(shape))
     table = pd.DataFrame({"detector": pd.Categorical.from_codes(detector, dtype=kinds["detector"])})
     table["control"] = pd.Categorical.from_codes(control, dtype=kinds["control"])

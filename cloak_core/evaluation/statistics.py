@@ -121,7 +121,7 @@ def _average_precision(boxes: pd.DataFrame, images: int, overlaps: Sequence[floa
 
 
 def summarize(results: Results, threshold: float = THRESHOLD, resamples: int = RESAMPLES) -> dict:
-    """Contract C6's `detectors` and `false_alarms`: rates of every control, by angle and by body, per detector."""
+    """Count contract C6's `detectors` and `false_alarms`: every control's rates, by angle and by body, per detector."""
     detectors = {spec: _detector_summary(results, spec, threshold, resamples) for spec in results.detectors}
     alarms = {spec: finite(false_alarms(results, spec, threshold)) for spec in results.detectors}
     return {"detectors": detectors, "false_alarms": alarms}
@@ -148,7 +148,7 @@ def _detector_summary(results: Results, spec: str, threshold: float, resamples: 
 def success_record(
     results: Results, rows: pd.DataFrame, threshold: float = THRESHOLD, resamples: int = RESAMPLES
 ) -> dict:
-    """One S of contracts C6 and C8, over rows of one detector and control.
+    """Count one S of contracts C6 and C8, over rows of one detector and control.
 
     `success`: no person box above the threshold anywhere; `success_own`: none above the detector's own threshold;
     `success_iou`: none on the body; `conditional`: success where the same image with the body's own clothing is
@@ -176,7 +176,7 @@ def success_record(
 
 
 def _own_record(rows: pd.DataFrame, resamples: int) -> dict:
-    """Success at the detector's own threshold, with its interval; nulls where that threshold is unknown."""
+    """Count success at the detector's own threshold, with its interval; nulls where that threshold is unknown."""
     point = operating_point(rows)
     if point is None:
         return {"success_own": None, "ci95_own": [None, None]}
@@ -185,7 +185,7 @@ def _own_record(rows: pd.DataFrame, resamples: int) -> dict:
 
 
 def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
-    """Contract C8: what became of the person in images without a reported one, at `threshold` and (`_own`) the own.
+    """Count what became of the person in images without a reported one, at `threshold` and (`_own`) the own (C8).
 
     `renamed`: share of images in which something else is reported on the body; `gone`: nothing is; `named`: the most
     frequent names of the former at `threshold`. Nulls where the detector does not tell of other classes.
@@ -205,7 +205,7 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
 
 
 def operating_point(rows: pd.DataFrame) -> float | None:
-    """The detector's own threshold, None where it is unknown or there are no rows."""
+    """Return the detector's own threshold, None where it is unknown or there are no rows."""
     point = float(rows["operating_point"].iloc[0]) if len(rows) else math.nan
     return point if math.isfinite(point) else None
 
@@ -233,7 +233,7 @@ def threshold_curve(rows: pd.DataFrame) -> list[float]:
 
 
 def rate_row(value: Rate, name: str = "success", low: str = "low", high: str = "high") -> dict:
-    """One rate as columns of a table: its value, its bounds and the number of images, four digits."""
+    """Write one rate as columns of a table: its value, its bounds and the number of images, four digits."""
     return {name: digits(value.value), low: digits(value.low), high: digits(value.high), "n": value.n}
 
 
@@ -287,7 +287,7 @@ def _mean_of_trainings(rows: pd.DataFrame) -> float:
 
 
 def rows_at(results: Results, spec: str, column: str, values: Sequence[float], **where: float) -> list[dict]:
-    """One row for each angle or distance: success with its interval, every control beside it, four digits."""
+    """Make one row for each angle or distance: success with its interval, every control beside it, four digits."""
     found = []
     for value in values:
         place = where | {column: value}
@@ -301,12 +301,12 @@ def rows_at(results: Results, spec: str, column: str, values: Sequence[float], *
 
 
 def interval(value: Rate) -> list[float | None]:
-    """The bounds, six digits; nulls without images."""
+    """Round the bounds to six digits; nulls without images."""
     return [finite(value.low), finite(value.high)]
 
 
 def finite(value: float, places: int = 6) -> float | None:
-    """The value rounded, or None: JSON knows no nan."""
+    """Round a value, or return None where it is not finite: JSON knows no nan."""
     return round(value, places) if math.isfinite(value) else None
 
 
@@ -316,5 +316,5 @@ def digits(value: float | None) -> float | None:
 
 
 def mean(values: Float[np.ndarray, " N"] | Sequence[float]) -> float:
-    """The mean, nan of nothing."""
+    """Compute the mean; nan of nothing."""
     return float(np.mean(values)) if len(values) else math.nan

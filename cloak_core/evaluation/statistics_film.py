@@ -23,7 +23,7 @@ LEAST_PIXELS = 8
 
 
 def summarize_film(results: Results, threshold: float, approaches: bool, rule: Rule) -> dict:
-    """Contract C7's figures, those of the first detector on the cloaked body, and all of them in `detectors`.
+    """Count contract C7's figures: of the first detector on the cloaked body, and of all in `detectors`.
 
     approaches: the camera comes nearer all the time. frames: of all takes; left_out: of these, without the body in
     the picture, counted in nothing else.
@@ -80,7 +80,7 @@ def film_record(results: Results, frames: pd.DataFrame, threshold: float, approa
 
 
 def _tracks_record(results: Results, frames: pd.DataFrame, rule: Rule) -> dict:
-    """How many tracks are confirmed, in how many takes, and in what share of frames one of them has a box."""
+    """Count confirmed tracks, the takes with one, and the share of frames in which one has a box."""
     takes = [take for _, take in by_value(frames, "take")]
     by_take = [track(frame_boxes(results, take, operating_point(frames)), rule) for take in takes]
     tracked = sum(len(set().union(*(one.boxes for one in tracks))) for tracks in by_take)

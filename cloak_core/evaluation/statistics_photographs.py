@@ -57,7 +57,7 @@ def clean_scores(
 
 
 def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int = RESAMPLES) -> dict:
-    """Contract C7's figures, those of the first detector, and of every one in `detectors`."""
+    """Count contract C7's figures: of the first detector, and of every one in `detectors`."""
     detectors = {
         str(spec): _detector_summary(mine, threshold, resamples) for spec, mine in rows.groupby("detector", sort=False)
     }
@@ -99,7 +99,7 @@ def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> d
 
 
 def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resamples: int = RESAMPLES) -> dict:
-    """One S of contract C6 about everybody in a garment, at the judge's threshold and (`_own`) the detector's.
+    """Count one S of contract C6 for all people in a garment, at the judge's threshold and (`_own`) the detector's.
 
     detected: share of them that is found, of `n_all`. Of a cloak or a control, success: not found although the clean
     partner is, a share of all `n` with a partner, so that a person whom the clean picture misses is none; conditional:

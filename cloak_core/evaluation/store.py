@@ -344,7 +344,7 @@ def _cpu_seconds(folder: Path) -> float:
 
 
 def _is_done(folder: Path) -> bool:
-    """Whether a run ended by itself."""
+    """Tell whether a run ended by itself."""
     if not (folder / "colors.npy").exists():
         return False
     ends = [e for e in read_events(folder / "events.jsonl") if e.get("type") == "end"]

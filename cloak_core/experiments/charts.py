@@ -108,7 +108,7 @@ class Lines:
             axis.plot([places[row[self.x]]], [row[self.y]], ls="", marker="x", color=look["color"], label=label)
 
     def _places(self, rows: Rows) -> dict:
-        """Where the values of x stand along the axis."""
+        """Find the places of the values of x along the axis."""
         values = sorted(set(column(rows, self.x)))
         if self.even:
             return {value: k for k, value in enumerate(values)}
@@ -193,7 +193,7 @@ class Bars:
         return figure
 
     def _series(self, rows: Rows, mine: Rows) -> dict[str, tuple[Rows, tuple[str, ...]]]:
-        """By label, the rows of a panel and the columns that rates are read from; colours agree between panels."""
+        """List a panel's rows and the columns of their rates by label; colours agree between panels."""
         if self.own:
             ends = [row | {"own": (row["own_low"], row["own_high"])} for row in mine]
             return {f"threshold {THRESHOLD:g}": (mine, ()), "own operating point": (ends, ("success_own", "own"))}

@@ -94,5 +94,5 @@ class Experiment:
 
 
 def test_angles(store: RunStore) -> tuple[float, ...]:
-    """The paper's test azimuths: whole degrees in -10..10; every second one when quick."""
+    """List the paper's test azimuths: whole degrees in -10..10; every second one when quick."""
     return tuple(float(a) for a in range(-10, 11, 2 if store.options.quick else 1))

@@ -50,7 +50,7 @@ def make_page(out: Path) -> Path:
 
 
 def figure(path: Path) -> dict:
-    """A figure as data, and the width in CSS pixels at which its text has the page's size."""
+    """Read a figure as data, and the width in CSS pixels at which its text has the page's size."""
     with open_picture(path) as image:
         width = round(image.width / 200 * 118) if path.suffix == ".png" else image.width
         return {"data": data_uri(path), "width": width}
@@ -109,6 +109,6 @@ def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> s
 
 
 def _spread(row: dict) -> dict:
-    """A row's label, and the spread over its repetitions."""
+    """Select a row's label, and the spread over its repetitions."""
     label = list(row)[: list(row).index("success")]
     return {key: row[key] for key in (*label, "seeds", "worst_seed", "best_seed")}

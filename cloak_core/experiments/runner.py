@@ -78,7 +78,7 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
 
 
 def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, spec: str) -> dict:
-    """The row of one judge over all images of a cell."""
+    """Make the row of one judge over all images of a cell."""
     label = dict(cell.label)
     if cell.area:
         label["area_share"] = round(area_share(bodies, trained[0].logo.face_ids), 4)
@@ -94,7 +94,7 @@ def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, s
 
 
 def _rows_along(cell: Cell, results: Results, spec: str) -> Iterator[dict]:
-    """A row for each value of the columns that a cell's images are told along; the last column is the innermost."""
+    """Yield a row for each value of the columns in `cell.along`; the last column is the innermost."""
     *outer, inner = cell.along
     for values in product(*(cell.along[column] for column in outer)):
         where = dict(zip(outer, values, strict=True))
@@ -103,7 +103,7 @@ def _rows_along(cell: Cell, results: Results, spec: str) -> Iterator[dict]:
 
 
 def threshold_rows(row: dict, results: Results, spec: str) -> Rows:
-    """Success at every threshold, a row for each control, under the label of a row of the table."""
+    """Compute success at every threshold, a row for each control, under the label of a row of the table."""
     label = {key: row[key] for key in list(row)[: list(row).index("success")]}
     curves = {control: statistics.threshold_curve(results.rows(spec, control)) for control in results.controls}
     names = [f"at_{t:g}" for t in statistics.THRESHOLDS]
@@ -131,7 +131,7 @@ def draw_again(name: str, out: Path) -> dict:
 
 
 def _charts(experiment: Experiment) -> dict:
-    """The declared figures, and success by threshold unless they have their own."""
+    """List the declared figures, and success by threshold unless they have their own."""
     return {**experiment.figures, "thresholds": experiment.figures.get("thresholds", Thresholds())}
 
 

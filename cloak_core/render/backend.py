@@ -35,7 +35,7 @@ class LogoMatrix(Protocol):
     def gradient(
         self, kept: tuple[Tensor, Tensor], upstream: Float32[Tensor, "B 3 H W"], shape: Sequence[int]
     ) -> Float32[Tensor, "*B L 3"]:
-        """The gradient of colours of this shape, from that of the images."""
+        """Compute the gradient of colours of this shape, from that of the images."""
 
 
 @runtime_checkable
@@ -56,7 +56,7 @@ class Backend(Protocol):
         """
 
     def visible_areas(self, flat: FlatTriangles, window: Window, width: int) -> Iterable[Found]:
-        """The exact visible share of each triangle in each pixel of a window of an image `width` pixels wide."""
+        """Find each triangle's exact visible share in each pixel of a window of an image `width` pixels wide."""
 
     def merge_samples(self, packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
         """Merge the visible samples of every (pixel, triangle) of one view; packed: [rows, columns]."""
@@ -101,12 +101,12 @@ class Backend(Protocol):
         """
 
     def logo_matrix(self, views: Sequence[BakedView]) -> LogoMatrix:
-        """The matrix of the views' logos."""
+        """Make the matrix of the views' logos."""
 
     def lay_image(self, own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
         """Convert one image's bytes to numbers in [0, 1]."""
 
 
 def backend(device: torch.device) -> Backend:
-    """The implementation for a device: numba on the CPU where there is numba, else torch."""
+    """Choose the implementation for a device: numba on the CPU where there is numba, else torch."""
     return cast(Backend, cpu_stages if use_loops(device) else torch_stages)

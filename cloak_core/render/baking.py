@@ -85,6 +85,6 @@ def baked_view(
 
 
 def box_of(mask: Bool[Tensor, "H W"]) -> tuple[int, int, int, int]:
-    """The bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
+    """Find the bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
     rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
     return (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if rows else (0, 0, 0, 0)

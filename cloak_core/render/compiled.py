@@ -85,7 +85,7 @@ _switched_off = False
 
 
 def use_loops(device: torch.device) -> bool:
-    """Whether work on this device is done by loops."""
+    """Tell whether work on this device is done by loops."""
     return numba is not None and device.type == "cpu" and not _switched_off
 
 
@@ -101,5 +101,5 @@ def torch_alone() -> Iterator[None]:
 
 
 def arrays(*tensors: torch.Tensor) -> list[np.ndarray]:
-    """The tensors' own memory, contiguous, as loops want it."""
+    """View the tensors' own memory as contiguous arrays, as loops want it."""
     return [tensor.detach().contiguous().numpy() for tensor in tensors]

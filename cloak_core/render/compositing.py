@@ -52,7 +52,7 @@ def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3
 
 
 def pixels_of(rows: Float32[Tensor, "P 3"], shape: Sequence[int]) -> Float32[Tensor, "B 3 H W"]:
-    """The rows of a canvas as images of this shape; the same memory."""
+    """View the rows of a canvas as images of this shape; the same memory."""
     batch, _, height, width = shape
     return rows[:-1].view(batch, height, width, 3).permute(0, 3, 1, 2)
 
@@ -116,7 +116,7 @@ class Canvas:
         return Canvas(rows, shape, base, target, logo, scale, views[0].logo_count)
 
     def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
-        """The images with these colours, as `compose` gives them. The next call draws into the same memory."""
+        """Draw the images with these colours, as `compose` does. The next call draws into the same memory."""
         if self.logo_count != colors.shape[-2]:
             raise ValueError(f"views are baked for another logo than these {colors.shape[-2]} colours")
         if self.scale is not None:

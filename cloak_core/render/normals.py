@@ -21,7 +21,7 @@ class NormalOperator:
         self._sum = csr(offsets(corner, vertex_count), order % triangles.shape[1], ones, size)
 
     def __call__(self, vertices: Float64[Tensor, "3 V"]) -> Float32[Tensor, "3 V"]:
-        """Unit normals in world space; zero where a vertex has no area around it."""
+        """Compute unit normals in world space; zero where a vertex has no area around it."""
         if not self.triangles.shape[1]:
             return torch.zeros_like(vertices, dtype=torch.float32)
         a, b, c = (vertices[:, corner].T for corner in self.triangles)

@@ -113,7 +113,7 @@ def row_bands(screen: Screen, window: Window, count: int) -> list[Window]:
 
 
 def bounding_window(screen: Screen) -> Window:
-    """The pixels that the batch can touch: the bounding box of all vertices, or the image if any need clipping."""
+    """Find the pixels that the batch can touch: the vertices' bounding box, or the image if any need clipping."""
     if screen.in_guard_band is not None:
         return Window(0, 0, screen.width, screen.height)
     x0, x1, y0, y1 = screen.bounds

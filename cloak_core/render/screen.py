@@ -64,7 +64,7 @@ def integers(position: Tensor) -> Int32[Tensor, ...]:
 
 
 def not_finite(vertices: Float64[Tensor, "B 3 V"]) -> InputError:
-    """The error that names a vertex that cannot be projected."""
+    """Make the error that names a vertex that cannot be projected."""
     # The largest float32 projects without overflow, so the culprit is a vertex of larger float64.
     bad = ~(vertices.abs() <= 1e100)
     if not bad.any():

@@ -64,7 +64,7 @@ class RenderSettings(RenderOptions):
 
     @staticmethod
     def of(options: RenderOptions, **more: object) -> RenderSettings:
-        """Settings with a user's options; `more` stands for the other fields, or replaces options."""
+        """Make settings with a user's options; `more` stands for the other fields, or replaces options."""
         return RenderSettings(**{field.name: getattr(options, field.name) for field in fields(RenderOptions)} | more)
 
     @property

@@ -17,12 +17,12 @@ with warnings.catch_warnings():
 
 
 def csr(crow: Int64[Tensor, " M1"], column: Int64[Tensor, " E"], value: Tensor, size: tuple[int, int]) -> Tensor:
-    """The matrix with these row offsets, columns and values; nothing is checked."""
+    """Make the matrix with these row offsets, columns and values; nothing is checked."""
     return torch.sparse_csr_tensor(crow, column, value, size, check_invariants=False)
 
 
 def offsets(rows: Int64[Tensor, " E"], count: int) -> Int64[Tensor, " M1"]:
-    """Row offsets [count + 1] of entries that lie in these rows."""
+    """Count row offsets [count + 1] of entries that lie in these rows."""
     result = rows.new_zeros(count + 1)
     result[1:] = torch.bincount(rows, minlength=count).cumsum(0)
     return result

@@ -13,7 +13,7 @@ INSET = 0.02
 def texture_coordinates(
     corner_uv: Float32[Tensor, "2 3 Q"], b1: Float32[Tensor, " Q"], b2: Float32[Tensor, " Q"]
 ) -> Float32[Tensor, "2 Q"]:
-    """Texture coordinates of points given by the weights of their triangles' corners 1 and 2.
+    """Compute texture coordinates of points given by the weights of their triangles' corners 1 and 2.
 
     Points may lie a little outside (the middle of a pixel's part of a triangle is that of its extent); they are moved
     into the triangle, and a little off its border, so that no other chart's colours are looked up.
@@ -24,7 +24,7 @@ def texture_coordinates(
 
 
 def look_up(texture: UInt8[Tensor, "h w 3"], uv: Float32[Tensor, "2 N"]) -> Float32[Tensor, "N 3"]:
-    """Colours in [0, 1] at texture coordinates (v up), between the four texels around; the picture repeats."""
+    """Look up colours in [0, 1] at texture coordinates (v up), between the four texels around; the picture repeats."""
     height, width = texture.shape[:2]
     x, y = (uv[0] % 1) * width - 0.5, (1 - uv[1] % 1) * height - 0.5
     left, top = x.floor(), y.floor()

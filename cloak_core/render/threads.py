@@ -47,12 +47,12 @@ def own_threads_kept() -> Iterator[None]:
 
 
 def workers(device: torch.device) -> int:
-    """How many threads may work on views at once: as many as torch may use here, up to `MOST_WORKERS`."""
+    """Choose how many threads work on views at once: as many as torch may use here, up to `MOST_WORKERS`."""
     return min(torch.get_num_threads(), MOST_WORKERS) if device.type == "cpu" else 1
 
 
 def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) -> list[Result]:
-    """The work on every item, in order, by up to `count` threads that run each operation on their own.
+    """Work on every item, results in order, by up to `count` threads that run each operation on their own.
 
     They meet only at the end, so that one that has to wait for the machine does not hold up every operation of others.
     """

@@ -68,7 +68,7 @@ class Screen:
     near: Float64[Tensor, "B 1"]
 
     def part(self, views: slice) -> Screen:
-        """The screen of some of the views."""
+        """Select the screen of some of the views."""
         rows = lambda t: None if t is None else t[views]
         names = ("x", "y", "inverse_depth", "in_guard_band", "focal", "near")
         return replace(
@@ -89,7 +89,7 @@ class FlatTriangles:
     """Whether the triangle is dropped where it shows its back."""
 
     def arrays(self) -> list[np.ndarray]:
-        """The fields as numpy arrays, in this order."""
+        """Return the fields as numpy arrays, in this order."""
         return [getattr(self, column.name).contiguous().numpy() for column in fields(self)]
 
 
@@ -106,7 +106,7 @@ class Visibility:
     """Samples along each side of a pixel, n."""
 
     def triangles(self) -> Int32[Tensor, "B H W S"]:
-        """Triangle id per sample of the whole image, S = n * n samples of a pixel row by row; -1 = none."""
+        """Unpack the triangle id per sample of the whole image, S = n * n samples of a pixel row by row; -1 = none."""
         w, n = self.window, self.grid
         ids = triangle_ids(self.packed).to(torch.int32).view(len(self.packed), w.y1 - w.y0, n, w.x1 - w.x0, n)
         image = ids.new_full((len(ids), self.height, self.width, n * n), -1)
@@ -161,7 +161,7 @@ class Photometric:
     """Of the noise, for the whole batch."""
 
     def draw_noise(self, shape: Sequence[int], device: torch.device) -> Tensor:
-        """The batch's noise; the same numbers for the same shape and kind of device."""
+        """Draw the batch's noise; the same numbers for the same shape and kind of device."""
         generator = torch.Generator(device=device).manual_seed(self.seed)
         return torch.rand(shape, generator=generator, device=device).mul_(2).sub_(1).mul_(self.noise)
 

@@ -66,7 +66,7 @@ class ViewCache:
         self._stored = None if files is None else StoredViews(files, bodies, recipe, textured, self.device)
 
     def view(self, pose: int, camera: Camera) -> View:
-        """The view, from memory or the files where it was built before."""
+        """Return the view, from memory or the files where it was built before."""
         return self.views([(pose, camera)])[0]
 
     def views(self, wanted: Sequence[Key]) -> list[View]:
@@ -87,7 +87,7 @@ class ViewCache:
         return view
 
     def bake(self, pose: int, camera: Camera, logo_faces: object, outfit: int = 0) -> BakedView:
-        """The view with everything but the logo's colours (faces [L], int64) baked in, in one of the outfits."""
+        """Bake everything but the logo's colours (faces [L], int64) into the view, in one of the outfits."""
         faces = np.ascontiguousarray(logo_faces, np.int64)
         key = ("baked", pose, camera, outfit, faces.tobytes())
         baked = self._kept.get(key)
@@ -133,7 +133,7 @@ class ViewCache:
             return rasterize(screen, self._surface.triangles, self.settings.grid, cull, window, count)
 
     def visible(self, wanted: Sequence[Key]) -> Visibility | list[Fragments]:
-        """What is visible, without its light: samples, or where coverage is measured by area, fragments, in parts."""
+        """Find what is visible, unlit: samples, or where coverage is measured by area, fragments, in parts."""
         if not self.settings.by_area:
             return self.visibility(wanted, self.screen(wanted))
         self._load_poses(wanted)
@@ -146,7 +146,7 @@ class ViewCache:
         return spread(lambda part: self._band(*part), parts, count)
 
     def _workers(self, views: int) -> int:
-        """How many CPU threads share the work.
+        """Choose how many CPU threads share the work.
 
         A view of few samples is quicker on one thread than on two that wait for each other's Python.
         """

@@ -28,7 +28,7 @@ _NUMBERS = ("coverage", "specular", "weight")
 
 
 def view_files() -> DiskCache:
-    """The views in the user's cache folder."""
+    """Open the views in the user's cache folder."""
     return DiskCache(cache_folder("views"), ".view", LIMIT_BYTES, "views")
 
 
@@ -43,7 +43,7 @@ class StoredViews:
         self._common.append(sha256_arrays(*arrays))
 
     def get(self, pose: int, camera: Camera) -> View | None:
-        """The view; None where there is none, or a file that is no such view."""
+        """Read the view; None where there is none, or a file that is no such view."""
         if not 0 <= pose < self._bodies.pose_count:
             return None
         data = self._files.get(self._name(pose, camera))

@@ -64,4 +64,4 @@ class Peer(ABC):
 
     @abstractmethod
     def look(self) -> Int32[np.ndarray, "rows columns"]:
-        """Triangle at every sample of the target, -1 = none."""
+        """Find the triangle at every sample of the target, -1 = none."""

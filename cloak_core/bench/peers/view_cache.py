@@ -32,7 +32,7 @@ def available() -> dict[str, str]:
 
 
 def usable(states: dict[str, str]) -> Iterator[type[Peer]]:
-    """The peers that `available` gave a version for."""
+    """List the peers that `available` gave a version for."""
     return (kind for kind in PEERS if not states[kind.module].startswith("missing"))
 
 
@@ -61,14 +61,14 @@ class PeerViewCache(ViewCache):
         self.peer.pose(np.ascontiguousarray(self.bodies.vertices[0], np.float32))
 
     def build(self, wanted: Sequence[tuple[int, Camera]]) -> list[View]:
-        """As for every cache; the peer looks once, before the work is cut into parts."""
+        """Build views as every cache does; the peer looks once, before the work is cut into parts."""
         self._seen = self.seen(wanted[0][1])
         return super().build(wanted)
 
     def visibility(
         self, wanted: Sequence[tuple[int, Camera]], screen: Screen, window: Window | None = None
     ) -> Visibility:
-        """A part of what the peer saw."""
+        """Select a part of what the peer saw."""
         whole = self._seen.window
         window, n = window or whole, self._seen.grid
         rows, columns = (
@@ -79,7 +79,7 @@ class PeerViewCache(ViewCache):
         return replace(self._seen, packed=packed.contiguous(), window=window)
 
     def seen(self, camera: Camera) -> Visibility:
-        """What the peer sees; without depths."""
+        """Ask the peer what it sees; without depths."""
         target = self.target(camera)
         self.peer.aim(target)
         ids = torch.from_numpy(np.ascontiguousarray(self.peer.look())).to(torch.int64)
@@ -87,7 +87,7 @@ class PeerViewCache(ViewCache):
         return Visibility(packed, target.window, camera.width, camera.height, target.n)
 
     def target(self, camera: Camera) -> Target:
-        """The camera's view as peers take it: the part of the image that holds the body."""
+        """Describe the camera's view as peers take it: the part of the image that holds the body."""
         if camera not in self._targets:
             screen = self.screen([(0, camera)])
             vertices = self.bodies.vertices[0].astype(np.float64)

@@ -57,7 +57,7 @@ class Subject:
 def list_subjects(
     folder: Path, table: Path | None = None, boxes: Path | None = None, leave: Sequence[Path] = ()
 ) -> list[Subject]:
-    """Everybody in the pictures of a folder, by a CSV (`table`, else FOLDER/pictures.csv where that is) or by its
+    """List everybody in the pictures of a folder, by a CSV (`table`, else FOLDER/pictures.csv if it exists) or by its
     sub-folders, but for those to `leave`. boxes: a CSV of file, x1, y1, x2, y2 (and person), one row for each person.
 
     InputError: no such folder, nothing in it, a CSV that is none, or names a file outside the folder.
@@ -113,7 +113,7 @@ def _by_table(folder: Path, table: Path) -> Iterator[Subject]:
 
 
 def _with_boxes(subjects: list[Subject], folder: Path, table: Path) -> Iterator[Subject]:
-    """Every picture that the table has rows for shows these people, where its person is told: that one's row."""
+    """Give each subject the table's boxes for its picture: its own person's row where that is named, else all rows."""
     told: dict[str, list[tuple[str, tuple]]] = {}
     for row in read_table(table, ("file", "person", *BOX), ["file", *BOX]):
         box = _box(row, table)
@@ -140,7 +140,7 @@ def _box(row: dict[str, str], table: Path) -> tuple[float, float, float, float] 
 
 
 def _inside(folder: Path, file: str, table: Path) -> str:
-    """A file's name relative to the folder. InputError: it lies outside."""
+    """Make a file's name relative to the folder. InputError: it lies outside."""
     path = (folder / file.replace("\\", "/")).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise InputError(f"{table}: '{file}' lies outside {folder}")

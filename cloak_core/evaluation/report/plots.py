@@ -61,7 +61,7 @@ def read_rates(rows: Sequence[Mapping], key: str = "success", bounds: str | None
 
 
 def values(rates: Sequence[Rate]) -> Float[np.ndarray, " R"]:
-    """The rates themselves; nan where there is none."""
+    """Return the rates themselves; nan where there is none."""
     return np.array([rate.value for rate in rates], float)
 
 

@@ -58,13 +58,13 @@ def _training(history: History) -> Markup | None:
 
 
 def _previews(run: Path) -> list[str]:
-    """The first and the last preview, as data."""
+    """Read the first and the last preview, as data."""
     files = sorted((run / "previews").glob("*.png"))
     return [data_uri(file) for file in dict.fromkeys(files[:1] + files[-1:]) if file.stat().st_size <= MAX_PICTURE]
 
 
 def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
-    """The run's film from all around, or the evaluation's, as data; evaluations of few images have none."""
+    """Read the run's film from all around, or the evaluation's, as data; evaluations of few images have none."""
     if (run / TURNTABLE).exists():
         return data_uri(run / TURNTABLE)
     if stored is None or "turntable" not in stored.pictures:

@@ -54,7 +54,7 @@ def measure(store: RunStore) -> Numbers:
 
 
 def _gap(our_row: dict, row: dict, ours: BodyRenderer, shown: BodyRenderer) -> dict:
-    """How far our success lies above that on `shown`, and how its images differ; None where it is our own."""
+    """Compare our success and images with those of `shown`; None where it is our own."""
     if shown is ours:
         return dict.fromkeys(("gap", "image_rms", "image_inside", "image_bias"))
     difference = image_difference(ours, shown)
@@ -63,7 +63,7 @@ def _gap(our_row: dict, row: dict, ours: BodyRenderer, shown: BodyRenderer) -> d
 
 
 def _sheet(renderers: dict[str, BodyRenderer]) -> Image.Image:
-    """The first image of two bodies, cloaked and in own clothing, a row each; renders side by side."""
+    """Draw the first image of two bodies, cloaked and in own clothing, a row each; renders side by side."""
     pose = renderers["ours"].trials["pose"].to_numpy()
     rows = [
         torch.cat([render_images(r, [int(np.flatnonzero(pose == body)[0])], control)[0] for r in renderers.values()], 2)

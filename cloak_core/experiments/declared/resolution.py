@@ -33,7 +33,7 @@ def cells(store: RunStore) -> Cells:
 
 
 def gradient_reach(store: RunStore, bodies: Bodies, faces: np.ndarray) -> float:
-    """Share of the faces that get a gradient from the first body's training views."""
+    """Compute the share of the faces that get a gradient from the first body's training views."""
     settings = RenderSettings(samples=store.options.samples, device=store.options.device)
     view_cache = ViewCache(bodies.select_poses([0]), settings)
     seen = torch.zeros(len(faces), dtype=torch.bool, device=view_cache.device)

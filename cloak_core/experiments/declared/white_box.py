@@ -15,7 +15,7 @@ COLUMNS += ("random", "random_own", "ap50", "clean_ap50", "false_alarms_own", "s
 
 
 def images(store: RunStore) -> dict:
-    """How many images of each unseen body at each azimuth judge."""
+    """Count the images of each unseen body at each azimuth."""
     return {"images_per_view": store.options.images_per_view or (2 if store.options.quick else IMAGES_PER_VIEW)}
 
 

@@ -96,7 +96,7 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
 
 @inner
 def _write_back(share, start, count, visible):
-    """Visible area and centroid of a pixel's pieces, from area and moments."""
+    """Write visible area and centroid of a pixel's pieces, from area and moments."""
     for i in range(count):
         area, at = visible[i, 0], start + i
         if area >= 0:

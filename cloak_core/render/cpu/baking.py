@@ -93,7 +93,7 @@ def _fill(
 
 @loop
 def _look_up(texture, u, v):
-    """Bilinear texture look-up, `texture.look_up` at one point."""
+    """Look up a texture bilinearly: `texture.look_up` at one point."""
     height, width = texture.shape[:2]
     x, y = (u % ONE) * np.float32(width) - HALF, (ONE - v % ONE) * np.float32(height) - HALF
     column, row = math.floor(x), math.floor(y)

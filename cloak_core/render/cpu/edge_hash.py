@@ -29,7 +29,7 @@ def hash_corners(x, y):
 
 @inner
 def edge_hash(hashes, a, b):
-    """The antisymmetric hash of the edge from corner a to corner b."""
+    """Compute the antisymmetric hash of the edge from corner a to corner b."""
     return hashes[0, a] * hashes[1, b] - hashes[0, b] * hashes[1, a]
 
 
@@ -47,7 +47,7 @@ def _edge(x, y, hashes, a, b, at):
 
 @inner
 def may_cross(x, y, a, b, at):
-    """Whether the box of an edge reaches into a cell."""
+    """Test whether the box of an edge reaches into a cell."""
     column, row, shift = at
     left, top, side = column << shift, row << shift, 1 << shift
     across = (max(x[a], x[b]) > left) & (min(x[a], x[b]) < left + side)

@@ -47,7 +47,7 @@ def _merge(packed, grid, row0, column0, width):
 
 @loop
 def _gather(packed, top, left, grid, names, sums):
-    """The triangles in a pixel, ascending, and of each one's samples the number and the sums of columns and rows."""
+    """List a pixel's triangles, ascending, with the number and the sums of columns and rows of their samples."""
     found = 0
     for row in range(grid):
         for column in range(grid):

@@ -16,7 +16,7 @@ _FAR = 1 << 30
 
 @inner
 def row_bounds(mesh, plane, row):
-    """Greatest and least inverse depth of a plane in a row of pixels, at the x of its first corner."""
+    """Compute the greatest and least inverse depth of a plane in a row of pixels, at the x of its first corner."""
     p0, _, down = plane
     top = mesh.inverse_depth[p0] + ((row << PIXEL) - np.int64(mesh.y[p0])) * down
     return top + max(down * GRID, 0.0), top + min(down * GRID, 0.0)
@@ -24,7 +24,7 @@ def row_bounds(mesh, plane, row):
 
 @inner
 def pixel_bounds(level, plane, x, column, near, far):
-    """Greatest and least inverse depth that a triangle may have in a pixel."""
+    """Compute the greatest and least inverse depth that a triangle may have in a pixel."""
     high, low = level
     p0, across, _ = plane
     left = ((column << PIXEL) - np.int64(x[p0])) * across
@@ -68,7 +68,7 @@ def fill_front(front, mesh, candidates, x0, x1, y0, y1):
 
 @inner
 def _span(mesh, a, b, c, level):
-    """A triangle's extent at a level of y (grid units), from .. to in pixels; from inf to -inf where there is none."""
+    """Find a triangle's extent at a level of y (grid units), from .. to in pixels; inf .. -inf where there is none."""
     x, y, low, high = mesh.x, mesh.y, np.inf, -np.inf
     for k in range(3):
         p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))

@@ -96,7 +96,7 @@ def _describe(mesh, t, at, pieces, i):
 
 @inner
 def _set_plane(pieces, i, first, edge1, edge2, side, depths):
-    """The plane of inverse depth, in steps, and its bounds within the pixel."""
+    """Write the plane of inverse depth, in steps, and its bounds within the pixel."""
     (x0, y0), (d1x, d1y), (d2x, d2y), (n0, n1, n2) = first, edge1, edge2, depths
     size = float(abs(d1x * d2y - d1y * d2x))
     e1, e2 = d2x * y0 - d2y * x0, d1y * x0 - d1x * y0
@@ -118,7 +118,7 @@ def _steps(e1, e2, slope1, slope2, n0):
 
 @inner
 def _fields(left, top, right, bottom):
-    """The fields that a box touches, as bits."""
+    """List the fields that a box touches, as bits."""
     u0, u1 = np.int64(left * FIELDS), min(np.int64(right * FIELDS), FIELDS - 1)
     v0, v1 = np.int64(top * FIELDS), min(np.int64(bottom * FIELDS), FIELDS - 1)
     row, bits = (np.int64(2) << u1) - (np.int64(1) << u0), np.int64(0)
@@ -146,7 +146,7 @@ def _find_hiders(pieces, fields, i, found, hiders):
 
 @inner
 def _overlap(pieces, i, q):
-    """What two boxes have in common: left, top, right, bottom."""
+    """Intersect two boxes: left, top, right, bottom."""
     one, other = pieces[i].box, pieces[q].box
     left, right = max(one[0], other[0]), min(one[2], other[2])
     return left, max(one[1], other[1]), right, min(one[3], other[3])
@@ -154,14 +154,14 @@ def _overlap(pieces, i, q):
 
 @inner
 def _ahead(pieces, i, q):
-    """How much nearer piece q is than piece i, as a plane."""
+    """Subtract two planes: how much nearer piece q is than piece i."""
     one, other = pieces[i].plane, pieces[q].plane
     return other[0] - one[0], other[1] - one[1], other[2] - one[2]
 
 
 @inner
 def _may_hide(pieces, i, q):
-    """Whether boxes meet and piece q is not behind piece i there."""
+    """Test whether boxes meet and piece q is not behind piece i there."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
     ahead = c + max(a * left, a * right) + max(b * top, b * bottom)
@@ -171,7 +171,7 @@ def _may_hide(pieces, i, q):
 
 @inner
 def _depth(pieces, i, q):
-    """Whether piece q is nearer than piece i wherever boxes meet, or in a part of that, or nowhere."""
+    """Tell whether piece q is nearer than piece i wherever boxes meet, or in a part of that, or nowhere."""
     left, top, right, bottom = _overlap(pieces, i, q)
     c, a, b = _ahead(pieces, i, q)
     if (a == 0) & (b == 0) & (c == 0):
@@ -183,7 +183,7 @@ def _depth(pieces, i, q):
 
 @inner
 def _beside(pieces, i, q):
-    """Whether one of triangle i's edges has all of triangle q on its outer side, or boxes do no more than touch."""
+    """Test whether an edge of triangle i has all of triangle q on its outer side, or boxes do no more than touch."""
     left, top, right, bottom = _overlap(pieces, i, q)
     if (left >= right - TOUCH) | (top >= bottom - TOUCH):
         return True
@@ -226,7 +226,7 @@ def _take_away(pool, pieces, i, q, depth, end):
 
 @inner
 def _line(pieces, q, k, nearer):
-    """An edge of a piece's triangle, or after these the line where it is as near as another."""
+    """Return an edge of a piece's triangle, or after these the line where it is as near as another."""
     if k == 3:
         return nearer
     line = pieces[q].line
@@ -235,7 +235,7 @@ def _line(pieces, q, k, nearer):
 
 @inner
 def _crossed(pool, slot, pieces, q, depth, nearer):
-    """The lines around what a piece hides that cross a part, as bits; and whether the part lies beyond any of them."""
+    """Find the lines around a hider that cross a part, as bits, and whether the part lies beyond any of them."""
     crossed = 0
     for k in range(4 if depth == _PARTLY else 3):
         a, b, c = _line(pieces, q, k, nearer)

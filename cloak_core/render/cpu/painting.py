@@ -54,7 +54,7 @@ def _noise(views: Sequence[BakedView], change: Photometric | None) -> list[np.nd
 
 
 def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
-    """Where each view's logo pixels stand among those of all."""
+    """Yield where each view's logo pixels stand among those of all."""
     stop = 0
     for view in views:
         start, stop = stop, stop + view.logo_pixels

@@ -156,7 +156,7 @@ def _add_row(found, count, t, spanned, sums, pixels, bounds, window):
 
 @inner
 def _within(mesh, a, b, c, column, row):
-    """Whether a triangle lies within one pixel."""
+    """Test whether a triangle lies within one pixel."""
     return _in_cell(mesh.x[a], mesh.x[b], mesh.x[c], column) & _in_cell(mesh.y[a], mesh.y[b], mesh.y[c], row)
 
 

@@ -51,14 +51,14 @@ def cut(pool, source, a, b, c, inside, outside):
 
 @inner
 def side(x, y, a, b, c):
-    """Distance of a point from a line, positive inside; 0 on it."""
+    """Compute the distance of a point from a line, positive inside; 0 on it."""
     distance = a * x + b * y + c
     return 0.0 if abs(distance) <= TOUCH else distance
 
 
 @inner
 def reach(pool, slot, a, b, c):
-    """Greatest and least distance of a polygon's corners from a line, positive inside."""
+    """Compute the greatest and least distance of a polygon's corners from a line, positive inside."""
     low, high = np.inf, -np.inf
     for at in range(1, 2 * int(pool[slot, 0]) + 1, 2):
         distance = a * pool[slot, at] + b * pool[slot, at + 1] + c
@@ -75,7 +75,7 @@ def copy(pool, source, slot):
 
 @inner
 def measure(pool, slot):
-    """Area and its first moments in x and y (area times centroid), about the first corner so that nothing cancels."""
+    """Compute area and first moments (area times centroid), about the first corner so that nothing cancels."""
     x0, y0 = pool[slot, 1], pool[slot, 2]
     area = across = down = 0.0
     for k in range(3, 2 * int(pool[slot, 0]) - 1, 2):
@@ -90,7 +90,7 @@ def measure(pool, slot):
 
 @inner
 def line_through(x0, y0, x1, y1):
-    """The line through an edge, clockwise on a screen with y down; the reverse edge has the same numbers, negated."""
+    """Compute the line through an edge, clockwise with y down; the reverse edge has the same numbers, negated."""
     dx, dy = x1 - x0, y1 - y0
     scale = 1 / np.sqrt(dx * dx + dy * dy)
     a, b = -dy * scale, dx * scale

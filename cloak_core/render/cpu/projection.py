@@ -35,7 +35,7 @@ def project_rows(vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...
 
 @loop
 def _project(vertices, position, right, up, back, focal, near, middle, grid, guard, view, x, y, inverse_depth):
-    """One view: view space into `view` [3, V], snapped x and y [V], int32, and inverse_depth [V].
+    """Project one view: view space into `view` [3, V], snapped x and y [V], int32, and inverse_depth [V].
 
     vertices: [3, V]; position, right, up, back: of the camera; middle: of the image, grid units. Returns least and
     greatest x, least and greatest y, the least distance before the near plane, and whether every number is finite.

@@ -52,7 +52,7 @@ def _cover(packed, x, y, inverse_depth, corner, ids, one_sided, row0, column0, s
 
 @loop
 def span(a, b, c, shift, first, last):
-    """First and last sample within a triangle's extent along one axis."""
+    """Find the first and last sample within a triangle's extent along one axis."""
     half = (1 << shift) >> 1
     low = (np.int64(min(a, b, c)) + half - 1) >> shift  # ceil((low - half) / step)
     high = (np.int64(max(a, b, c)) - half) >> shift

@@ -21,7 +21,7 @@ def material_of(light: Light) -> tuple[float, ...]:
 
 @loop
 def light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out):
-    """Weight, highlight and, where there are textures, coordinates of each fragment into the rows of `out` [2 or 4, N].
+    """Light each fragment: weight, highlight and any texture coordinates into the rows of `out` [2 or 4, N].
 
     x, y: where each fragment is lit, pixels; space: view space coordinates [3, V]; camera: focal length and the
     image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material_of`; uv_of: texture
@@ -70,7 +70,7 @@ def _weights(crosses, dx, dy):
 
 @loop
 def _shade(point, normal, light, material):
-    """Weight and highlight, as `torch/shading.py`; where the highlight's power is below `UNSEEN` there is none."""
+    """Compute weight and highlight as `torch/shading.py`; no highlight where its power is below `UNSEEN`."""
     ambient, diffuse, specular, shininess, least = material
     toward = (light[0] - point[0], light[1] - point[1], light[2] - point[2])
     to_normal, to_light, to_eye = 1 / _length(normal), 1 / _length(toward), 1 / _length(point)
@@ -94,7 +94,7 @@ def _length(a):
 
 @loop
 def _texture_coordinates(uv_of, t, b1, b2):
-    """As `texture.texture_coordinates`."""
+    """Compute texture coordinates as `texture.texture_coordinates`."""
     w0, w1, w2 = max(1 - b1 - b2, INSET), max(b1, INSET), max(b2, INSET)
     whole = w0 + w1 + w2
     u = uv_of[0, 0, t] * w0 + uv_of[0, 1, t] * w1 + uv_of[0, 2, t] * w2

@@ -98,7 +98,7 @@ def _enter(table, mask, number, name, sheet):
 
 @inner
 def _root(sheet, i):
-    """The first piece of the sheet that piece i belongs to."""
+    """Find the first piece of the sheet that piece i belongs to."""
     while sheet[i] != i:
         sheet[i] = sheet[sheet[i]]
         i = sheet[i]
@@ -107,7 +107,7 @@ def _root(sheet, i):
 
 @inner
 def _crosses(x, y, p, q, at):
-    """Whether more than a point of an edge lies in a cell (Liang-Barsky)."""
+    """Test whether more than a point of an edge lies in a cell (Liang-Barsky)."""
     column, row, shift = at
     side = 1 << shift
     x0, y0 = (np.int64(x[p]) - (column << shift)) / side, (np.int64(y[p]) - (row << shift)) / side
@@ -123,7 +123,7 @@ def _crosses(x, y, p, q, at):
 
 @inner
 def _whole_sheet(mesh, share, start, found, work):
-    """The nearest sheet without boundary edges that fills the pixel, by its first piece, or -1."""
+    """Find the nearest sheet without boundary edges that fills the pixel, by its first piece, or -1."""
     sheet, area, nearest = work.sheet, work.sheet_area, work.sheet_nearest
     for i in range(found):
         t, own = work.chosen[i], _root(sheet, i)
@@ -140,7 +140,7 @@ def _whole_sheet(mesh, share, start, found, work):
 
 @inner
 def _unclear_fields(mesh, at, share, start, found, work, first):
-    """The fields in which a sheet is not clearly before all else, as bits; also finds the fields of each piece."""
+    """Find the fields in which a sheet is not clearly before all else, as bits, and the fields of each piece."""
     largest = first
     for i in range(found):
         if work.sheet[i] == first and share[0, start + i] > share[0, start + largest]:
@@ -182,7 +182,7 @@ def _depths_in_fields(mesh, at, t, level, own, work):
 
 @inner
 def _over(mesh, p, at, level):
-    """How far a corner lies over a plane."""
+    """Compute how far a corner lies over a plane."""
     right, below = np.int64(mesh.x[p]) - (at[0] << at[2]), np.int64(mesh.y[p]) - (at[1] << at[2])
     return mesh.inverse_depth[p] - (level[0] + (level[1] * right + level[2] * below) / (1 << at[2]))
 
@@ -200,7 +200,7 @@ def _plane(mesh, t, at):
 
 @inner
 def _extent(a, b, c, cell, shift):
-    """A triangle's extent in a cell along one axis: from, to (in sides of the cell), first and last field."""
+    """Compute a triangle's extent in a cell along one axis: from, to (in sides of the cell), first and last field."""
     side = 1 << shift
     low, high = max(np.int64(min(a, b, c)) - (cell << shift), 0), min(np.int64(max(a, b, c)) - (cell << shift), side)
     return low / side, high / side, low * FIELDS >> shift, min(high * FIELDS >> shift, FIELDS - 1)

@@ -74,7 +74,7 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
 
 @inner
 def _clip_to_row(edges, k, row):
-    """The part of an edge in a row of pixels, from left to right; y counted from the row."""
+    """Clip an edge to a row of pixels, from left to right; y counted from the row."""
     xt, yt, xb, yb, slope = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3], edges[k, 4]
     v0, v1, u0, u1 = yt - row, yb - row, xt, xb
     low, high = min(xt, xb), max(xt, xb)

@@ -13,14 +13,14 @@ PIXEL = GRID.bit_length() - 1
 
 @loop
 def doubled_area(x, y, a, b, c):
-    """Twice the signed area of a triangle, positive where clockwise on a screen with y down."""
+    """Compute twice the signed area of a triangle, positive where clockwise on a screen with y down."""
     ax, ay = np.int64(x[a]), np.int64(y[a])
     return (x[b] - ax) * (y[c] - ay) - (x[c] - ax) * (y[b] - ay)
 
 
 @loop
 def in_order(x, y, a, b, c, twice):
-    """A triangle's corners, the topmost one (of two the right one) first, clockwise from there.
+    """Order a triangle's corners: the topmost one (of two the right one) first, clockwise from there.
 
     Branch-free: the branch is unpredictable.
     """
@@ -41,14 +41,14 @@ def _height(x, y, a):
 
 @inner
 def clockwise(x, y, corner, t):
-    """A triangle's corners, clockwise on the screen."""
+    """Order a triangle's corners clockwise on the screen."""
     a, b, c = corner[0, t], corner[1, t], corner[2, t]
     return (a, b, c) if doubled_area(x, y, a, b, c) > 0 else (a, c, b)
 
 
 @inner
 def slopes(x, y, inverse_depth, a, b, c, twice):
-    """A triangle's inverse depth as a plane: first corner in canonical order, change per grid unit right and down."""
+    """Compute the plane of inverse depth: first corner in canonical order, change per grid unit right and down."""
     p0, p1, p2 = in_order(x, y, a, b, c, twice)
     size = float(abs(twice))
     slope1, slope2 = (inverse_depth[p1] - inverse_depth[p0]) / size, (inverse_depth[p2] - inverse_depth[p0]) / size
@@ -59,6 +59,6 @@ def slopes(x, y, inverse_depth, a, b, c, twice):
 
 @inner
 def touched(a, b, c, start, stop):
-    """First and last pixel, from start to stop - 1, that a triangle touches along one axis."""
+    """Find the first and last pixel, from start to stop - 1, that a triangle touches along one axis."""
     low, high = np.int64(min(a, b, c)) >> PIXEL, (np.int64(max(a, b, c)) - 1) >> PIXEL
     return max(low, start), min(high, stop - 1)

@@ -70,7 +70,7 @@ def visible_parts(flat: FlatTriangles, window: Window, width: int) -> Iterator[P
 
 
 def _sampled(places: list[int], pieces: Pieces, triangles: Triangles, width: int) -> Found:
-    """The visible shares of crowded pixels, by samples."""
+    """Sample the visible shares of crowded pixels."""
     parts = []
     for place in places:
         own = triangles.take(pieces.owner[pieces.place == place])
@@ -80,7 +80,7 @@ def _sampled(places: list[int], pieces: Pieces, triangles: Triangles, width: int
 
 
 def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Tensor, Tensor]:
-    """First and last pixel that triangles touch along one axis."""
+    """Find the first and last pixel that triangles touch along one axis."""
     low, high = position.amin(0) // GRID, (position.amax(0) - 1) // GRID
     return low.clamp(min=first), high.clamp(max=stop - 1)
 
@@ -101,7 +101,7 @@ def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tup
 
 
 def _measured(pieces: Pieces, shape: Tensor, owner: Tensor, triangles: Triangles, width: int) -> Found:
-    """Area and centroid of what is seen of each piece."""
+    """Measure area and centroid of the visible parts of each piece."""
     total = torch.zeros(3, len(pieces.place), dtype=torch.float64, device=owner.device)
     total.index_add_(1, owner, measure(shape))
     some = (total[0] > NOTHING).nonzero().view(-1)

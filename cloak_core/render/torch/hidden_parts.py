@@ -63,7 +63,7 @@ def cut_hidden(
 
 
 def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
-    """The three edges of each piece's triangle, from the pixel's corner."""
+    """Compute the three edges of each piece's triangle, from the pixel's corner."""
     left, top = pieces.place % width * GRID, torch.div(pieces.place, width, rounding_mode="floor") * GRID
     corners, lines = from_corner(triangles, pieces.owner, left, top), []
     for (x0, y0), (x1, y1) in ((corners[0], corners[1]), (corners[1], corners[2]), (corners[2], corners[0])):
@@ -88,7 +88,7 @@ def _hiders(pieces: Pieces, rivals: Tensor, begin: Tensor) -> tuple[Tensor, Tens
 
 
 def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
-    """The line on whose inner side pieces are nearer than others; equal depths go to the lower id."""
+    """Compute the line on whose inner side pieces are nearer than others; equal depths go to the lower id."""
     c, a, b = pieces.plane[:, one] - pieces.plane[:, other]
     scale = torch.sqrt(a * a + b * b)
     even = scale == 0

@@ -118,14 +118,14 @@ def _shifted(
 
 @lru_cache(maxsize=4)
 def _columns(height: int, width: int, device: torch.device) -> Int64[Tensor, " P"]:
-    """The column of each pixel of an image."""
+    """Compute the column of each pixel of an image."""
     return torch.arange(width, device=device).repeat(height)
 
 
 def _changed(
     body: Float32[Tensor, "N 3"], image: Int64[Tensor, " N"], coverage: Float32[Tensor, "K 1"], change: Photometric
 ) -> Float32[Tensor, "N 3"]:
-    """The body's own pixels, weighted by coverage as they are."""
+    """Apply the changes to the body's own pixels, weighted by coverage as they are."""
     added = change.brightness.index_select(0, image).unsqueeze(1).expand_as(body).contiguous()
     if change.noise:
         added += change.draw_noise(body.shape, body.device)
@@ -147,7 +147,7 @@ def _cat(tensors: Sequence[Tensor]) -> Tensor:
 
 
 def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Tensor], width: int) -> Tensor:
-    """One sparse matrix of blocks below each other; columns are already those of the whole."""
+    """Join blocks below each other to one sparse matrix; columns are already those of the whole."""
     starts = _starts([len(column) for column in columns])
     crow = _cat([crow[1:] + start if i else crow for i, (crow, start) in enumerate(zip(crows, starts, strict=False))])
     return csr(crow, _cat(columns), _cat(values), (len(crow) - 1, width))

@@ -34,7 +34,7 @@ class Pieces:
     """Inverse depth in steps: at the pixel's corner, change over a pixel right, change over one down."""
 
     def take(self, index: Int64[Tensor, " K"]) -> Pieces:
-        """Some of the pieces."""
+        """Select some of the pieces."""
         return Pieces(*(t.index_select(-1, index) for t in (self.place, self.owner, self.shape, self.plane)))
 
     def join(self, other: Pieces) -> Pieces:

@@ -20,7 +20,7 @@ Line = tuple[Tensor, Tensor, Tensor]
 def cut(
     corners: Float64[Tensor, "C D N"], distance: Float64[Tensor, "C N"]
 ) -> tuple[Float64[Tensor, "K D N"], Int64[Tensor, " N"]]:
-    """What lies where the distance, linear and given at each corner, is not negative (Sutherland and Hodgman).
+    """Keep the part where the distance, linear and given at each corner, is not negative (Sutherland and Hodgman).
 
     Also returns how many corners each has, 0 where nothing is left. A crossing point is always computed from the inner
     end of its edge towards the outer one, so two polygons that share an edge cut it in the very same point.
@@ -42,14 +42,14 @@ def cut(
 
 
 def distances(corners: Float64[Tensor, "C 2 N"], line: Line) -> Float64[Tensor, "C N"]:
-    """How far inside a line each corner lies; 0 on it."""
+    """Compute how far inside a line each corner lies; 0 on it."""
     a, b, c = line
     distance = a * corners[:, 0] + b * corners[:, 1] + c
     return distance.masked_fill(distance.abs() <= TOUCH, 0.0)
 
 
 def inner_part(corners: Float64[Tensor, "C 2 N"], line: Line) -> Float64[Tensor, "K 2 N"]:
-    """What lies on the inner side of a line; all corners in one point where nothing does."""
+    """Keep the part on the inner side of a line; all corners in one point where nothing does."""
     part, count = cut(corners, distances(corners, line))
     return torch.where(count > 0, part, 0.0)
 
@@ -61,7 +61,7 @@ def join(parts: list[Float64[Tensor, "_ 2 _"]]) -> Float64[Tensor, "C 2 N"]:
 
 
 def measure(corners: Float64[Tensor, "C 2 N"]) -> Float64[Tensor, "3 N"]:
-    """Area, and its first moments in x and y: the area times the centroid."""
+    """Compute the area, and its first moments in x and y: the area times the centroid."""
     first = corners[0]
     here = corners - first  # about the first corner, so that nothing cancels
     cross = here[:-1, 0] * here[1:, 1] - here[:-1, 1] * here[1:, 0]

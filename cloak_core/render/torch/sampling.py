@@ -36,7 +36,7 @@ def cover_triangles(
 
 
 def _span(position: Int64[Tensor, "3 N"], shift: int, first: int, count: int) -> tuple[Tensor, Tensor]:
-    """First and last sample within triangles' extents along one axis."""
+    """Find the first and last sample within triangles' extents along one axis."""
     half = (1 << shift) // 2
     low, high = (position.amin(0) + half - 1) >> shift, (position.amax(0) - half) >> shift
     return low.clamp(min=first), high.clamp(max=first + count - 1)

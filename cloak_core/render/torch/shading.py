@@ -18,7 +18,7 @@ from cloak_core.render.types import Fragments, Screen, Surface
 def light_fragments(
     found: Fragments, screen: Screen, surface: Surface, normals: Tensor, light_position: Tensor
 ) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None]:
-    """Weight of the face's colour and highlight of every fragment, each times its share of the pixel; and where
+    """Light every fragment: weight of the face's colour and highlight, each times its share of the pixel; and where
     there are textures, coordinates of the point where each fragment is lit. Worked out in float64."""
     corner = surface.triangles.index_select(1, found.triangle)
     position, (w0, w1, w2) = _surface_points(found, screen, corner)
@@ -55,7 +55,7 @@ def _surface_points(
 def shade(
     points: Float[Tensor, "3 N"], normals: Float[Tensor, "3 N"], light_position: Float[Tensor, "xyz=3 #N"], light: Light
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
-    """Weight of the surface colour and added highlight at points in view space (the camera at the origin).
+    """Compute the weight of the surface colour and added highlight at points in view space (the camera at the origin).
 
     normals need not have unit length. Never NaN: a vector of no length counts as facing nowhere.
     """

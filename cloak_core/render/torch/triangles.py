@@ -33,7 +33,7 @@ class Triangles:
         return Triangles(*(t.index_select(-1, index) for t in (self.x, self.y, self.inverse_depth, self.ids)))
 
     def edges(self, own: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Edge functions 1 and 2 of the triangles `own` at places on the screen, and A."""
+        """Evaluate edge functions 1 and 2 of the triangles `own` at places on the screen, and A."""
         (x0, x1, x2), (y0, y1, y2) = self.x.index_select(1, own), self.y.index_select(1, own)
         right, below, d1x, d1y, d2x, d2y = x - x0, y - y0, x1 - x0, y1 - y0, x2 - x0, y2 - y0
         return d2y * right - d2x * below, d1x * below - d1y * right, d1x * d2y - d1y * d2x
