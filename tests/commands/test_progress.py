@@ -24,6 +24,9 @@ def test_a_count_is_told_as_a_runs_events_are(tmp_path):
         pass
 
 
-def test_nobody_need_listen():
+def test_without_a_file_or_a_terminal_nothing_is_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     with counted("counting") as tell:
         tell(1, 2)
+    said = capsys.readouterr()
+    assert not said.out and not said.err.strip() and not list(tmp_path.iterdir())
