@@ -1,11 +1,11 @@
-"""docs/reliability.md, written from what the tests marked `reliability` measured."""
+"""docs/reports/reliability.md, written from what the tests marked `reliability` measured."""
 
 import os
 import platform
 import time
 from pathlib import Path
 
-DOCS = Path(__file__).parents[1] / "docs" / "reliability.md"
+DOCS = Path(__file__).parents[1] / "docs" / "reports" / "reliability.md"
 rows: dict[str, list[tuple[str, str]]] = {}
 """By section: what was measured, and the figure."""
 HEAD = """# Reliability

@@ -1,6 +1,6 @@
 """Runs that are killed, starved of disk or locked out: nothing is lost, and what resumes ends in the same bits.
 
-CLOAK_KILLS sets how many kills (50 for the figures in docs/reliability.md, which CLOAK_WRITE_DOCS=1 rewrites).
+CLOAK_KILLS sets how many kills (50 for the figures in docs/reports/reliability.md, which CLOAK_WRITE_DOCS=1 rewrites).
 """
 
 import contextlib

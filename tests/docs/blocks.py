@@ -8,8 +8,10 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"]
 PAGES += [page for page in sorted((ROOT / "docs").glob("*.md")) if page.stem != "tutorial"]  # runs exactly as printed
 PAGES += sorted((ROOT / "docs" / "howto").glob("*.md"))
-REPORTS = sorted((ROOT / "docs" / "reports").glob("*.md"))
-"""Their commands are understood, and not run again."""
+REPORTS = [
+    page for room in ("reports", "reference", "explanation") for page in sorted((ROOT / "docs" / room).glob("*.md"))
+]
+"""Their commands are understood, and not run."""
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:\A|\n\n)((?:    .*\n)(?:(?:    .*|[ ]*)\n)*)")
 

@@ -46,7 +46,6 @@ NOT_RUN = {
     "needs a body with a UV map": lambda c: "texture.png" in c or "--pieces" in c,
     "needs a list of pictures and boxes": lambda c: "--boxes" in c,
     "needs photographs of people": lambda c: "--people" in c,
-    "needs every detector of the zoo": lambda c: c[:2] == ["zoo", "reproduce"] and "--files" in c,
     "needs files of the reader's": lambda c: any(
         word.split("@")[0].endswith((".obj", ".pkl", ".xml", ".tflite", "camouflage.png")) for word in c
     ),
