@@ -50,19 +50,19 @@ def ring(obj):
 
 
 def eye(obj):
-    from cloak.result import eye as watching
+    from cloak.session import session
 
     yield from look_from(0.1, 0.0, 1.3)
     bpy.ops.cloak.eye()
-    while watching.current.seen is None:
+    while session.eye.seen is None:
         yield 0.2
-        assert watching.current is not None, watching.closed_because
-    first = watching.current.viewpoint
+        assert session.eye is not None, session.eye_closed_because
+    first = session.eye.viewpoint
     yield from look_from(0.25, 0.1)
-    while watching.current.viewpoint == first or watching.current.waiting:  # it looks again
+    while session.eye.viewpoint == first or session.eye.waiting:  # it looks again
         yield 0.2
-        assert watching.current is not None, watching.closed_because
-    assert "cloak" in next(iter(watching.current.seen.glances.values()))
+        assert session.eye is not None, session.eye_closed_because
+    assert "cloak" in next(iter(session.eye.seen.glances.values()))
 
 
 def heat(obj):
