@@ -17,7 +17,7 @@ INSIDE = Path(__file__).parent / "inside"
 LONG = {"test_real_detectors.py"}
 """With real files of CLOAK_SHARED: minutes."""
 FILES = [
-    pytest.param(name, marks=[pytest.mark.long] if name in LONG else [])
+    pytest.param(name, marks=[pytest.mark.long, pytest.mark.timeout(1600)] if name in LONG else [])
     for name in sorted(path.name for path in INSIDE.glob("test_*.py"))
 ]
 RUN_PYTEST = "import os, pytest, sys; code = pytest.main(sys.argv[1:]); sys.stdout.flush(); os._exit(code)"
@@ -58,6 +58,7 @@ def test_a_blender_is_there() -> None:
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("python", PYTHONS, ids=lambda python: Path(python).parents[1].name)
 def test_add_on(python: str, file: str, extension: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    seconds = 1500 if file in LONG else 550
     if file in LONG:
         request.getfixturevalue("shared")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST"))}
@@ -72,7 +73,7 @@ def test_add_on(python: str, file: str, extension: Path, tmp_path: Path, request
     }
     command = [python, "-c", RUN_PYTEST, "-c", str(INSIDE / "pytest.ini"), "--rootdir", str(INSIDE)]
     command += ["-p", "no:cacheprovider", "-q", str(INSIDE / file), f"--basetemp={tmp_path / 'tmp'}"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=550, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=seconds, check=False)
     summary = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
     assert done.returncode == 0, f"{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
     assert "skipped" not in summary, summary
