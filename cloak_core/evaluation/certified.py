@@ -35,8 +35,8 @@ def check_people(detector: Detector, people: People, *, threshold: float = THRES
     renderer = PeopleRenderer(fit_people(people), (), load_backgrounds("procedural:test:1"), WearSettings())
     found = on_body_scores(renderer, lambda images: [detector(images)])
     return {
-        "clean_recall": float((found > threshold).float().mean()),
-        "clean_recall_own": float((found > detector.operating_point).float().mean()),
+        "clean_recall": float((found > threshold).double().mean()),
+        "clean_recall_own": float((found > detector.operating_point).double().mean()),
         "operating_point": detector.operating_point,
         "operating_point_assumed": detector.operating_point_assumed,
         "n": len(people),
@@ -53,7 +53,7 @@ def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold
     if not isinstance(masks, Masks):
         return {}
     floor = on_body_scores(renderer, partial(masks.answers, detector.inner))
-    kept = [float((floor > t).float().mean()) for t in (threshold, detector.operating_point)]
+    kept = [float((floor > t).double().mean()) for t in (threshold, detector.operating_point)]
     return {"certified_recall": kept[0], "certified_recall_own": kept[1], "patch": masks.patch}
 
 
