@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..body.objects import active_body
+from ..files.specs import without_folders
 from ..properties import settings_of
 from ..session import session
 from ..training import run_list
@@ -70,26 +71,18 @@ class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
         self.layout.prop(settings_of(context).judging, "ring", text="Ring around the Body")
 
     def _table(self, judged: Judged, threshold: float) -> None:
-        table = self.layout.column(align=True)
-        row = _row(table, short(judged.spec, 24))
-        figure(row, f"at {threshold:g}", SUCCESS, "NONE")
+        """At the common threshold, and at the detector's own below that: side by side the figures would be clipped."""
+        self.layout.label(text=short(without_folders(judged.spec), 36), icon="HIDE_OFF")
+        heads = [f"at {threshold:g}"]
         if judged.operating_point is not None and judged.operating_point != threshold:
-            figure(row, f"at its own {judged.operating_point:g}", SUCCESS, "NONE")
-        for name, rates in judged.rates.items():
-            row = _row(table, CONTROLS[name], CONTROL[name])
-            row.label(text=rates[0].describe())
-            if judged.operating_point is not None and judged.operating_point != threshold:
-                row.label(text=rates[1].describe())
-
-
-def _row(table: bpy.types.UILayout, name: str, tip: str = "") -> bpy.types.UILayout:
-    """A line of the table: its name, with what that means, and a place for figures."""
-    split = table.split(factor=0.34)
-    if tip:
-        figure(split.column(), name, tip, "NONE")
-    else:
-        split.label(text=name)
-    return split.row()
+            heads.append(f"at its own {judged.operating_point:g}")
+        for index, head in enumerate(heads):
+            table = self.layout.column(align=True)
+            figure(table, head, SUCCESS, "NONE")
+            for name, rates in judged.rates.items():
+                split = table.split(factor=0.45)
+                figure(split.column(), CONTROLS[name], CONTROL[name], "NONE")
+                split.label(text=rates[index].describe())
 
 
 class CLOAK_PT_take_along(CloakPanel, bpy.types.Panel):
