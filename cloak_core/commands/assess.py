@@ -42,9 +42,15 @@ class Assess(Command):
     out: Path
     """Folder for NAME/card.json, NAME/card.html and NAME/card.md, and card.html over all detectors."""
     quick: bool = False
-    """Short attacks and few images: ten minutes on two cores for a small detector (default: about an hour)."""
+    """Short attacks and few images, fewer still where they do not fit into ten minutes (default: about an hour)."""
     full: bool = False
     """Long attacks, three seeds each, and many images."""
+    minutes: float | None = None
+    """Time for each card: steps and images follow the clock, and intervals say so (--quick: 10; else: any)."""
+    people: str | None = None
+    """People in photographs, as in cloak wear: they wear the largest cloak and the patterns, and come first."""
+    patterns: tuple[str, ...] = ()
+    """Published patterns to wear as cloth: FILE.png, 0.5 m wide, or FILE.png@tile=METRES."""
     scene: str = "sample"
     """Bodies: scene folder, .npz, or sample; every second one attacks, the others judge."""
     unseen: str | None = None
@@ -122,21 +128,35 @@ class Assess(Command):
 
         if self.quick and self.full:
             raise InputError("--quick, --full: one of them")
-        return QUICK if self.quick else FULL if self.full else DEFAULT
+        if self.minutes is not None and not self.minutes > 0:
+            raise InputError(f"--minutes {self.minutes:g}: some time is needed")
+        budget = QUICK if self.quick else FULL if self.full else DEFAULT
+        return budget if self.minutes is None else replace(budget, minutes=self.minutes)
+
+    def _patterns(self) -> tuple[str, ...]:
+        """The patterns with their widths. InputError: one cannot be read."""
+        from cloak_core.evaluation.wearing.clothes import read_clothes
+
+        patterns = tuple(spec if "@tile=" in spec else f"{spec}@tile=0.5" for spec in self.patterns)
+        for spec in patterns:
+            read_clothes(spec)
+        return patterns
 
     def work(self) -> dict[str, dict]:
         """A card for each detector, by its folder's name."""
         from cloak_core.evaluation.card.assess import Assessment
         from cloak_core.evaluation.card.leaderboard import folder_names
+        from cloak_core.scene.photographs.people import load_people
 
         prepare_process(self.compute)
-        budget, specs = self._budget(), tuple(dict.fromkeys(self.specs))
+        budget, specs, patterns = self._budget(), tuple(dict.fromkeys(self.specs)), self._patterns()
+        people = None if self.people is None else load_people(self.people)
         names, cards = folder_names(specs), {}
         for spec, detector in zip(specs, self.options.load(specs, self.compute.device), strict=True):
             err.print(f"assessing {spec}")
             store = self._store(spec, detector, budget)
             folder, zoo = self.out / names[spec], self.zoo or None
-            cards[names[spec]] = Assessment(store, budget, folder, zoo, WorkProgress()).run()
+            cards[names[spec]] = Assessment(store, budget, folder, zoo, WorkProgress(), people, patterns).run()
         return cards
 
     def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:

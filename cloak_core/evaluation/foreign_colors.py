@@ -7,17 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64, UInt8
+from PIL import Image
 
 from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.render.texture import look_up
-from cloak_core.scene.geometry import sum_by_face
+from cloak_core.scene.geometry import face_centres, face_normals, sum_by_face
+from cloak_core.scene.logos.cloth import cloth_coordinates
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import read_picture
 from cloak_core.zoo.shelf import run_path
+
+CLOTH_CELL = 0.01
+"""Metres; faces are about as wide, and show no finer pattern."""
 
 
 def colors_of(
@@ -49,3 +54,15 @@ def from_texture(picture: np.ndarray, logo: Logo, bodies: Bodies, path: Path) ->
     centre = sum_by_face(bodies, corners.mean(1) * area[:, None]) / np.maximum(total, 1e-300)[:, None]
     uv = torch.from_numpy(centre[logo.face_ids].T.astype(np.float32))
     return look_up(torch.from_numpy(np.array(picture)), uv).numpy()
+
+
+def cloth_colors(
+    picture: UInt8[np.ndarray, "h w 3"], metres: float, bodies: Bodies, faces: Int64[np.ndarray, " L"]
+) -> Float32[np.ndarray, "L 3"]:
+    """Look up a picture as cloth that repeats every `metres`, at the centre of each face in the first pose."""
+    width = max(4, round(metres / CLOTH_CELL))
+    height = max(4, round(width * picture.shape[0] / picture.shape[1]))
+    cells = np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BOX), np.float32) / 255
+    places = cloth_coordinates(face_centres(bodies)[faces], face_normals(bodies)[faces])
+    column, row = np.floor(places / metres * width).astype(np.int64).T
+    return cells[row % height, column % width]

@@ -21,12 +21,14 @@ from cloak_core.commands.progress import WorkProgress
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.card import words
+from cloak_core.evaluation.card import work as work_module
 from cloak_core.evaluation.card.assess import Assessment
-from cloak_core.evaluation.card.leaderboard import folder_names, gather, write_leaderboard
+from cloak_core.evaluation.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
 from cloak_core.evaluation.card.page import write_card, write_comparison
 from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Budget, nested_areas
 from cloak_core.evaluation.card.work import Work
 from cloak_core.evaluation.data_split import DataSplit
+from cloak_core.evaluation.report import page as page_module
 from cloak_core.evaluation.statistics_card import stance_of
 from cloak_core.evaluation.store import RunStore
 from cloak_core.evaluation.store_options import StoreOptions
@@ -211,6 +213,66 @@ def test_bad_options_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture)
         with pytest.raises(SystemExit, match="2"):
             main(["assess", *asked, "--out", str(tmp_path)])
         assert said in capsys.readouterr().err
+
+
+def test_each_part_gets_its_share_of_the_time_that_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(work_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    costs = {"a": (0.0, 60.0), "b": (60.0, 40.0), "c": (0.0, 100.0)}
+    make = lambda: Work(costs, tmp_path / "spent.json", "x", minutes=1.0, rate=0.1)
+    work, shares = make(), {}
+    for name, seconds in (("a", 12.0), ("b", 40.0), ("c", 1.0)):
+        with work.part(name) as shares[name]:
+            now[0] += seconds
+    assert shares["a"] == 1.0, "26 seconds were expected"
+    assert shares["b"] == 1.0, "0.2 s an image now: 40 of the 42 that are left"
+    assert shares["c"] == pytest.approx((54 - 52) / (100 * 52 / 160), abs=1e-3)
+    again = make()
+    with again.part("c") as share:
+        assert share == shares["c"], "a stopped card goes on with the same numbers"
+    with Work({"a": (0.0, 60.0)}, tmp_path / "other.json", "x").part("a") as share:
+        assert share == 1.0, "any time"
+
+
+PEOPLE = {
+    "people": 9,
+    "left_out": {},
+    "rows": {
+        name: {"success_own": own, "ci95_own": [own, own], "success": own, "renamed_own": None, "gone_own": None}
+        for name, own in (("made against it", 0.4), ("texture@tile=0.5", 0.7), ("clothing", 0.1), ("grey", 0.9))
+    },
+}
+
+
+@pytest.mark.slow
+def test_photographs_come_before_renders(made: tuple[Path, dict, list], tmp_path: Path) -> None:
+    shutil.copytree(made[0] / "glow", tmp_path / "glow")
+    card = made[1] | {"photographs": PEOPLE, "patterns": [made[1]["white_box"][0] | {"name": "texture@tile=0.5"}]}
+    assert words.headline(card).startswith("In photographs, 70 % of people who wear the pattern texture are hidden")
+    assert words.worst(card)["value"] == "70 %" and "photographs" in words.worst(card)["what"]
+    assert "second sensor" in words.advice(
+        card | {"clean": card["clean"] | {"recall_own": 1.0, "false_alarms_own": 0.0}}
+    )
+    assert "without any attack" in words.advice(card | {"clean": card["clean"] | {"recall_own": 0.5}})
+    (tmp_path / "glow/card.json").write_text(json.dumps(card))
+    page = write_card(tmp_path / "glow").read_text("utf-8")
+    assert page.index("What to do") < page.index("For engineers") < page.index("People in photographs")
+    assert "Published patterns" in page and "Article 15(5)" in page
+    head = (tmp_path / "glow/model_card.md").read_text().split("---\n")[1].splitlines()
+    front = {key: json.loads(value) for key, _, value in (line.partition(": ") for line in head)}
+    metrics = {metric["name"]: metric["value"] for metric in front["model-index"][0]["results"][0]["metrics"]}
+    assert metrics["hidden in photographs, texture@tile=0.5"] == 0.7 and front["pipeline_tag"] == "object-detection"
+
+
+@pytest.mark.slow
+def test_the_leaderboard_has_robustness_first(made: tuple[Path, dict, list]) -> None:
+    heads = list(leaderboard_row(made[1]))
+    assert heads[:4] == ["detector", "76 % ↓", "5 % ↓", "all around ↓"] and heads.index("clean recall ↑") > 3
+
+
+def test_a_score_at_the_threshold_is_not_rounded_up_to_it() -> None:
+    macro = page_module._environment().get_template("macros.html").module.verdict
+    assert "no person (best 0.39)" in macro({"found": [(0, False, 0.3999)]}, ["glow"])
 
 
 def test_progress_counts_what_was_done_and_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

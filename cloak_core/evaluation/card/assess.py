@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float32, Int64
 
 from cloak_core import __version__
@@ -18,20 +20,27 @@ from cloak_core.evaluation.card import protocol
 from cloak_core.evaluation.card.pictures import keep_pictures
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
+from cloak_core.evaluation.foreign_colors import cloth_colors
 from cloak_core.evaluation.provenance import seen_in_training, trained_against
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import MEASUREMENT_VERSION, TRAINING_VERSION, RunStore, Trained
 from cloak_core.evaluation.trained_run import read_run
+from cloak_core.evaluation.wearing.clothes import CONTROLS, LogoClothes, read_clothes
+from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import write_json
+from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import area_share, load_logo, make_logo
+from cloak_core.scene.photographs.people import People
 from cloak_core.zoo.shelf import MARK, run_path, shelved
 
 FORMAT = "cloak card 1"
 BESIDE = (CLOTHING, "random")
 """Controls beside every cloak."""
+LEAST_COUNT = 12
+"""Steps and images that are never fewer, however short the time."""
 
 
 @dataclass(eq=False)
@@ -45,6 +54,10 @@ class Assessment:
     zoo: Sequence[str] | None = None
     """Entries whose cloaks it is shown; None: all there are."""
     on_work: OnWork | None = None
+    people: People | None = None
+    """People in photographs, to be dressed in the largest cloak and in the patterns."""
+    patterns: Sequence[str] = ()
+    """Pictures to be worn as cloth that repeats: FILE.png@tile=METRES."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
 
@@ -58,26 +71,44 @@ class Assessment:
 
     def run(self) -> dict:
         """Make the card. `Interrupted` where a training was stopped in order: the same call goes on from there."""
-        work = Work(self._costs(), self.folder / "spent.json", self._asked(), self.on_work, self.budget.seeds)
+        budget = self.budget
+        rate = self._seconds_per_image() if budget.minutes else 0.0
+        told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate
+        work = Work(self._costs(), self.folder / "spent.json", *told)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
-        with work.part("clean"):
-            card |= self._clean()
+        with work.part("clean") as share:
+            card |= self._clean(share)
         card |= {"white_box": [], "circle": None}
-        for area, faces in zip(self.budget.areas, self._areas, strict=True) if self.white_box else ():
-            with work.part(_name(area)):
-                card["white_box"].append(self._area(area, faces))
+        for area, faces in zip(budget.areas, self._areas, strict=True) if self.white_box else ():
+            with work.part(_name(area)) as share:
+                card["white_box"].append(self._area(area, faces, share))
         if self.white_box:
-            with work.part("circle"):
-                card |= self._circle()
-        with work.part("zoo"):
-            card["black_box"] = self._black_box()
+            with work.part("circle") as share:
+                card |= self._circle(share)
+        if self.people is not None:
+            with work.part("people") as share:
+                card["photographs"] = self._photographs(share)
+        if self.patterns:
+            with work.part("patterns") as share:
+                card["patterns"] = [self._pattern(spec, share) for spec in self.patterns]
+        with work.part("zoo") as share:
+            card["black_box"] = self._black_box(share)
         card["not_tested"] = self._not_tested(card["black_box"]["counted"])
         pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
         write_json(self.folder / "pictures.json", pictures)
-        card["seconds"] = work.seconds
+        card["shares"], card["seconds"] = work.shares, work.seconds
         write_json(self.folder / "card.json", card)
         return card
+
+    @torch.no_grad()
+    def _seconds_per_image(self) -> float:
+        """Clock the detector on a few grey images, the second time."""
+        images = torch.full((4, 3, self.store.options.size, self.store.options.size), 0.5, device=self.detector.device)
+        self.detector(images)
+        started = time.monotonic()
+        self.detector(images).scores.cpu()
+        return (time.monotonic() - started) / len(images)
 
     # --- what there is to do
 
@@ -107,10 +138,15 @@ class Assessment:
             costs |= {_name(area): (steps, looks * len(budget.front_angles)) for area in budget.areas}
             costs["circle"] = 2 * steps, looks * len(budget.circle_angles)
         front = looks / budget.seeds * len(budget.front_angles)
+        if self.people is not None:
+            costs["people"] = 0.0, float(len(self.people) * (len(CONTROLS) + 2 + len(self.patterns)))
+        if self.patterns:
+            costs["patterns"] = 0.0, front * len(self.patterns)
         return costs | {"zoo": (0.0, front * len(self.entries))}
 
     def _asked(self) -> str:
         asked = {"budget": asdict(self.budget), "seed": self.store.options.seed, "protocol": protocol.VERSION}
+        asked |= {"people": self.people and len(self.people), "patterns": list(self.patterns)}
         versions = {"training": TRAINING_VERSION, "measurement": MEASUREMENT_VERSION}
         return sha256_record(asked | versions | {"split": self.split.record()})
 
@@ -133,7 +169,7 @@ class Assessment:
 
     # --- the parts
 
-    def _clean(self) -> dict:
+    def _clean(self, part: float) -> dict:
         """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
         faces = self._areas[-1]
         noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
@@ -144,7 +180,7 @@ class Assessment:
             "elevations": elevations,
             "distances": distances,
             "images_per_view": math.ceil(self.budget.clean_images / views),
-            "most_images": self.budget.clean_images,
+            "most_images": _fewer(self.budget.clean_images, part),
             "controls": (CLOTHING, "grey", "random", *NATURAL),
         }
         results = self._evaluated("clean", [worn], angles, settings)
@@ -154,28 +190,48 @@ class Assessment:
             "controls": statistics_card.control_records(results, self.spec, logo="noise"),
         }
 
-    def _area(self, area: float, faces: Int64[np.ndarray, " L"]) -> dict:
+    def _area(self, area: float, faces: Int64[np.ndarray, " L"], part: float) -> dict:
         """Train a cloak of this area against the detector and judge it from the front."""
-        results = self._attacked(_name(area), faces, protocol.FRONT, self.budget.steps, self.budget.front_angles)
+        steps = _fewer(self.budget.steps, part)
+        results = self._attacked(_name(area), faces, protocol.FRONT, steps, self.budget.front_angles, part)
         share = round(area_share(self.split.bodies, faces), 4)
-        label = {"asked": area, "area": share, "faces": len(faces), "steps": self.budget.steps}
+        label = {"asked": area, "area": share, "faces": len(faces), "steps": steps}
         return label | statistics_card.attack_record(results, self.spec)
 
-    def _circle(self) -> dict:
+    def _circle(self, part: float) -> dict:
         """Train the largest cloak all around and judge it so."""
-        steps, angles = 2 * self.budget.steps, self.budget.circle_angles
-        results = self._attacked("circle", self._areas[-1], protocol.CIRCLE, steps, angles)
+        steps, angles = _fewer(2 * self.budget.steps, part), self.budget.circle_angles
+        results = self._attacked("circle", self._areas[-1], protocol.CIRCLE, steps, angles, part)
         row = statistics_card.attack_record(results, self.spec)
         row |= {"by_angle": statistics_card.by_angle_record(results, self.spec), "steps": steps}
         return {"circle": row["success"], "around": row}
 
-    def _black_box(self) -> dict:
+    def _photographs(self, part: float) -> dict:
+        """Dress people in photographs in the largest cloak, made on renders, and in the patterns."""
+        people = replace(self.people, people=self.people.people[: _fewer(len(self.people), part)])
+        clothes = [read_clothes(spec) for spec in self.patterns]
+        if self.white_box:
+            worn, _, _ = self.shown[_name(self.budget.areas[-1])]
+            position = logo_positions(self.split.bodies.topology, worn.logo.face_ids)
+            clothes.insert(0, LogoClothes(protocol.AGAINST, position, worn.colors))
+        told = wear_and_judge(clothes, people, {self.spec: self.detector}, self.split.unseen_backgrounds)
+        return {"people": told["people"], "left_out": told["left_out"], "rows": told["detectors"][self.spec]}
+
+    def _pattern(self, spec: str, part: float) -> dict:
+        """Show it a published pattern as cloth for shirt and trousers, from the front."""
+        cloth = read_clothes(spec)
+        colors = cloth_colors(cloth.picture, cloth.metres, self.split.unseen, self._areas[-1])
+        worn = self._worn(colors, self._areas[-1], Path(cloth.name))
+        results = self._evaluated(f"pattern {cloth.name}", [worn], self.budget.front_angles, self._front(part))
+        return {"name": cloth.name} | statistics_card.attack_record(results, self.spec)
+
+    def _black_box(self, part: float) -> dict:
         """Show it the zoo's cloaks; those trained against this very detector say so, and do not count."""
         split, found = self.split, []
         for entry in self.entries:
             ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
             worn = self._worn(read_colors(entry["path"] / "colors.npy", len(ids)), ids, entry["path"])
-            results = self._evaluated(f"zoo {entry['name']}", [worn], self.budget.front_angles, self._front())
+            results = self._evaluated(f"zoo {entry['name']}", [worn], self.budget.front_angles, self._front(part))
             unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
             white = trained_against(entry["config"], split.detectors)[self.spec]
             label = {"name": entry["name"], "trained_against_it": white, "unseen": unseen}
@@ -186,14 +242,23 @@ class Assessment:
         most = {key: max((row[key] for row in counted), default=None) for key in ("success", "success_own")}
         return {"zoo": found, "counted": len(counted), "worst": worst and worst["name"]} | most
 
-    def _front(self) -> dict:
-        return {"images_per_view": self.budget.images_per_view, "controls": BESIDE}
+    def _front(self, part: float) -> dict:
+        settings = {"images_per_view": self.budget.images_per_view, "controls": BESIDE}
+        full = self.split.unseen.pose_count * len(self.budget.front_angles) * self.budget.images_per_view
+        return settings | ({"most_images": _fewer(full, part)} if part < 1 else {})
 
     def _attacked(
-        self, part: str, faces: Int64[np.ndarray, " L"], trained_angles: str, steps: int, angles: tuple[float, ...]
+        self,
+        part: str,
+        faces: Int64[np.ndarray, " L"],
+        trained_angles: str,
+        steps: int,
+        angles: tuple[float, ...],
+        share: float,
     ) -> Results:
         changes = {"angles": trained_angles, "steps": steps}
-        return self._evaluated(part, self.store.train_repetitions(faces, [self.spec], **changes), angles, self._front())
+        trained = self.store.train_repetitions(faces, [self.spec], **changes)
+        return self._evaluated(part, trained, angles, self._front(share))
 
     def _worn(self, colors: Float32[np.ndarray, "L 3"], faces: Int64[np.ndarray, " L"], name: Path) -> Trained:
         """Colours that were not trained here."""
@@ -222,6 +287,11 @@ class Assessment:
             )
             said.append(f"No cloak made against other detectors: {why}.")
         return said
+
+
+def _fewer(count: int, share: float) -> int:
+    """The share of a count, at least `LEAST_COUNT` of it."""
+    return max(min(count, LEAST_COUNT), round(count * share))
 
 
 def _name(area: float) -> str:

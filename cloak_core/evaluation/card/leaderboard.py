@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cloak_core.evaluation.card.protocol import VERSION
+from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.words import file_name, interval, percent, short_name
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
@@ -18,17 +19,28 @@ from cloak_core.files.writing import write_text
 HEAD = """# Leaderboard
 
 Written by `cloak assess --out DIR --leaderboard FILE` from the cards in DIR; [defence.md](defence.md) says what they
-measure. All figures at the threshold at which each detector is run, with 95 % intervals. *Hidden, 5 %*: the share of
-people whom the detector does not report when a cloak made against it covers that share of the body, from the front;
-*mASR*: the largest cloak's mean success over the thresholds 0.1 to 0.9; *all around*: the largest cloak, trained and
-judged in the full circle; *others' cloaks*: the zoo's best one that was not made against the detector.
-Low is good for whoever runs the detector, but for clean recall and AP. Rows of different budgets do not compare.
+measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what is
+better for whoever runs the detector. *76 % ↓*: the share of people whom the detector does not report when a cloak made
+against it covers that share of the body, from the front; *all around*: the largest cloak, trained and judged in the
+full circle; *others' cloaks*: the zoo's best one that was not made against the detector; *photographs*: the worst that
+people in photographs wore. Rows of different budgets do not compare; "from 40 % on" says that time allowed some parts
+no more than 40 % of the budget's steps and images.
 """
+
+
+UNTRAINED = (CLOTHING, "grey", "random", "resampled")
+"""What people in photographs wear as controls."""
 
 
 def name_of(card: dict) -> str:
     """The detector's name, as pages call it."""
     return card.get("label") or short_name(card["spec"])
+
+
+def worn_rows(card: dict) -> dict[str, dict]:
+    """Select what people in photographs wore beside the controls: name -> S; empty where there were none."""
+    rows = (card.get("photographs") or {}).get("rows", {})
+    return {name: row for name, row in rows.items() if name not in UNTRAINED}
 
 
 def _points(value: float) -> str:
@@ -46,7 +58,8 @@ def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
         "mASR 0.1 – 0.9": lambda row: percent(row["masr"]),
         "AP50": lambda row: _points(row["ap50"]),
         "AP50:95": lambda row: _points(row["ap50_95"]),
-        "of these renamed": lambda row: percent(row.get("renamed_own")),  # earlier versions' cards do not tell
+        "something else there": lambda row: percent(row.get("renamed_own")),  # earlier versions' cards do not tell
+        "nothing there": lambda row: percent(row.get("gone_own")),
         "random colours": lambda row: percent(row["random_own"]),
         "own clothing": lambda row: percent(row["clothing_own"]),
         "images": lambda row: str(row["n"]),
@@ -54,29 +67,43 @@ def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
 
 
 def attack_rows(card: dict) -> list[tuple[str, list[str]]]:
-    """The lines of the table of attacks: the cloak's name and its cells."""
-    columns, around = attack_columns(card).values(), card.get("around")
+    """The lines of the table of white-box attacks: the cloak's name and its cells."""
+    around = card.get("around")
     rows = [(f"{percent(row['area'])} of the body", row) for row in card["white_box"]]
-    rows += [("full circle", around)] if around else []
+    return _lines(card, rows + ([("all around", around)] if around else []))
+
+
+def pattern_rows(card: dict) -> list[tuple[str, list[str]]]:
+    """The lines of the table of published patterns, worn as cloth on renders."""
+    return _lines(card, [(row["name"], row) for row in card.get("patterns", [])])
+
+
+def _lines(card: dict, rows: list[tuple[str, dict]]) -> list[tuple[str, list[str]]]:
+    columns = attack_columns(card).values()
     return [(name, [cell(row) for cell in columns]) for name, row in rows]
 
 
 def leaderboard_row(card: dict) -> dict[str, str]:
     """The card's line in a leaderboard, column by column."""
     clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
+    worst = max(worn_rows(card).values(), key=lambda row: row["success_own"], default=None)
     return {
         "detector": name_of(card),
-        "protocol": f"{card['protocol']}, {card['budget']}",
+        **({"photographs ↓": _both(worst, "success_own")} if worst else {}),
+        **{f"{percent(row['asked'])} ↓": _both(row, "success_own") for row in reversed(attacks)},
+        "all around ↓": _both(around, "success_own") if around else "–",
+        "others' cloaks ↓": percent(black["success_own"]) if black["counted"] else "–",
+        "clean recall ↑": _both(clean, "recall_own"),
+        "AP50 ↑": _points(clean["ap50"]),
+        "false alarms ↓": percent(clean["false_alarms_own"]),
         "threshold": f"{card['operating_point']:g}",
-        "clean recall": _both(clean, "recall_own"),
-        "AP50": _points(clean["ap50"]),
-        "AP50:95": _points(clean["ap50_95"]),
-        "false alarms": percent(clean["false_alarms_own"]),
-        **{f"hidden, {percent(row['asked'])}": _both(row, "success_own") for row in attacks},
-        "mASR": percent(attacks[-1]["masr"]) if attacks else "–",
-        "all around": _both(around, "success_own") if around else "–",
-        "others' cloaks": percent(black["success_own"]) if black["counted"] else "–",
+        "budget": card["budget"] + (f",\nfrom {percent(least)} on" if (least := min(_shares(card))) < 1 else ""),
     }
+
+
+def _shares(card: dict) -> list[float]:
+    """Of each part, how much of it the time allowed; cards without a clock have all of it."""
+    return list(card.get("shares", {}).values()) or [1.0]
 
 
 def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
@@ -87,7 +114,8 @@ def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
 
 
 def _both(row: dict, key: str) -> str:
-    return f"{percent(row[key])} ({interval(row['ci95_own'])})"
+    """A share and, in a line of its own, its interval: a table of ten columns then fits a page."""
+    return f"{percent(row[key])}\n({interval(row['ci95_own'])})"
 
 
 # --- many cards
@@ -122,7 +150,7 @@ def markdown_rows(cards: list[dict]) -> list[str]:
     """Make a Markdown table of cards, one line each."""
     heads, rows = leaderboard_table(cards)
     lines = [heads, ["---"] * len(heads), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
+    return ["| " + " | ".join(cell.replace("|", "\\|").replace("\n", "<br>") for cell in line) + " |" for line in lines]
 
 
 def write_leaderboard(cards: dict[str, dict], path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from cloak_core.evaluation.card import leaderboard, words
-from cloak_core.evaluation.card.leaderboard import markdown_rows, read_card
+from cloak_core.evaluation.card.leaderboard import markdown_rows, read_card, worn_rows
 from cloak_core.evaluation.card.pictures import SIDES, place_of
 from cloak_core.evaluation.report import page, plots_card
 from cloak_core.evaluation.report.words import duration
@@ -21,18 +21,30 @@ CARD = "card.html"
 
 
 def write_card(folder: Path) -> Path:
-    """Write FOLDER/card.html and card.md (a leaderboard's line) from FOLDER/card.json and pictures.json."""
+    """Write card.html, card.md (a leaderboard's line) and model_card.md (for model hubs) from what FOLDER holds.
+
+    FOLDER holds card.json and, where there are pictures, pictures.json.
+    """
     card = read_card(folder / "card.json")
     pictures = read_json(folder / "pictures.json") if (folder / "pictures.json").exists() else {}
     write_text(folder / "card.md", "\n".join(markdown_rows([card])) + "\n")
+    write_text(folder / "model_card.md", model_card(card))
+    shown = _pictures(card, pictures, folder / "pictures")
+    rows = (card.get("photographs") or {}).get("rows", {})
     values = _summary(card) | {
+        "worst": words.worst(card),
+        "advice": words.advice(card),
+        "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
+        "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
+        "standards": words.STANDARDS,
         "card": card,
         "lede": words.lede(card),
         "not_tested": words.not_tested(card),
         "attack_heads": list(leaderboard.attack_columns(card)),
         "attacks": leaderboard.attack_rows(card),
+        "patterns": leaderboard.pattern_rows(card),
         "figures": _figures(plots_card.card_figures(card)),
-        "pictures": _pictures(card, pictures, folder / "pictures"),
+        "pictures": shown,
         "size": card["counts"]["size"],
         "spent": duration(card["seconds"]),
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
@@ -54,6 +66,24 @@ def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
         "mixed": len({(card["budget"], card["made"]["seed"]) for card in cards.values()}) > 1,
     }
     return page.write_page(path, "compare.html", values)
+
+
+def model_card(card: dict) -> str:
+    """Write the card as a model hub reads it: YAML front matter (`model-index`) and the sentences below it."""
+    figures = {"recall": card["clean"]["recall_own"], "ap50": card["clean"]["ap50"]}
+    figures |= {f"hidden at {row['asked']:.0%} of the body": row["success_own"] for row in card["white_box"]}
+    figures |= {f"hidden in photographs, {name}": row["success_own"] for name, row in worn_rows(card).items()}
+    dataset = {"name": f"Cloak protocol {card['protocol']}, {card['budget']}", "type": "cloak"}
+    metrics = [{"type": name, "name": name, "value": value} for name, value in figures.items()]
+    result = {"task": {"type": "object-detection"}, "dataset": dataset, "metrics": metrics}
+    index = [{"name": leaderboard.name_of(card), "results": [result]}]
+    front = {"pipeline_tag": "object-detection", "tags": ["person-detection", "robustness"], "model-index": index}
+    lines = [f"{key}: {json.dumps(value)}" for key, value in front.items()]  # JSON is YAML, too
+    said = [words.headline(card), words.lede(card), words.advice(card), "Not tested:"]
+    untested = "\n".join(f"- {line}" for line in words.not_tested(card))
+    table = "\n".join(markdown_rows([card]))
+    head = "\n".join(["---", *lines, "---"])
+    return "\n\n".join([head, f"# {leaderboard.name_of(card)}", table, *said, untested]) + "\n"
 
 
 def _summary(card: dict) -> dict:

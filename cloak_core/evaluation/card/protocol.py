@@ -21,6 +21,8 @@ FRONT = "-10:10:5"
 """Training azimuths of the white-box cloaks; distance and elevation are the paper's (2.2 m, 6 degrees)."""
 CIRCLE = "0:330:30"
 """Training azimuths of the cloak for the full circle."""
+AGAINST = "made against it"
+"""What the largest cloak for the front is called on people in photographs."""
 CLEAN_ANGLES = tuple(float(a) for a in range(0, 360, 45))
 CLEAN_ELEVATIONS = (0.0, 6.0, 15.0, 30.0)
 CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
@@ -44,6 +46,8 @@ class Budget:
     clean_images: int
     """Images in own clothing from everywhere: near and far, around, from eye level and above."""
     areas: tuple[float, ...] = AREAS
+    minutes: float | None = None
+    """Time that the card may take; steps and images are fewer where they do not fit (`Work.part`). None: any time."""
 
     @property
     def front_angles(self) -> tuple[float, ...]:
@@ -56,7 +60,7 @@ class Budget:
         return tuple(float(a) for a in range(0, 360, self.circle_step))
 
 
-QUICK = Budget("quick", 150, 1, 4, 30, 2, 240)
+QUICK = Budget("quick", 150, 1, 4, 30, 2, 240, minutes=10.0)
 DEFAULT = Budget("default", 600, 1, 2, 20, 3, 720)
 FULL = Budget("full", 1500, 3, 1, 15, 4, 1920)
 

@@ -2,21 +2,56 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.card.leaderboard import name_of
+from cloak_core.evaluation.card.leaderboard import name_of, worn_rows
+from cloak_core.evaluation.card.protocol import AGAINST
 from cloak_core.evaluation.report.words import interval, percent
 
-HALF = 0.5
+HALF, GOOD = 0.5, 0.9
 ALWAYS = (
-    "Printed cloth before a real camera: everything here is rendered, with one simple light.",
+    "Printed cloth before a real camera: clothes here are rendered, or laid on photographs by computation.",
     "Night, weather, blur, crowds, people behind things, children, seated or lying people.",
     "Attacks by other means than a garment's colours: shape, light, stickers on the lens, the network's own files.",
     "Tracking over many frames: a detector that misses a person in one picture may find them in the next.",
 )
 
+STANDARDS = (
+    (
+        "EU AI Act, Article 15(5)",
+        "how far inputs made to deceive the model (adversarial examples, evasion) succeed, with and without knowledge "
+        "of it; what hardening changes, where two cards are compared.",
+        "poisoned data or models, attacks on confidentiality, the system around the model, organisational measures.",
+    ),
+    (
+        "EU AI Act, Annex IV, 2(g) and 3",
+        "metrics, test data by hash, procedure, command, versions, accuracy by distance, direction and body, known "
+        "ways to fail.",
+        "who is responsible and when it was signed, discriminatory effects on real people, training data, oversight.",
+    ),
+    (
+        "NIST AI 100-2 (adversarial machine learning)",
+        "evasion: white box, transfer from other models, published patterns; the attacker's goal, knowledge and means.",
+        "query-based attacks, poisoning, privacy attacks, attacks in the physical world itself.",
+    ),
+    (
+        "ISO/IEC 24029 (robustness of neural networks)",
+        "empirical and statistical methods (24029-1): measured rates with 95 % intervals on stated material.",
+        "formal methods (24029-2): what `masked=SIDE:SPEC` proves about one small patch is no part of a card.",
+    ),
+)
+"""(document, what the card answers of it, what it leaves open)."""
+
 
 def headline(card: dict) -> str:
-    """Say in one sentence how little a cloak needs, at the threshold at which the detector is run."""
+    """Say in one sentence how well people hide, at the threshold at which the detector is run; photographs first."""
     name, rows, black = name_of(card), card["white_box"], card["black_box"]
+    photographs = worn_rows(card)
+    if photographs:
+        worn, row = max(photographs.items(), key=lambda pair: pair[1]["success_own"])
+        own = percent(card["photographs"]["rows"]["clothing"]["success_own"])
+        return (
+            f"In photographs, {percent(row['success_own'])} of people who wear {_worn(worn)} are hidden from {name}; "
+            f"in their own clothing it misses {own} of them."
+        )
     if not rows and black["counted"]:
         return f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
     if not rows:
@@ -28,6 +63,45 @@ def headline(card: dict) -> str:
     if half is None:
         return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}. {own}"
     return f"A cloak {what}, made against {name}, hides {hidden} of people from it. {own}"
+
+
+def _worn(name: str) -> str:
+    return "a cloak made against it" if name == AGAINST else f"the pattern {name.partition('@')[0]}"
+
+
+def worst(card: dict) -> dict:
+    """Find the one number: the largest share of people hidden at the own threshold, as a tile with its words.
+
+    Of people in photographs where there are any; else of renders: white box, all around, patterns, others' cloaks.
+    """
+    found = [("of people in photographs hidden", row) for row in worn_rows(card).values()]
+    if not found:
+        found = [("of people hidden, rendered", row) for row in (*card["white_box"], *card.get("patterns", []))]
+        found += [("of people hidden, rendered", card["around"])] if card.get("around") else []
+        found += [
+            ("of people hidden, rendered", row) for row in card["black_box"]["zoo"] if not row["trained_against_it"]
+        ]
+    if not found:
+        return {"what": "nothing attacked it", "value": "–", "interval": "–", "kind": "unknown"}
+    what, row = max(found, key=lambda pair: pair[1]["success_own"])
+    return _tile(what, row, "success_own", "down")
+
+
+def advice(card: dict) -> str:
+    """Say what to do, by rule: first mend what is bad without an attack, then what an attack does."""
+    clean, worse = card["clean"], worst(card)["kind"]
+    if clean["recall_own"] < GOOD or clean["false_alarms_own"] > 1 - GOOD:
+        return "First make it better without any attack: it misses people, or sees them where nobody is, too often."
+    if worse == "unknown" and not card["white_box"]:
+        return "Ask whoever has the network for the white-box part of this card before you rely on it."
+    if worse == "bad":
+        return (
+            "Do not let it decide alone where somebody may want to hide: put a second sensor or an unlike detector "
+            "beside it, harden it (cloak harden), and make this card again."
+        )
+    if worse == "unknown":
+        return "Put a second sensor beside it where much depends on it, harden it (cloak harden), make this card again."
+    return "Keep it so: hold every new version against bounds on these figures (cloak assess --gate)."
 
 
 def verdict(card: dict) -> tuple[str, str]:
@@ -63,7 +137,7 @@ def tiles(card: dict) -> list[dict]:
 def _tile(what: str, row: dict, key: str, good: str) -> dict:
     value, bounds = row[key], row.get("ci95_" + key, row.get("ci95_own"))
     better = value if good == "up" else 1 - value
-    kind = "good" if better >= 0.9 else "bad" if better < HALF else "unknown"
+    kind = "good" if better >= GOOD else "bad" if better < HALF else "unknown"
     return {"what": what, "value": percent(value), "interval": interval(bounds), "kind": kind}
 
 
@@ -81,11 +155,22 @@ def lede(card: dict) -> str:
 
 def not_tested(card: dict) -> list[str]:
     """List everything a reader must not take for tested: this card's own, then what no card tests."""
-    steps, said = card["counts"]["steps"], list(card["not_tested"])
+    said = list(card["not_tested"])
     if card["white_box"]:
+        steps = card["white_box"][-1]["steps"]
+        around = f" ({card['around']['steps']} for the full circle)" if card.get("around") else ""
         once = "" if card["counts"]["seeds"] > 1 else ", once"
         said.append(
-            f"Longer attacks: each cloak had {steps} updates ({2 * steps} for the full circle) from one start{once}. "
+            f"Longer attacks: the largest cloak had {steps} updates{around} from one start{once}. "
             "An attacker with more time does as well or better."
         )
+    short = {part: share for part, share in card.get("shares", {}).items() if share < 1}
+    if short:
+        least = min(short.values())
+        said.append(
+            f"{card['counts']['minutes']:g} minutes were not enough for everything: {len(short)} parts had fewer steps "
+            f"and images, down to {percent(least)} of them. Their intervals are wider, and their attacks weaker."
+        )
+    if not card.get("photographs"):
+        said.append("People in photographs: none were given (--people).")
     return said + list(ALWAYS)

@@ -14,13 +14,18 @@ OnWork = Callable[[str, float, float], None]
 """Called with what is being done, how much of all is done, and how much there is in all."""
 TRAINED = 3
 """Cost of an image that is trained on, in images that are only looked at: forward, and backward twice that."""
+RESERVE = 0.1
+"""Share of the time that is kept for pictures and pages."""
+LEAST = 0.04
+"""Share of its full size that a part has at the least."""
 
 
 class Work:
     """The parts of an assessment with their costs; trainings and evaluations tell it how far they are.
 
     The seconds of every part are kept in a file, so that an earlier, stopped call counts too; a part that was done
-    already adds none. `asked` names what is assessed: earlier times of anything else are dropped.
+    already adds none. `asked` names what is assessed: earlier times of anything else are dropped. Where the time is
+    limited, each part gets its share of what is left; that is kept, too, so that the same call asks for the same again.
     """
 
     def __init__(
@@ -30,11 +35,17 @@ class Work:
         asked: str,
         on_work: OnWork | None = None,
         seeds: int = 1,
+        minutes: float | None = None,
+        rate: float = 0.0,
     ) -> None:
-        """costs: by part, the images of its trainings (one for each seed) and of its evaluations."""
+        """costs: by part, the images of its trainings (one for each seed) and of its evaluations.
+
+        minutes: the time for all; rate: seconds that an image takes, as long as nothing was measured.
+        """
         self.costs, self.on_work, self.seeds = costs, on_work, seeds
         self.total = sum(map(sum, costs.values()))
-        self._file, self._record = file, {"asked": asked, "seconds": {}, "done": []}
+        self.minutes, self._rate = minutes, rate
+        self._file, self._record = file, {"asked": asked, "seconds": {}, "done": [], "shares": {}}
         earlier = read_json(file) if file.exists() else {}
         if earlier.get("asked") == asked:
             self._record = earlier
@@ -45,13 +56,22 @@ class Work:
         """Time of all parts, over all calls."""
         return round(sum(self._record["seconds"].values(), 0.0), 1)
 
+    @property
+    def shares(self) -> dict[str, float]:
+        """By part, the share of its full size that the time allowed."""
+        return self._record["shares"]
+
     @contextlib.contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        """Count what is done inside as this part."""
+    def part(self, name: str) -> Iterator[float]:
+        """Count what is done inside as this part; gives the share of its full size that the time allows."""
+        if name not in self.shares:
+            self.shares[name] = self._affordable()
+            write_json(self._file, self._record)
+        share = self.shares[name]
         self._name, self._ended, started, done = name, 0, time.monotonic(), False
         self._tell(0.0)
         try:
-            yield
+            yield share
             done = True
         finally:
             seconds, finished = self._record["seconds"], self._record["done"]
@@ -61,6 +81,16 @@ class Work:
                 write_json(self._file, self._record)
         self._before += sum(self.costs[name])
         self._tell(0.0)
+
+    def _affordable(self) -> float:
+        """What is left of the time over what all parts that are left would take, at the pace so far; at most 1."""
+        if self.minutes is None:
+            return 1.0
+        done = sum(sum(self.costs[name]) * self.shares[name] for name in self._record["done"])
+        rate = self.seconds / done if done else self._rate
+        rest = rate * sum(sum(cost) for name, cost in self.costs.items() if name not in self._record["done"])
+        left = 60 * self.minutes * (1 - RESERVE) - self.seconds
+        return round(min(1.0, max(LEAST, left / rest)), 3) if rest else 1.0
 
     def on_event(self, event: dict) -> None:
         """Take an event of a training."""
