@@ -1,0 +1,46 @@
+"""What a card lets people wear beside trained cloaks: published patterns, on renders and in photographs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cloak_core.evaluation.card import assess
+from cloak_core.evaluation.card.assess import Assessment
+from cloak_core.evaluation.foreign_colors import cloth_colors
+from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.cloth import cloth_coordinates
+from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.scene.photographs.people import People
+from tests.evaluation.test_card import TINY, Glow, make_store
+
+
+def test_a_picture_repeats_as_cloth() -> None:
+    picture = np.zeros((40, 80, 3), np.uint8)
+    picture[:, 40:, 0] = 255  # the right half is red
+    bodies, faces = sample_bodies("unseen"), np.arange(0, 2000, 7)
+    colors = cloth_colors(picture, 0.4, bodies, faces)
+    right = cloth_coordinates(face_centres(bodies)[faces], face_normals(bodies)[faces])[:, 0] % 0.4
+    assert np.array_equal(colors[:, 0] > 0.5, right >= 0.2) and not colors[:, 1:].any()
+
+
+def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
+    spec, worn = f"{tmp_path}/white.png@tile=0.5", []
+
+    def judge(clothes: list, people: People, detectors: dict, backgrounds: object) -> dict:
+        worn.extend(one.name for one in clothes)
+        return {"people": len(people), "left_out": {}, "detectors": {name: {"clothing": {}} for name in detectors}}
+
+    monkeypatch.setattr(assess, "wear_and_judge", judge)
+    store = make_store(tmp_path, Glow("glow"))
+    one = Assessment(store, TINY, tmp_path / "glow", [], None, People((), {}), (spec,))
+    row = one._pattern(spec, 1.0)
+    assert row["name"] == "white@tile=0.5" and row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
+    faces = one._areas[-1]
+    one.shown["area 76%"] = (one._worn(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")), (0.0,), {})
+    told = one._photographs(1.0)
+    assert worn == ["made against it", "white@tile=0.5"] and told["rows"].keys() == {"clothing"}
