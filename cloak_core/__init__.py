@@ -1,7 +1,7 @@
 """Cloak: adversarial face colours for human meshes, trained against person detectors.
 
-The names below are the library's interface; docs/library.md tells how they go together. Each is imported when it is
-first asked for, so that importing this package imports neither torch nor numpy.
+The names below are the library's interface; docs/howto/library.md tells how they go together. Each is imported when
+it is first asked for, so that importing this package imports neither torch nor numpy.
 """
 
 from __future__ import annotations

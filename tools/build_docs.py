@@ -133,7 +133,7 @@ def python_page() -> str:
     lines = [
         "# Python",
         "",
-        "The names that `import cloak_core` has; [the library](../library.md) shows them at work.",
+        "The names that `import cloak_core` has; [the library](../howto/library.md) shows them at work.",
         "",
     ]
     for name in cloak_core.__all__:
