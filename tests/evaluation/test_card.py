@@ -221,12 +221,16 @@ def test_each_part_gets_its_share_of_the_time_that_is_left(tmp_path: Path, monke
     costs = {"a": (0.0, 60.0), "b": (60.0, 40.0), "c": (0.0, 100.0)}
     make = lambda: Work(costs, tmp_path / "spent.json", "x", minutes=1.0, rate=0.1)
     work, shares = make(), {}
-    for name, seconds in (("a", 12.0), ("b", 40.0), ("c", 1.0)):
+    for name, trained, looked in (("a", 0.0, 12.0), ("b", 30.0, 10.0), ("c", 0.0, 1.0)):
         with work.part(name) as shares[name]:
-            now[0] += seconds
+            if trained:
+                work.on_event({"type": "start", "steps": 2})
+                now[0] += trained
+                work.on_event({"type": "end"})
+            now[0] += looked
     assert shares["a"] == 1.0, "26 seconds were expected"
-    assert shares["b"] == 1.0, "0.2 s an image now: 40 of the 42 that are left"
-    assert shares["c"] == pytest.approx((54 - 52) / (100 * 52 / 160), abs=1e-3)
+    assert shares["b"] == 1.0, "6 s of training as before, 28 of looking at 0.2 s an image: 34 of the 42 that are left"
+    assert shares["c"] == pytest.approx((54 - 52) / (100 * 22 / 100), abs=1e-3), "training says nothing of looking"
     again = make()
     with again.part("c") as share:
         assert share == shares["c"], "a stopped card goes on with the same numbers"

@@ -136,7 +136,8 @@ class Assessment:
         costs = {"clean": (0.0, 6.0 * budget.clean_images)}
         if self.white_box:
             costs |= {_name(area): (steps, looks * len(budget.front_angles)) for area in budget.areas}
-            costs["circle"] = 2 * steps, looks * len(budget.circle_angles)
+            # All around, an image that is trained on is a new view, as one that is looked at.
+            costs["circle"] = 2 * steps, looks * len(budget.circle_angles) + 2 * steps / TRAINED
         front = looks / budget.seeds * len(budget.front_angles)
         if self.people is not None:
             costs["people"] = 0.0, float(len(self.people) * (len(CONTROLS) + 2 + len(self.patterns)))

@@ -45,11 +45,12 @@ class Work:
         self.costs, self.on_work, self.seeds = costs, on_work, seeds
         self.total = sum(map(sum, costs.values()))
         self.minutes, self._rate = minutes, rate
-        self._file, self._record = file, {"asked": asked, "seconds": {}, "done": [], "shares": {}}
+        self._file = file
+        self._record: dict = {"asked": asked, "seconds": {}, "training": {}, "done": [], "shares": {}}
         earlier = read_json(file) if file.exists() else {}
         if earlier.get("asked") == asked:
-            self._record = earlier
-        self._name, self._before, self._ended, self._steps = "", 0.0, 0, 1
+            self._record |= earlier
+        self._name, self._before, self._ended, self._steps, self._began = "", 0.0, 0, 1, 0.0
 
     @property
     def seconds(self) -> float:
@@ -83,24 +84,35 @@ class Work:
         self._tell(0.0)
 
     def _affordable(self) -> float:
-        """What is left of the time over what all parts that are left would take, at the pace so far; at most 1."""
+        """What is left of the time over what all parts that are left would take, at the paces so far; at most 1.
+
+        Trainings and evaluations have paces of their own: a training sees few views again and again, an evaluation
+        many once.
+        """
         if self.minutes is None:
             return 1.0
-        done = sum(sum(self.costs[name]) * self.shares[name] for name in self._record["done"])
-        rate = self.seconds / done if done else self._rate
-        rest = rate * sum(sum(cost) for name, cost in self.costs.items() if name not in self._record["done"])
+        finished, trained = self._record["done"], self._record["training"]
+        spent = [sum(trained.get(name, 0.0) for name in finished)]
+        spent += [sum(self._record["seconds"][name] for name in finished) - spent[0]]
+        rest = 0.0
+        for k, seconds in enumerate(spent):
+            done = sum(self.costs[name][k] * self.shares[name] for name in finished)
+            pace = seconds / done if done and seconds else self._rate
+            rest += pace * sum(cost[k] for name, cost in self.costs.items() if name not in finished)
         left = 60 * self.minutes * (1 - RESERVE) - self.seconds
         return round(min(1.0, max(LEAST, left / rest)), 3) if rest else 1.0
 
     def on_event(self, event: dict) -> None:
         """Take an event of a training."""
         if event.get("type") in ("start", "resume"):
-            self._steps = event.get("steps") or 1
+            self._steps, self._began = event.get("steps") or 1, time.monotonic()
         elif event.get("type") == "step":
             share = (self._ended + min(1.0, event["step"] / self._steps)) / self.seeds
             self._tell(self.costs[self._name][0] * share)
         elif event.get("type") == "end":
             self._ended += 1
+            trained = self._record["training"]
+            trained[self._name] = trained.get(self._name, 0.0) + time.monotonic() - self._began
 
     def on_images(self, done: int, total: int) -> None:
         """Take the progress of an evaluation."""
