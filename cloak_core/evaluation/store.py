@@ -40,7 +40,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.files.writing import new_folder, remove_leftovers, write_json, written
 from cloak_core.render.photographs.fits import fit_people, people_identity
 from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import Logo, make_logo
@@ -304,6 +304,8 @@ class RunStore:
         with written(folder):
             folder.mkdir(parents=True, exist_ok=True)
         with lock(folder / key, wait=True):
+            for kind in ("runs", "evaluations"):
+                remove_leftovers(self.options.out / kind / key)
             yield
 
 

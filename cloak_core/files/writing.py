@@ -68,13 +68,13 @@ def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -
 
 
 def remove_leftovers(path: str | os.PathLike) -> None:
-    """Remove what writers of this file left beside it when they were killed. Nobody else may be writing it now."""
+    """Remove what writers of this file or folder left beside it when they were killed. Nobody may be writing it now."""
     path = Path(path)
     left = re.compile(rf"\.{re.escape(path.name)}\.[a-z0-9_]{{8}}\Z")  # as tempfile names them
     if path.parent.is_dir():
         for other in path.parent.iterdir():
-            if left.match(other.name) and other.is_file():
-                other.unlink(missing_ok=True)
+            if left.match(other.name):
+                shutil.rmtree(other, ignore_errors=True) if other.is_dir() else other.unlink(missing_ok=True)
 
 
 def remove_all_leftovers(folder: Path) -> None:

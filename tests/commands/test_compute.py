@@ -50,7 +50,7 @@ def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
     assert torch.get_num_threads() == threads and threads + 7 not in asked
 
 
-@pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "TrainBuiltin", "Heatmap", "Reproduce"])
+@pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "Heatmap", "Reproduce"])
 def test_commands_prepare_their_process_before_anything_else(command, tmp_path, monkeypatch):
     from cloak_core.attack.settings import make_settings
     from cloak_core.commands import demo, detectors, evaluate, logo, reproduce
@@ -62,7 +62,6 @@ def test_commands_prepare_their_process_before_anything_else(command, tmp_path, 
         "Evaluate": lambda: Evaluate(run_folder=tmp_path, compute=wanted),
         "Demo": lambda: Demo(out=tmp_path, compute=wanted),
         "Check": lambda: detectors.Check(spec="builtin", compute=wanted),
-        "TrainBuiltin": lambda: detectors.TrainBuiltin(out=tmp_path, compute=wanted),
         "Heatmap": lambda: logo.Heatmap(scene="s", detector="builtin", out=tmp_path, compute=wanted),
         "Reproduce": lambda: reproduce.Reproduce(name="all", compute=wanted),
     }[command]()

@@ -32,10 +32,19 @@ def test_trainings_and_evaluations_are_made_once(
     assert len({t.folder for t in trained}) == 2 == results.trainings  # one per seed
     for name in ("train", "measure_frozen"):
         monkeypatch.setattr(store_module, name, lambda *_, **__: pytest.fail("made again"))
+    evaluated = next((tmp_path / "evaluations").iterdir()).name
+    left = [
+        tmp_path / "runs" / f".{trained[0].folder.name}.ab12_xyz",
+        tmp_path / "evaluations" / f".{evaluated}.ab12_xyz",
+    ]
+    for folder in left:  # of writers that were killed
+        folder.mkdir()
+        (folder / "scores.npz").touch()
     again = RunStore(split, make_options(tmp_path))
     found = again.train_repetitions(faces, [RED])
     assert [t.folder for t in found] == [t.folder for t in trained]
     assert again.evaluate(found, (0.0, 5.0)).images.equals(results.images)
+    assert not [folder for folder in left if folder.exists()]
     # Whatever decides the result names another run.
     for spec, changes in ((BLUE, {}), (RED, {"tv_weight": 1.0})):
         with pytest.raises(pytest.fail.Exception, match="made again"):
