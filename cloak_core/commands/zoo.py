@@ -81,6 +81,10 @@ class Show(Command):
             box = boxes.get(told["white_box"].get(spec), "?")
             table.add_row(short_name(spec), box, *shares, percent(random.get("success")), str(logo["n"]))
         out.print(table)
+        for spec, rates in result.get("people", {}).get("detectors", {}).items():
+            logo = rates["logo"]
+            shares = f"{percent(logo['success'])} at 0.6, {percent(logo['success_own'])} at its own threshold"
+            out.print(f"on {logo['n']} people in photographs, judged by {short_name(spec)}: {shares}")
 
 
 @dataclass(kw_only=True)

@@ -113,6 +113,16 @@ def test_every_shipped_entry_is_sound_small_and_names_no_folder(name):
     assert "/" not in json.dumps(found.record["detectors"]) and "/work" not in text and "/home" not in text
 
 
+def test_an_entry_says_what_it_is_worth_on_people_in_photographs(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["zoo", "show", "yolov8n-anny"])
+    told = read_entry(SHELF, "yolov8n-anny").record["people"]["detectors"]["onnx:yolov8n.onnx@conf=0.25"]["logo"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"on {told['n']} people in photographs, judged by onnx yolov8n @conf=0.25: {told['success']:.0%} at" in (
+        said.replace(" %", "%")
+    )
+
+
 def test_the_zoo_ships_with_the_built_in_detectors_cloak(capsys):
     with pytest.raises(SystemExit) as end:
         main(["zoo", "list", "--json"])
