@@ -62,14 +62,14 @@ def seen(
 def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Nearness [W, H] of the nearest triangle in the middle of each cell (-inf for none), and its number (-1 for none).
 
-    points: plane coordinates [V, 3], x and y in cells, of which there are `shape` (width, height).
+    points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height).
     """
     width, height = shape
     # Axis by axis, in single precision: numpy takes a tenth of the time that it does over corners of three.
     x, y = (points[:, axis].astype(np.float32)[triangles.T] - np.float32(0.5) for axis in (0, 1))
     low = [np.ceil(np.minimum(np.minimum(v[0], v[1]), v[2])) for v in (x, y)]
     high = [np.floor(np.maximum(np.maximum(v[0], v[1]), v[2])) for v in (x, y)]
-    some = np.flatnonzero((high[0] >= low[0]) & (high[1] >= low[1]))  # those that reach the middle of a cell
+    some = np.flatnonzero((high[0] >= low[0]) & (high[1] >= low[1]))  # triangles that reach the middle of a cell
     most = np.array(shape) - 1
     least, last = (np.clip(np.stack([v[some] for v in pair], 1), 0, most).astype(np.int64) for pair in (low, high))
     cell, triangle = cells_touched(least, last, width)

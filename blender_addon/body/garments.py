@@ -58,13 +58,14 @@ BESIDE, LARGER = 0.5, 1.5
 def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """What the camera sees beside the body: the one answer for training, judging, films and figures.
 
-    Visible meshes that are the body's children, share its armature, or lie on it; not those that were left out.
+    Visible meshes that are the body's children, share its armature, or lie on it, without the garments that the user
+    left out.
     """
     return [o for o in wearable(obj) if not o.cloak.left_out]
 
 
 def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """The same with those that were left out."""
+    """The same, with the garments that the user left out."""
     armature, box = armature_of(obj), box_of(obj)
     children = set(obj.children_recursive)
     return sorted(

@@ -48,7 +48,7 @@ class Projection:
 
 
 def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float, angle: float = 0.0) -> Projection:
-    """A stamp with its middle at a place [3], so high, turned so many radians, stamped along a direction [3]."""
+    """A stamp: place of its middle [3], height, turn in radians, and the direction it is stamped along [3]."""
     into = direction / np.linalg.norm(direction)
     level = np.cross([0, 0, 1], -into)
     if np.linalg.norm(level) < 1e-6:  # from straight above or below

@@ -404,7 +404,7 @@ def tick() -> float | None:
 
 
 def _start_next() -> None:
-    """Start those that wait until one runs; what cannot be started has failed."""
+    """Start the next waiting job, if none runs; a job that cannot be started has failed."""
     for job in [job for job in session.jobs if job.state == "waiting"]:
         if session.job.running:
             return

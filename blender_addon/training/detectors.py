@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The detectors of a scene: files of any family the trainer reads, those to hide from and those that only judge.
+"""The detectors of a scene: files of any family the trainer reads. Some are trained against, others only judge.
 
 What stands in this list is what every button uses. An empty list is the built-in detector.
 """

@@ -62,7 +62,7 @@ def translate(sentence: str, language: str) -> str:
 
 @functools.cache
 def _patterns() -> list[tuple[re.Pattern, str]]:
-    """Texts with gaps as patterns, those that begin with words, and with the most, first."""
+    """Texts with gaps, as patterns: first the ones that begin with a word, and of these the longest."""
     gaps = [text for text in words() if "{}" in text]
     gaps.sort(key=lambda text: (text != "{}, after {}", text.startswith("{}"), -len(text.replace("{}", ""))))
     return [(re.compile("(.+?)".join(map(re.escape, text.split("{}"))), re.DOTALL), text) for text in gaps]

@@ -62,7 +62,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Company:
-    """The other people in B images, of which photographs have some."""
+    """The other people in each of B images; only photographs show any."""
 
     others: Float[Tensor, "B K 4"]
     """Their boxes as the images show them; zeros where there are fewer."""
