@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Int64
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.black_box import Search, search_settings
@@ -185,15 +186,11 @@ def make_pattern(
     device: torch.device,
 ) -> Pattern | None:
     """What makes the faces' colours of free parameters; None where these are the colours."""
-    wanted, rounds, patch, inks = settings.pattern, settings.optimization.smooth, None, None
-    edges, count = logo.edges, len(logo)
-    if wanted.pattern == "camouflage":
-        patch = patch_of_face(bodies, logo, wanted.feature_cm / 100)
+    wanted, rounds, inks = settings.pattern, settings.optimization.smooth, None
+    patch, edges, count = shared_colors(wanted, bodies, logo), logo.edges, len(logo)
+    if patch is not None:
         edges, count = patch[edges], int(patch.max()) + 1
-        edges = edges[edges[:, 0] != edges[:, 1]]
-    if wanted.pattern == "tile":
-        patch = tile_of_face(bodies, logo, wanted.tile_cm / 100, wanted.feature_cm / 100)
-        count, edges = int(patch.max()) + 1, np.unique(np.sort(patch[edges], axis=1), axis=0)
+        edges = np.unique(np.sort(edges, axis=1), axis=0) if wanted.pattern == "tile" else edges
         edges = edges[edges[:, 0] != edges[:, 1]]
     if wanted.colors_at_most is not None:
         given = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
@@ -205,13 +202,28 @@ def make_pattern(
     return None if is_free else Pattern(smoothing, patch, profile, inks, device)
 
 
+def shared_colors(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Int64[np.ndarray, " L"] | None:
+    """Number the patch, or the square of the cloth, whose colour each face has; None where each has its own."""
+    if wanted.pattern == "camouflage":
+        return patch_of_face(bodies, logo, wanted.feature_cm / 100)
+    if wanted.pattern == "tile":
+        return tile_of_face(bodies, logo, wanted.tile_cm / 100, wanted.feature_cm / 100)
+    return None
+
+
 def make_near(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Near:
-    """The garment that the colours stay close to, and how close. InputError: no such garment; one of several colours
-    where faces are to share colours; inks that are given."""
+    """The garment that the colours stay close to, and how close; where faces share colours, the garment in their mean.
+
+    InputError: no such garment; one of several colours where inks are counted.
+    """
     garment = garment_colors(wanted.near, bodies, logo)
     garment = read_start(Path(wanted.near), logo, "--near") if garment is None else garment
-    if wanted.recolored and len(np.unique(garment, axis=0)) > 1:
-        raise InputError("--near: with --colors-at-most or --pattern camouflage the garment must have one colour")
+    if wanted.colors_at_most is not None and len(np.unique(garment, axis=0)) > 1:
+        raise InputError("--near: with --colors-at-most the garment must have one colour")
+    patch = shared_colors(wanted, bodies, logo)
+    if patch is not None:
+        total = np.stack([np.bincount(patch, garment[:, channel]) for channel in range(3)], axis=1)
+        garment = (total / np.bincount(patch)[:, None])[patch].astype(np.float32)
     return Near(garment, wanted.within, wanted.within_most or 2 * wanted.within)
 
 

@@ -6,10 +6,12 @@ import torch
 from PIL import Image
 
 from cloak_core.attack.near import Near
+from cloak_core.attack.settings import make_settings
+from cloak_core.attack.training import make_near, shared_colors
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.files.errors import InputError
 from cloak_core.scene.color_difference import de2000, lab
-from cloak_core.scene.logos.garment_colors import garment_colors
+from cloak_core.scene.logos.garment_colors import camouflage, garment_colors
 from tests.attack.fakes import box_bodies, front_logo
 from tests.attack.test_training import run
 
@@ -74,6 +76,34 @@ def test_a_run_ends_as_close_as_it_was_told(tmp_path, more):
     if "pattern" in more:
         free = run(tmp_path / "free", lr=0.2, steps=12, **more).colors
         assert len(np.unique(result.colors, axis=0)) <= len(np.unique(free, axis=0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "pattern", [{"pattern": "tile", "tile_cm": 50, "feature_cm": 25}, {"pattern": "camouflage", "feature_cm": 30}]
+)
+def test_beside_a_pattern_a_print_is_taken_in_its_mean(tmp_path, pattern):
+    """So that faces which share a colour keep sharing it."""
+    bodies = box_bodies()
+    logo = front_logo(bodies)
+    wanted = make_settings(near="camouflage", within=6, **pattern).pattern
+    garment, patch = make_near(wanted, bodies, logo).garment, shared_colors(wanted, bodies, logo)
+    printed = garment_colors("camouflage", bodies, logo)
+    for number in range(patch.max() + 1):
+        assert np.allclose(garment[patch == number], printed[patch == number].mean(0), atol=1e-6)
+    result = run(tmp_path / "run", near="camouflage", within=6, lr=0.2, steps=12, **pattern)
+    far = de2000(lab(result.colors), lab(garment))
+    assert 1 < far.mean() <= 6 and np.percentile(far, 95) <= 12
+    assert all(len(np.unique(result.colors[patch == number], axis=0)) == 1 for number in range(patch.max() + 1))
+
+
+def test_camouflage_repeats_without_a_seam():
+    picture = camouflage(128).astype(int)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 4
+    for axis in (0, 1):
+        first, last = np.take(picture, 0, axis), np.take(picture, -1, axis)
+        within = [(np.take(picture, k, axis) != np.take(picture, k + 1, axis)).any(1).mean() for k in range(127)]
+        assert (first != last).any(1).mean() <= max(within)
 
 
 @pytest.mark.slow

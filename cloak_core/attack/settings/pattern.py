@@ -28,8 +28,9 @@ class PatternSettings:
     `cloak print --profile` writes the colours to send."""
 
     near: str | None = None
-    """Stay close to a garment: #rrggbb, clothing (the first outfit), a picture as cloth (FILE.png@tile=0.5, metres),
-    colours of this logo (.npy), a run of it or zoo:NAME."""
+    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
+    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
+    each patch or square."""
     within: Positive | None = None
     """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
     within_most: Positive | None = None
@@ -47,9 +48,5 @@ class PatternSettings:
     @property
     def on(self) -> bool:
         """Whether any of it is asked for."""
-        return self.recolored or self.profile is not None or self.near is not None
-
-    @property
-    def recolored(self) -> bool:
-        """Whether faces share colours."""
-        return self.colors_at_most is not None or self.pattern != "free"
+        recolored = self.colors_at_most is not None or self.pattern != "free"
+        return recolored or self.profile is not None or self.near is not None
