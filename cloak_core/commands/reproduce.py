@@ -39,6 +39,11 @@ class Reproduce(Command):
     unseen: str | None = None
     """Bodies to test on (default: every second one of --scene in every second outfit, or the sample bodies kept
     back)."""
+    people: str | None = None
+    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on, the
+    others judge instead of renders."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
     backgrounds: str = "procedural"
     """Folder of images, or procedural."""
     unseen_backgrounds: str | None = None
@@ -134,6 +139,7 @@ class Reproduce(Command):
         from cloak_core.detectors.loading import load_detector
         from cloak_core.evaluation.data_split import open_data_split
         from cloak_core.evaluation.store import RunStore
+        from cloak_core.scene.photographs.people import load_people
 
         split = open_data_split(
             {spec: load_detector(spec, device=self.compute.device) for spec in self.detector or ("builtin",)},
@@ -141,6 +147,7 @@ class Reproduce(Command):
             unseen=self.unseen,
             backgrounds=self.backgrounds,
             unseen_backgrounds=self.unseen_backgrounds,
+            people=None if self.people is None else load_people(self.people, self.images),
         )
         command = shlex.join(["cloak", *sys.argv[1:]])
         options = replace(self.amount, device=self.compute.device, command=command)

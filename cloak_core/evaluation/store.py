@@ -217,13 +217,13 @@ class RunStore:
         return pool([measured(one) for one in trained])
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
-        """Make the settings of an evaluation from the options: all controls, and changes by name."""
+        """Make the settings of an evaluation from the options: all controls that there are, and changes by name."""
         options = self.options
         settings = EvaluateSettings(
             images_per_view=options.test_images,
             size=options.size,
             samples=options.samples,
-            controls=CONTROLS,
+            controls=CONTROLS if self.split.unseen_people is None else STANDARD,
             shift=min(50, options.size // 8),
             seed=options.seed,
         )

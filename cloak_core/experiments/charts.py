@@ -39,6 +39,7 @@ AXES = {
     "clean_recall": f"clean recall at {THRESHOLD:g} (%)",
     "false_alarms": f"false alarms at {THRESHOLD:g} (%)",
     "threshold": "detection threshold",
+    "within": "mean CIEDE2000 from the print, at most (100: no bound)",
 }
 """What columns are called along an axis."""
 PERCENT = ("area_share", "clean_recall", "false_alarms")
