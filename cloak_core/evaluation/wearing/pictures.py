@@ -46,7 +46,7 @@ class Album:
             tile = picture.resize((TILE, TILE), Image.Resampling.LANCZOS)
             self._tiles.setdefault(shot.name, {})[shot.person] = tile
 
-    def write_sheet(self) -> None:
+    def write(self) -> None:
         """Write sheet.jpg."""
         names = list(self._tiles)
         sheet = Image.new("RGB", (TILE * len(self._shown), (TILE + 20) * len(names)), (255, 255, 255))

@@ -15,8 +15,9 @@ from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.results import NOBODY, Results
 from cloak_core.evaluation.statistics import false_alarms, finite, operating_point, share, success_record
 from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, read_clothes
-from cloak_core.evaluation.wearing.judging import judge_people
+from cloak_core.evaluation.wearing.judging import Shot, judge_people
 from cloak_core.evaluation.wearing.pictures import Album
+from cloak_core.evaluation.wearing.rating import Rating
 from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json, write_text
@@ -39,8 +40,9 @@ def wear_and_judge(
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
-    CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person) and wear.json; nothing is left of
-    it where this fails. more: what the result says besides.
+    CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
+    ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
+    more: what the result says besides.
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
@@ -52,6 +54,8 @@ def wear_and_judge(
     if not detectors:
         raise InputError("--detector: none given")
     if out is None:
+        if settings.pairs:
+            raise InputError("--pairs: needs --out, the folder that the page is written to")
         return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | (more or {})
     if out.exists():
         raise InputError(f"{out}: exists already")
@@ -71,11 +75,24 @@ def _judged(
     folder: Path | None,
 ) -> dict:
     fits = fit_people(people)
-    album = None if folder is None else Album(folder, [person.name for person in people.people])
-    on_shot = None if album is None else album.add
-    results = judge_people(fits, clothes, detectors, backgrounds, settings, on_progress, on_shot)
-    if album is not None:
-        album.write_sheet()
+    names, pages = [person.name for person in people.people], []
+    if folder is not None:
+        pages = [Album(folder, names)]
+        pages += (
+            [Rating(folder, names, [*(one.name for one in clothes), CLOTHING], settings.pairs)]
+            if settings.pairs
+            else []
+        )
+
+    def on_shot(shot: Shot) -> None:
+        for page in pages:
+            page.add(shot)
+
+    told = on_shot if pages else None
+    results = judge_people(fits, clothes, detectors, backgrounds, settings, on_progress, told)
+    for page in pages:
+        page.write()
+    if folder is not None:
         write_text(folder / "scores.csv", _table(results, people))
     alarms = {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors}
     return {
