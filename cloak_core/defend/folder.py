@@ -26,7 +26,7 @@ from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 
 FORMAT = "cloak hardening 1"
-EARLIER = {"decoys": 0}
+EARLIER = {"decoys": 0, "finished": 0}
 """What settings that came later were in folders that do not have them, where that is not their default."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""

@@ -42,8 +42,13 @@ SAMPLES = 4
 GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
-UNTRAINED = 4
-"""Textures of a decoy that nobody trained, beside those of the cloaks: their colours must not decide either."""
+FINISH = 240
+"""Steps that train a cloak to its end."""
+KEPT = 32
+"""So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
+SHOWN, UNTRAINED = 4, 4
+"""Textures of a decoy: of finished cloaks, and of patterns that nobody trained, beside those of the cloaks as they are:
+their colours must not decide either."""
 FINER, LEAST_PART = 2, 0.4
 """Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
 that learns whole photographs by heart reports more in the parts of others."""
@@ -110,6 +115,8 @@ class Pool:
         self.cloaks: dict[int, Cloak] = {}
         self.skins: dict[int, Float[Tensor, "F 3"]] = {}
         """By slot, the last colours that any of its cloaks had on each face."""
+        self.finished: list[Texture] = []
+        """Of cloaks that were trained to their end and of those whose life is over, the oldest first."""
 
     def place(self, turn: int) -> tuple[int, int, int]:
         """(slot, generation, how often the slot has had its turn); one slot after the other gets its next cloak."""
@@ -124,8 +131,18 @@ class Pool:
         if known is None or known.generation != generation:
             if known is not None:
                 self._remember(slot, known)
+                first, later = np.split(np.array([*self.finished, _texture(known)]), [self.settings.finished])
+                self.finished = [*first, *later[-KEPT:]]
             self.cloaks[slot] = self._new(slot, generation)
         return self.cloaks[slot]
+
+    def finish_one(self) -> None:
+        """Train one more cloak to its end against the detector as it stands, for decoys alone."""
+        cloak = self._new(self.settings.cloaks + len(self.finished), 0)
+        for k in range(FINISH):
+            gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
+            cloak.optimizer.update(self.settings.attack_lr)
+        self.finished.append(_texture(cloak))
 
     def attack(self, turn: int) -> StepFigures | None:
         """Move the colours against the detector as it stands; figures of the last step, None without steps."""
@@ -180,7 +197,9 @@ class Pool:
 
     def _textures(self, rng: np.random.Generator) -> list[Texture]:
         cloaks = [self.cloaks[slot] for slot in sorted(self.cloaks)]  # a resumed hardening made them in another order
-        worn = [cloak.flat.texture(cloak.optimizer.colors().cpu().numpy()) for cloak in cloaks]
+        worn = [_texture(cloak) for cloak in cloaks]
+        if self.finished:
+            worn += [self.finished[k] for k in rng.integers(len(self.finished), size=SHOWN)]
         if self.given:
             chosen = self.given[rng.integers(len(self.given))]
             worn.append(self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32)))
@@ -206,8 +225,9 @@ class Pool:
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint; which logo a cloak has follows from the turn."""
-        skins = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
-        return skins | {
+        kept = {f"skin.{slot}": skin for slot, skin in self.skins.items()}
+        kept |= {f"finished.{k:03d}": torch.from_numpy(texture) for k, texture in enumerate(self.finished)}
+        return kept | {
             f"cloak.{slot}.{name}": value
             for slot, cloak in self.cloaks.items()
             for name, value in cloak.optimizer.state().items()
@@ -217,11 +237,13 @@ class Pool:
         """Go on before this turn, from `state()`."""
         skins = {name.removeprefix("skin."): value for name, value in tensors.items() if name.startswith("skin.")}
         self.skins = {int(slot): skin.to(self.device) for slot, skin in skins.items()}
+        finished = [tensors[name].cpu().numpy() for name in sorted(tensors) if name.startswith("finished.")]
         for earlier in range(max(0, turn - self.settings.cloaks), turn):
             slot = self.place(earlier)[0]
             mark = f"cloak.{slot}."
             own = {name.removeprefix(mark): value for name, value in tensors.items() if name.startswith(mark)}
             self.cloak(earlier).optimizer.load({name: value.to(self.device) for name, value in own.items()})
+        self.finished = finished
 
     def _new(self, slot: int, generation: int) -> Cloak:
         rng = np.random.default_rng([self.settings.seed, _LOGO, slot, generation])
@@ -270,3 +292,9 @@ class Pool:
             distance=f"{DISTANCES[slot % len(DISTANCES)]}",
             elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
         )
+
+
+@torch.no_grad()
+def _texture(cloak: Cloak) -> Texture:
+    """The cloak as it is, laid flat."""
+    return cloak.flat.texture(cloak.optimizer.colors().cpu().numpy())

@@ -30,6 +30,9 @@ class HardenSettings:
     decoys: Annotated[int, Bounds(0, 4096)] = 3
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
+    finished: Annotated[int, Bounds(0, 256)] = 4
+    """Cloaks that are trained to their end against the unhardened detector before its first update, for such cloth:
+    those of the pool are young when they are shown, and a strong cloak on nobody looks otherwise."""
     cloaks: Annotated[int, Bounds(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
     life: Annotated[int, Bounds(1, 100_000)] = 32

@@ -29,7 +29,17 @@ from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds
 from tests.detectors.helpers import images, write_tiny
 from tests.schemas import validate
 
-FEW = {"steps": 4, "batch": 2, "pictures": 1, "decoys": 1, "cloaks": 2, "life": 2, "attack_steps": 1, "size": 64}
+FEW = {
+    "steps": 4,
+    "batch": 2,
+    "pictures": 1,
+    "decoys": 1,
+    "cloaks": 2,
+    "life": 2,
+    "attack_steps": 1,
+    "finished": 0,
+    "size": 64,
+}
 
 
 @pytest.fixture
@@ -258,6 +268,50 @@ def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
     again = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
     again.load(3, pool.state())
     assert torch.equal(again.skins[0], pool.skins[0])
+
+
+def test_decoys_show_cloaks_that_were_trained_to_their_end_and_those_whose_life_is_over(
+    student: Student, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.defend.pool.FINISH", 3)
+    monkeypatch.setattr("cloak_core.defend.pool.KEPT", 1)
+    settings = HardenSettings(**(FEW | {"cloaks": 1, "finished": 2}))
+    pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    shown = lambda: {texture.tobytes() for texture in pool._textures(np.random.default_rng(0))}
+    pool.finish_one()
+    pool.finish_one()
+    trained = [texture.tobytes() for texture in pool.finished]
+    assert len(set(trained)) == 2 and set(trained) & shown()
+    assert not pool.skins  # they are for decoys alone: no cloak of the pool goes on from them
+    ends = []
+    for turn in range(6):
+        pool.attack(turn)
+        ends.append(pool.cloak(turn).flat.texture(pool.cloak(turn).optimizer.colors().detach().numpy()).tobytes())
+    # Lives are of two turns. What was trained to the end stays, and of the others the last whose life is over.
+    assert [texture.tobytes() for texture in pool.finished] == [*trained, ends[3]]
+    again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
+    again.load(6, pool.state())
+    assert [texture.tobytes() for texture in again.finished] == [*trained, ends[3]]
+    for both in (pool.decoys(6), again.decoys(6)):
+        assert torch.equal(both.shown, pool.decoys(6).shown)
+
+
+@pytest.mark.slow
+def test_finished_cloaks_are_made_once_and_before_the_first_update(
+    student: Student, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloak_core.defend.pool.FINISH", 2)
+    made = []
+    finish_one = Pool.finish_one
+    monkeypatch.setattr(Pool, "finish_one", lambda pool: made.append(1) or finish_one(pool))
+    whole = hardened(student, tmp_path / "whole", finished=2)
+    assert len(made) == 2
+    part = hardened(open_student(student.spec), tmp_path / "part", finished=2, max_seconds=1e-9)
+    assert part.stopped and part.step == 0
+    ended = hardened(open_student(student.spec), tmp_path / "part", finished=2, resume=True)
+    assert state_hash(load_detector(ended.spec)) == state_hash(load_detector(whole.spec))
+    hardened(student, tmp_path / "none", finished=2, decoys=0, steps=1)
+    assert len(made) == 2 + 1 + 2
 
 
 def test_what_learned_in_bfloat16_is_written_in_float32(student: Student, tmp_path: Path) -> None:
