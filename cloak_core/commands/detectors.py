@@ -66,7 +66,7 @@ class Check(Command):
             detector = self.options.load([self.spec], self.compute.device)[0]
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.people is not None:
-            from cloak_core.evaluation.clean import check_people
+            from cloak_core.evaluation.certified import check_people
             from cloak_core.scene.photographs.people import load_people
 
             return check_people(self.options.load([self.spec], self.compute.device)[0], load_people(self.people))

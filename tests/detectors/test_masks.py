@@ -1,12 +1,15 @@
 """The theorem of `masked=SIDE:SPEC`, by brute force over every place of a patch; one pixel blinds the detector."""
 
 import itertools
+import json
 from collections.abc import Iterator
+from pathlib import Path
 
 import pandas as pd
 import pytest
 import torch
 
+from cloak_core import cli
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.masks import EXPLAINED, spans
 from cloak_core.detectors.loading import load_detector
@@ -14,6 +17,8 @@ from cloak_core.detectors.outcomes import OnBody, on_body, share_within
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation.certified import certified_recall
 from cloak_core.files.errors import InputError
+from tests.detectors.helpers import write_tiny
+from tests.scene.photographs.made_people import write_people
 
 SIZE, WINDOW, PATCH = 20, 4, 3
 BODY = (4.0, 4.0, 16.0, 16.0)
@@ -124,3 +129,12 @@ def test_it_stands_before_any_spec_and_asks_for_a_whole_number() -> None:
     assert load_detector("masked=32:builtin").spec.startswith("masked=32:builtin")
     with pytest.raises(InputError, match="masked=0 must give its side of the patch in pixels"):
         load_detector("masked=0:builtin")
+
+
+def test_the_command_certifies_people_in_photographs(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    people = write_people(tmp_path / "people", 2)
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["detectors", "check", f"masked=16:{write_tiny(tmp_path)}", "--people", str(people), "--json"])
+    told = json.loads(capfd.readouterr().out)
+    assert caught.value.code == 0 and (told["n"], told["patch"]) == (2, 16)
+    assert told["certified_recall_own"] <= told["clean_recall_own"]
