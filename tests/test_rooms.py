@@ -17,11 +17,13 @@ MAY_IMPORT = {
     "detectors": {"files", "exchange", "scene"},
     "attack": {"files", "jobs", "exchange", "zoo", "scene", "render", "detectors"},
     "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
-    "output": {"files", "exchange", "scene", "render", "detectors"},
     "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
     "experiments": {"files", "exchange", "scene", "render", "detectors", "attack", "evaluation"},
+    "output": {"files", "exchange", "scene", "render", "detectors"},
 }
-"""Nobody imports `experiments` and `bench` but the commands; `commands` are imported by the command line alone."""
+"""Nobody imports `experiments` and `bench` but the commands; `commands` are imported by the command line alone.
+
+tools/draw_rooms.py draws this table for the page for contributors."""
 TOP = {"commands", "cli", "library", "bench", "__main__", "__init__"}
 
 

@@ -1,7 +1,9 @@
 """Build the site: `python tools/build_docs.py [FOLDER]` lays pages out in build/docs and has Zensical write site/.
 
 Pages lie there as in the repository, so that links hold in both places. The command line's page is made of the
-commands' own help, the one of `--json` of docs/schemas.json, the notebook's of the notebook.
+commands' own help, the one of `--json` of docs/schemas.json, the notebook's of the notebook, the picture of the rooms
+of the directions that a test holds. A click opens a picture in full size; a page with a wide table has no list of
+headings beside it.
 """
 
 from __future__ import annotations
@@ -17,12 +19,17 @@ import sys
 import textwrap
 from pathlib import Path
 
+from draw_rooms import rooms_svg
+
 ROOT = Path(__file__).resolve().parents[1]
 TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
 WIDTH = "80"
 """Columns of the commands' help: what a page shows without scrolling on a desk."""
 CODE = re.compile(r"(^```.*?^```$|^    [^\n]*$|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
 UNIT = re.compile(r"(\d) (%|GB|MB|ms|px|dpi|cm)(?!\w)")
+PICTURE = re.compile(r"^!\[[^\]]*\]\(([^)\s]+)\)$", re.MULTILINE)
+WIDE_TABLE = re.compile(r"^(?:\|[^|\n]*){9,}\|$", re.MULTILINE)
+"""A row of nine columns or more."""
 SHIM = "https://unpkg.com/iframe-worker/shim"
 """What the theme would fetch from elsewhere, so that the search works from the disk; ours does it instead."""
 
@@ -70,8 +77,23 @@ def lay_out(pages: Path) -> None:
     (reference / "python.md").write_text(python_page(), "utf-8")
     notebook = pages / "docs" / "notebooks" / "first_cloak.ipynb"
     notebook.with_suffix(".md").write_text(notebook_page(notebook), "utf-8")
+    guide = pages / "CONTRIBUTING.md"
+    guide.write_text(with_rooms(guide.read_text("utf-8")), "utf-8")
     for page in pages.rglob("*.md"):
-        page.write_text(unbroken(page.read_text("utf-8")), "utf-8")
+        page.write_text(laid_out(page.read_text("utf-8")), "utf-8")
+
+
+def laid_out(text: str) -> str:
+    """The page as the site shows it: pictures that open on a click, and the whole width for wide tables."""
+    text = PICTURE.sub(r"[\g<0>](\1)", unbroken(text))
+    return f"---\nhide: [toc]\n---\n\n{text}" if WIDE_TABLE.search(text) else text
+
+
+def with_rooms(text: str) -> str:
+    """The guide for contributors with a picture of the rooms below its heading."""
+    heading = "## Where to read\n"
+    assert text.count(heading) == 1, "CONTRIBUTING.md has no place for the picture of the rooms"
+    return text.replace(heading, f"{heading}\n{rooms_svg()}\n")
 
 
 def unbroken(text: str) -> str:

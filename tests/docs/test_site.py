@@ -67,6 +67,16 @@ def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
     assert build("::: cloak_core.Absent") != 0
 
 
+def test_the_picture_of_the_rooms_has_each_room_and_no_way_that_another_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    draw = importlib.import_module("draw_rooms")
+    below = {"a": set(), "b": {"a"}, "c": {"a", "b"}, "side": {"a"}}
+    assert draw.floors_of(below) == [["a"], ["b"], ["c", "side"]]
+    assert draw.nearest("c", below) == {"b"}
+    rooms = {path.parent.name for path in (ROOT / "cloak_core").glob("*/__init__.py")}
+    assert set(re.findall(r'font-weight="bold">(\w+)<', draw.rooms_svg())) == rooms
+
+
 @pytest.mark.slow
 def test_no_public_name_is_without_words() -> None:
     package = griffe.load("cloak_core", search_paths=[ROOT], resolve_aliases=True)
@@ -84,4 +94,7 @@ def test_pages_are_laid_out_with_care(monkeypatch: pytest.MonkeyPatch) -> None:
     build = importlib.import_module("build_docs")
     page = "93 % `5 %`\n\n    code 5 %\n\n```sh\nx 4 %\n```\n4 ms, 3 mss\n"
     assert build.unbroken(page) == page.replace("93 %", "93\u00a0%").replace("4 ms,", "4\u00a0ms,")
+    assert build.laid_out("![A](a.png)\n") == "[![A](a.png)](a.png)\n"
+    row = "|" + " 1 |" * 9 + "\n"
+    assert build.laid_out(row).startswith("---\nhide: [toc]\n---\n") and build.laid_out(row[4:]) == row[4:]
     assert summary("Read .npz files, and\n    more. Not this.\n\n    Nor this.") == "Read .npz files, and more."
