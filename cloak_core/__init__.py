@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from cloak_core.attack.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
     from cloak_core.detectors.protocol import Detections, Detector
-    from cloak_core.evaluation.film.settings import FilmSettings
     from cloak_core.evaluation.report.run_report import make_report
-    from cloak_core.evaluation.settings import EvaluateSettings
+    from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
     from cloak_core.library import evaluate, film, train, wear
@@ -60,7 +59,7 @@ _PLACES = {
     "Detections": "detectors.protocol:Detections",
     "Detector": "detectors.protocol:Detector",
     "EvaluateSettings": "evaluation.settings:EvaluateSettings",
-    "FilmSettings": "evaluation.film.settings:FilmSettings",
+    "FilmSettings": "evaluation.settings:FilmSettings",
     "InputError": "files.errors:InputError",
     "Logo": "scene.logos.logo:Logo",
     "People": "scene.photographs.people:People",

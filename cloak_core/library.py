@@ -34,8 +34,8 @@ from cloak_core.scene.photographs.people import People, load_people
 from cloak_core.zoo.shelf import run_path
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.film.settings import FilmSettings
     from cloak_core.evaluation.measure import OnProgress
+    from cloak_core.evaluation.settings import FilmSettings
     from cloak_core.evaluation.wearing.settings import WearSettings
     from cloak_core.render.photographs.fitting import Fit
 
@@ -136,9 +136,9 @@ def evaluate(
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
+    from cloak_core.evaluation.evaluate import FOLDER
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
-    from cloak_core.evaluation.evaluation_folder import FOLDER
-    from cloak_core.evaluation.over_time import over_time as judge_snapshots
+    from cloak_core.evaluation.evaluate import over_time as judge_snapshots
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -218,7 +218,7 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
-    from cloak_core.evaluation.film.film import make_film
+    from cloak_core.evaluation.film import make_film
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)

@@ -9,7 +9,7 @@ import pytest
 
 from cloak_core.attack.events import read_events
 from cloak_core.cli import main
-from cloak_core.evaluation.provenance import seen_in_training
+from cloak_core.evaluation.trained_run import seen_in_training
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds

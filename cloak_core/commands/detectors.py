@@ -155,7 +155,7 @@ class Verify(Command):
             raise InputError("detectors verify: which detector?")
         if self.renders < 0 or (self.images is None and not self.renders):
             raise InputError("--renders: some images are needed")
-        from cloak_core.evaluation.detector_verification import verify_specs
+        from cloak_core.evaluation.clean import verify_specs
 
         load = self.options.load
         one = lambda spec: load([spec], self.compute.device)[0]

@@ -14,7 +14,7 @@ from cloak_core.commands.base import Command, out, require_new
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.film.settings import FilmSettings
+from cloak_core.evaluation.settings import FilmSettings
 
 
 @dataclass(kw_only=True)

@@ -14,7 +14,7 @@ from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, err, out, warn
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.evaluation.photographs.settings import JudgeSettings
+from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 
 

@@ -1,9 +1,10 @@
-"""Check that a detector finds clean bodies and reports nobody on bare backgrounds, before it is attacked."""
+"""Check detectors on clean images before they are attacked: recall, false alarms, agreement with the original."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,10 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from cloak_core.detectors import THRESHOLD
+from cloak_core.detectors.check import read_image
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
+from cloak_core.detectors.verification.kit import framed, natural_size, verify
 from cloak_core.evaluation.certified import certified_recall
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import batches
@@ -23,7 +26,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.scene.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.logos.logo import make_logo
 from cloak_core.scene.people.samples import sample_bodies
@@ -119,3 +122,36 @@ def _clean_renderer(
 def _best_scores(detector: Detector, images: Callable[[np.ndarray], Tensor], count: int) -> Float[Tensor, " count"]:
     """Find the best person score of each of `count` images."""
     return torch.cat([max_person_score(detector(images(batch))) for batch in batches(np.arange(count), BATCH)]).cpu()
+
+
+def verify_specs(
+    specs: Sequence[str],
+    load: Callable[[str], Detector],
+    folder: Path | None = None,
+    renders: int = 4,
+    original: Detector | None = None,
+) -> dict[str, dict]:
+    """Run `verify` for each spec on the folder's pictures and on renders of the sample bodies; return the reports.
+
+    original: a detector that all of them must agree with; None for the one that `verify` finds.
+    """
+    reports = {}
+    for spec in specs:
+        detector = load(spec)
+        reports[spec] = verify(detector, sample_images(natural_size(detector), folder, renders), original)
+    return reports
+
+
+def sample_images(size: tuple[int, int], folder: Path | None, renders: int) -> UInt8[Tensor, "B 3 H W"]:
+    """Collect photographs, letterboxed, then renders. InputError: no pictures in the folder."""
+    rendered = clean_renders(renders, size)
+    if folder is None:
+        return rendered
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    files = [
+        path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES and not path.name.startswith(".")
+    ]
+    if not files:
+        raise InputError(f"{folder}: holds no pictures ({', '.join(SUFFIXES)})")
+    return torch.cat([torch.stack([as_bytes(framed(read_image(path), size)) for path in files]), rendered])

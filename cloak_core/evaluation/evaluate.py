@@ -1,28 +1,41 @@
-"""How well a cloak works: attack success on bodies, backgrounds and angles, beside controls on the same images."""
+"""How well a cloak works: attack success on bodies, backgrounds and angles, beside controls on the same images.
+
+An evaluation is kept in a folder: summary.json, scores.npz, pictures.json and pictures/.
+"""
 
 from __future__ import annotations
 
 import logging
+import re
+import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
-from cloak_core.detectors.protocol import Detector, state_hash
+from cloak_core.attack.events import read_events
+from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.cycles import in_cycles
-from cloak_core.evaluation.evaluation_folder import check_folder, write_evaluation
-from cloak_core.evaluation.measure import OnProgress, all_controls, bare_indices, measure
-from cloak_core.evaluation.provenance import seen_in_training, trained_against
+from cloak_core.evaluation.film import write_turntable
+from cloak_core.evaluation.measure import OnProgress, all_controls, bare_indices, kept_frozen, measure
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, check_inputs
-from cloak_core.evaluation.results import Results
+from cloak_core.evaluation.report.pictures import write_pictures
+from cloak_core.evaluation.report.plots import success_over_time
+from cloak_core.evaluation.report.style import save_figure, style
+from cloak_core.evaluation.report.words import short_name
+from cloak_core.evaluation.results import Results, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.statistics import summarize
+from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
@@ -100,12 +113,9 @@ def measure_frozen(
     on_progress: OnProgress | None = None,
 ) -> tuple[Results, dict[str, str]]:
     """Measure under the settings' controls and return the detectors' hashes, which the evaluation must not change."""
-    hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
-    bare = bare_indices(renderer, settings)
-    controls = all_controls(settings)
-    results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
-    for spec, detector in detectors.items():
-        detector.verify(hashes[spec])
+    bare, controls = bare_indices(renderer, settings), all_controls(settings)
+    with kept_frozen(detectors) as hashes:
+        results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
     return results, hashes
 
 
@@ -143,3 +153,106 @@ def make_renderer(
     device = next(iter(detectors.values())).device
     view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
     return BodyRenderer(colors, logo, bodies, backgrounds, trials, settings.camera, view_cache, settings.seed)
+
+
+# --- the folder of an evaluation
+
+FOLDER = "evaluation"
+"""Name of the folder inside a run."""
+
+
+@dataclass(frozen=True)
+class StoredEvaluation:
+    """An evaluation read back."""
+
+    folder: Path
+    summary: dict
+    pictures: dict
+    results: Results
+
+
+def check_folder(folder: Path) -> Path:
+    """Refuse a folder that holds something that is no evaluation (InputError); asked before the work begins, too."""
+    folder = Path(folder)
+    if folder.exists() and not (folder.is_dir() and ((folder / "summary.json").exists() or not any(folder.iterdir()))):
+        raise InputError(f"{folder}: holds something that is no evaluation, and is left alone")
+    return folder
+
+
+def read_evaluation(folder: Path) -> StoredEvaluation:
+    """Read what `write_evaluation` wrote; InputError names what is missing or damaged."""
+    return StoredEvaluation(
+        folder=folder,
+        summary=read_json(folder / "summary.json"),
+        pictures=read_json(folder / "pictures.json"),
+        results=read_results(folder / "scores.npz"),
+    )
+
+
+def write_evaluation(
+    folder: Path, summary: dict, results: Results, renderer: EvaluationRenderer, detectors: dict[str, Detector]
+) -> None:
+    """Write everything at once; an earlier evaluation there is replaced when the new one is complete."""
+    folder = check_folder(folder)
+    fresh = folder.with_name(f"{folder.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    with new_folder(fresh) as temporary:
+        (temporary / "pictures").mkdir()
+        threshold = summary["settings"]["threshold"]
+        shown = write_pictures(temporary / "pictures", renderer, results, detectors, threshold)
+        turntable, trial = temporary / "pictures/turntable.gif", shown["controls"]["trial"]
+        ours = type(renderer) is BodyRenderer  # a turntable is our render, of a body
+        if ours and write_turntable(turntable, renderer, trial, detectors, threshold, len(results.controls)):
+            shown["turntable"] = turntable.name
+        write_json(temporary / "pictures.json", shown)
+        results.save(temporary / "scores.npz")
+        write_json(temporary / "summary.json", summary)
+    # Renames only: a reader never meets half of an evaluation, and a crash in between loses none.
+    old = folder.with_name(f"{folder.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if folder.exists():
+        folder.rename(old)
+    fresh.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+# --- success over time
+
+_NAME = re.compile(r"step-(\d{8,})\.npy")
+_KEPT = ("success", "success_own", "ci95", "ci95_own", "n")
+
+
+def over_time(
+    run: Path,
+    logo: Logo,
+    bodies: Bodies,
+    backgrounds: Backgrounds,
+    detectors: dict[str, Detector],
+    angles: Sequence[float],
+    settings: EvaluateSettings,
+    on_progress: OnProgress | None = None,
+) -> list[dict]:
+    """Measure every snapshot of a run on the same images; write RUN/curve.json, .png and .svg.
+
+    A row each: {"step", "seconds", "queries" (of a search), "detectors": {SPEC: {"success", "success_own", "ci95",
+    "ci95_own", "n"}}}. InputError: the run kept none (`cloak train --snapshot-every`).
+    """
+    found = {int(m[1]): path for path in (run / "snapshots").glob("*.npy") if (m := _NAME.fullmatch(path.name))}
+    if not found:
+        raise InputError(f"{run}: has no snapshots (cloak train --snapshot-every N keeps them)")
+    events = read_events(run / "events.jsonl") if (run / "events.jsonl").exists() else []
+    told = {event["step"]: event for event in events if event.get("type") == "step"}
+    bare = replace(settings, controls=(), bare=1)
+    rows = []
+    for step, path in sorted(found.items()):
+        event = told.get(step, {})
+        row = {"step": step, "seconds": event.get("time")} | {k: event[k] for k in ("queries",) if k in event}
+        summary = evaluate(
+            read_colors(path, len(logo)), logo, bodies, backgrounds, detectors, angles, bare, on_progress=on_progress
+        )
+        rates = {spec: {key: x["logo"][key] for key in _KEPT} for spec, x in summary["detectors"].items()}
+        rows.append(row | {"detectors": rates})
+    write_json(run / "curve.json", {"rows": rows})
+    with style():
+        save_figure(success_over_time(rows, {spec: short_name(spec) for spec in detectors}), run / "curve")
+    return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from cloak_core.detectors import IOU
 from cloak_core.detectors.outcomes import OnBody, class_name
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.scoring import box_iou, max_person_score, person_boxes
 from cloak_core.evaluation.average_precision import MOST_BOXES, first_hits
 from cloak_core.evaluation.controls import CLOTHING, LOGO
@@ -58,6 +59,15 @@ def measure(
         background_names=renderer.background_names,
         bare_background=np.asarray(bare, np.int64),
     )
+
+
+@contextmanager
+def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
+    """Yield the detectors' hashes by spec; afterwards check that nothing has changed them."""
+    hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
+    yield hashes
+    for spec, detector in detectors.items():
+        detector.verify(hashes[spec])
 
 
 def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:

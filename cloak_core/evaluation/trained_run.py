@@ -1,11 +1,18 @@
-"""Read a run that training left: its record, and what was kept back from it."""
+"""Read a run that training left: its record, what was kept back from it, and which detectors it was against."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.files.reading import read_json
+from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.selection import split_selection
 
 EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
@@ -41,3 +48,92 @@ def kept_back(kind: str, config: dict) -> str:
     if mark and head in EMBEDDED:
         return head + COUNTERPART[":train"][kind] + rest
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
+
+
+def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
+    """Compare an evaluation's bodies and backgrounds with those of the training.
+
+    config: a run's config.json. Returns the summary's `unseen` ({"bodies": bool or None, "backgrounds": bool or None})
+    and one warning per overlap. Trained poses count as seen also where they are moved as a whole, and images however
+    they are stored. None: not certain, because backgrounds look like trained ones or `config` does not tell.
+    """
+    if not config:
+        return {"bodies": None, "backgrounds": None}, []
+    unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies)
+    unseen_backgrounds, more = _unseen_backgrounds(_part(config, "backgrounds"), backgrounds)
+    return {"bodies": unseen_bodies, "backgrounds": unseen_backgrounds}, warnings + more
+
+
+def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]:
+    trained = scene.get("pose_sha256")
+    if not isinstance(trained, list):
+        return None, ["the run does not record its training bodies: whether these are unseen is not known"]
+    known = set(map(str, trained))
+    seen = [i for i, digest in enumerate(bodies.pose_hashes) if digest in known]
+    warnings = _overlap("bodies were in the training set", [bodies.names[i] for i in seen])
+    shapes = [pose_shape(vertices) for vertices in bodies.vertices]
+    pairs = similar_poses([_numbers(shape, len(shapes[0])) for shape in _list(scene, "pose_shapes")], shapes)
+    moved = {j: i for i, j in pairs if j not in seen}
+    names = [f"{bodies.names[j]} is {_name(scene, 'poses', i)}" for j, i in moved.items()]
+    warnings += _overlap("bodies are trained ones, moved, scaled or changed by millimetres", names)
+    return not (seen or moved), warnings
+
+
+def _unseen_backgrounds(trained: dict, backgrounds: Backgrounds) -> tuple[bool | None, list[str]]:
+    identities = trained.get("identities")
+    if not isinstance(identities, list):
+        return None, ["the run does not record its training backgrounds: whether these are unseen is not known"]
+    known = set(map(str, identities))
+    # Earlier versions knew an image by its file.
+    seen = [i for i, picture in enumerate(backgrounds.pictures) if known & {picture.pixels, picture.file}]
+    warnings = _overlap("backgrounds were in the training set", [backgrounds.names[i] for i in seen])
+    looks = [str(look) for look in _list(trained, "looks")]
+    pairs = similar_looks(looks, [picture.look for picture in backgrounds.pictures])
+    alike = {j: i for i, j in pairs if j not in seen}
+    names = [f"{backgrounds.names[j]} like {_name(trained, 'names', i)}" for j, i in alike.items()]
+    warnings += _overlap("backgrounds look like trained ones", names, "may not be unseen")
+    return False if seen else None if alike else True, warnings
+
+
+def _overlap(what: str, names: Sequence[str], verdict: str = "is not unseen") -> list[str]:
+    few = ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+    return [f"{len(names)} of the {what} ({few}): success {verdict}"] if names else []
+
+
+def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> dict[str, bool | None]:
+    """Tell for each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
+
+    Weights count, not names: the same weights at another input size are no black box. A detector without weights is
+    known by the source that runs it.
+    """
+    trained = (config or {}).get("detectors")
+    if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
+        return dict.fromkeys(detectors)
+    found: dict[str, bool | None] = {}
+    for spec, detector in detectors.items():
+        ours = detector_record(detector)
+        same = [entry for entry in trained if entry.get("sha256") == ours["sha256"]]
+        if not detector.state_dict():
+            same = [entry for entry in same if entry.get("source", ours["source"]) == ours["source"]]
+        found[spec] = bool(same)
+    return found
+
+
+def _part(config: dict, key: str) -> dict:
+    part = config.get(key)
+    return part if isinstance(part, dict) else {}
+
+
+def _list(part: dict, key: str) -> list:
+    value = part.get(key)
+    return value if isinstance(value, list) else []
+
+
+def _name(part: dict, key: str, index: int) -> str:
+    return str((_list(part, key)[index : index + 1] or [index])[0])
+
+
+def _numbers(value: object, count: int) -> Sequence[float]:
+    """Check a list of numbers; nans, which equal nothing, where it is something else."""
+    fits = isinstance(value, list) and len(value) == count and all(isinstance(n, (int, float)) for n in value)
+    return value if fits else [np.nan] * count

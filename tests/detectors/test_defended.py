@@ -16,8 +16,8 @@ from cloak_core.detectors.families import list_families
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detections, Detector, detector_record, state_hash
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.evaluation.provenance import trained_against
 from cloak_core.evaluation.report.words import short_name
+from cloak_core.evaluation.trained_run import trained_against
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import TINY_CFG, images, write_tiny
 

@@ -15,8 +15,7 @@ from cloak_core.commands.evaluate import show_success
 from cloak_core.detectors.outcomes import on_body
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.evaluation.controls import random_colors
-from cloak_core.evaluation.evaluate import evaluate, make_renderer
-from cloak_core.evaluation.evaluation_folder import read_evaluation
+from cloak_core.evaluation.evaluate import evaluate, make_renderer, read_evaluation
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, render_images
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings

@@ -13,13 +13,10 @@ from torch import Tensor
 from cloak_core.attack.settings.values import Angles
 from cloak_core.cli import main
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.film.camera_path import approaches, camera_path
-from cloak_core.evaluation.film.film import film_renderer, make_film, usual_pace, write_turntable
-from cloak_core.evaluation.film.settings import FilmSettings
-from cloak_core.evaluation.film.tracking import Rule, track
+from cloak_core.evaluation.film import approaches, camera_path, film_renderer, make_film, usual_pace, write_turntable
 from cloak_core.evaluation.renderer import BodyRenderer
-from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.statistics_film import longest_run
+from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
+from cloak_core.evaluation.statistics_film import longest_run, track
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import RenderSettings
@@ -115,7 +112,7 @@ def frames(*rows: list[list[float]]) -> list[np.ndarray]:
 
 
 def test_a_track_is_confirmed_by_hits_in_a_row_and_outlives_misses() -> None:
-    rule = Rule(hits=3, misses=2, iou=0.3)
+    rule = FilmSettings(track_hits=3, track_misses=2, track_iou=0.3)
     assert track(frames([box(0)], [box(1)]), rule) == []  # two hits
     assert track(frames([box(0)], [box(1)], [], [box(2)], [box(3)]), rule) == []  # never three in a row
     (one,) = track(frames([box(0)], [box(1)], [box(2)], [], [], [box(3)]), rule)
@@ -127,7 +124,7 @@ def test_a_track_is_confirmed_by_hits_in_a_row_and_outlives_misses() -> None:
 
 
 def test_crossing_boxes_keep_to_their_nearest_track() -> None:
-    two = track(frames(*[[box(4 * k), box(40 - 4 * k, y=9)] for k in range(8)]), Rule())
+    two = track(frames(*[[box(4 * k), box(40 - 4 * k, y=9)] for k in range(8)]), FilmSettings())
     assert [sorted(one.boxes) for one in two] == [list(range(8))] * 2
     assert [one.boxes[7] for one in two] == [0, 1]
 

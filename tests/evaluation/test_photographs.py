@@ -17,7 +17,7 @@ from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation import statistics_photographs
 from cloak_core.evaluation.photographs.judge import judge
 from cloak_core.evaluation.photographs.listing import list_subjects
-from cloak_core.evaluation.photographs.settings import JudgeSettings
+from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.evaluation.statistics_photographs import clean_scores, independent_pairs, plan
 from cloak_core.files.errors import InputError
 from cloak_core.scene import videos

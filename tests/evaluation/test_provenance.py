@@ -10,7 +10,7 @@ from PIL import Image
 
 from cloak_core.attack.run_config import run_config
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.provenance import seen_in_training, trained_against
+from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.backdrops.procedural import draw_scene

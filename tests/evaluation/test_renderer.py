@@ -11,8 +11,7 @@ from torch import Tensor
 
 from cloak_core.detectors.outcomes import OnBody, on_body
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.evaluate import evaluate_renderer
-from cloak_core.evaluation.evaluation_folder import FOLDER, read_evaluation
+from cloak_core.evaluation.evaluate import FOLDER, evaluate_renderer, read_evaluation
 from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings

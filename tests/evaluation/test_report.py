@@ -11,10 +11,9 @@ import pytest
 from PIL import Image
 
 from cloak_core.evaluation.report import plots
-from cloak_core.evaluation.report.history import History
 from cloak_core.evaluation.report.page import _environment
-from cloak_core.evaluation.report.run_report import make_report
-from cloak_core.evaluation.report.words import duration, fact_rows, interval, lede, percent, short_name
+from cloak_core.evaluation.report.run_report import History, make_report
+from cloak_core.evaluation.report.words import duration, interval, percent, short_name
 from cloak_core.files.errors import InputError
 from tests.evaluation.made_evaluation import made_results, write_run
 
@@ -44,6 +43,10 @@ class Balanced(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open and self.open.pop() == tag
+
+
+def macros() -> object:
+    return _environment().get_template("macros.html").module
 
 
 def parse(text: str) -> Balanced:
@@ -190,13 +193,12 @@ def test_a_turntable_in_the_run_or_the_evaluation_turns_in_the_report(tmp_path: 
 def test_the_report_says_which_colours_there_may_be():
     settings = {"colors_at_most": 8, "pattern": "camouflage", "feature_cm": 2.0}
     config = {"settings": settings, "palette": None, "profile": {"sha256": "0"}}
-    rows = dict(fact_rows(config, History()))
-    assert (
-        rows["colours"] == "at most 8 distinct, learnt; patches of at least 2 cm; as they are printed and photographed"
-    )
+    facts = lambda config: macros().facts(config, History())
+    said = "at most 8 distinct, learnt; patches of at least 2 cm; as they are printed and photographed"
+    assert f"<dt>colours</dt><dd>{said}</dd>" in facts(config)
     config = {"settings": {"colors_at_most": 3, "pattern": "free"}, "palette": {"colors": 12}}
-    assert dict(fact_rows(config, History()))["colours"] == "at most 3 distinct, of a palette of 12"
-    assert "colours" not in dict(fact_rows({"settings": {"pattern": "free"}}, History()))
+    assert "<dd>at most 3 distinct, of a palette of 12</dd>" in facts(config)
+    assert "colours" not in facts({"settings": {"pattern": "free"}})
 
 
 def test_the_headline_says_both_thresholds_and_which_box(tmp_path: Path) -> None:
@@ -208,6 +210,7 @@ def test_the_headline_says_both_thresholds_and_which_box(tmp_path: Path) -> None
         "settings": {"threshold": 0.6},
         "white_box": {"builtin": False},
     }
+    lede = macros().lede
     said = lede(summary)
     assert "builtin (black box: never trained against it) finds no person in 0 % above 0.3" in said
     assert "and in 25 % above 0.6 (95 % interval 20 – 31 %), of 336 images of 2 bodies" in said
@@ -218,7 +221,7 @@ def test_the_headline_says_both_thresholds_and_which_box(tmp_path: Path) -> None
 
 def test_labels_of_several_detectors_stand_apart() -> None:
     boxes = [{"d": d, "x": 100, "y": y, "w": 9, "h": 9, "score": "0.5"} for d, y in enumerate((50, 52, 60, 300))]
-    shown = _environment().get_template("macros.html").module.shot({"image": "", "boxes": boxes}, 416, "")
+    shown = macros().shot({"image": "", "boxes": boxes}, 416, "")
     tops = sorted(float(y) for y in re.findall(r'class="tag" x="98" y="([\d.]+)"', str(shown)))
     assert len(tops) == 4 and all(b - a >= 26 for a, b in itertools.pairwise(tops))
 

@@ -10,10 +10,9 @@ from PIL import Image
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.photographs.judge import judge
-from cloak_core.evaluation.photographs.settings import JudgeSettings
 from cloak_core.evaluation.renderer import BodyRenderer, render_images
 from cloak_core.evaluation.report.pictures import to_pil
-from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.evaluation.settings import EvaluateSettings, JudgeSettings
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import read_colors
 from cloak_core.render.settings import RenderSettings

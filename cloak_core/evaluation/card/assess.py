@@ -21,10 +21,9 @@ from cloak_core.evaluation.card.pictures import keep_pictures
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
 from cloak_core.evaluation.foreign_colors import cloth_colors
-from cloak_core.evaluation.provenance import seen_in_training, trained_against
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import MEASUREMENT_VERSION, TRAINING_VERSION, RunStore, Trained
-from cloak_core.evaluation.trained_run import read_run
+from cloak_core.evaluation.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.evaluation.wearing.clothes import CONTROLS, LogoClothes, read_clothes
 from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.exchange.colors import read_colors

@@ -16,13 +16,13 @@ from jaxtyping import UInt8
 from PIL import Image, ImageOps
 
 from cloak_core.detectors.outcomes import on_body
-from cloak_core.detectors.protocol import Detections, Detector, state_hash
+from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import max_person_score, person_boxes
-from cloak_core.evaluation.evaluation_folder import check_folder
-from cloak_core.evaluation.measure import OnProgress, image_scores
+from cloak_core.evaluation.evaluate import check_folder
+from cloak_core.evaluation.measure import OnProgress, image_scores, kept_frozen
 from cloak_core.evaluation.photographs.listing import WITH, WITHOUT, Subject, list_subjects
 from cloak_core.evaluation.photographs.page import Picture, write_report
-from cloak_core.evaluation.photographs.settings import JudgeSettings
+from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.evaluation.statistics_photographs import clean_scores, find_partners, summarize_photographs
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json, write_text, written
@@ -56,10 +56,8 @@ def judge(
     if out is not None:
         check_folder(out)
     subjects = list_subjects(folder, table, boxes, [] if out is None else [out])
-    hashes = {spec: state_hash(detector) for spec, detector in detectors.items()}
-    rows, pictures, skipped = look(folder, subjects, detectors, settings, on_progress)
-    for spec, detector in detectors.items():
-        detector.verify(hashes[spec])
+    with kept_frozen(detectors) as hashes:
+        rows, pictures, skipped = look(folder, subjects, detectors, settings, on_progress)
     summary = summarize_photographs(rows, settings.threshold, settings.resamples)
     summary |= {"pictures": len(pictures), "skipped": skipped}
     summary |= {"settings": asdict(settings), "detector_hashes": hashes}

@@ -12,7 +12,7 @@ import pandas as pd
 
 from cloak_core.evaluation.photographs.listing import NOBODY, WITH, WITHOUT
 from cloak_core.evaluation.report import page, plots
-from cloak_core.evaluation.report.words import interval, percent, short_name
+from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.statistics_photographs import find_partners
 
@@ -51,27 +51,11 @@ def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictu
     values = {
         "name": name,
         "summary": summary,
-        "lede": lede(summary),
         "detectors": detectors,
         "pairs": [[shot(i) for i in pair] for pair in shown_pairs(subjects)],
         "settings": [(key.replace("_", " "), f"{value:g}") for key, value in summary["settings"].items()],
     }
     return page.write_page(path, "judge.html", values)
-
-
-def lede(summary: dict) -> str:
-    """Say the first detector's result in a sentence."""
-    spec, told = next(iter(summary["detectors"].items()))
-    cloaked, clean, name = told[WITH], told[WITHOUT], short_name(spec)
-    found = f"Without the cloak {name} finds {percent(clean['detected'])} of {clean['n_all']} people in the pictures"
-    hidden_too = f"with it {percent(cloaked['detected'])} of {cloaked['n_all']}"
-    if cloaked["conditional"] is None:
-        return f"{found}, {hidden_too}; no clean picture to compare with."
-    return (
-        f"Where {name} finds a person without the cloak, it misses the same person in the cloak in "
-        f"{percent(cloaked['conditional'])} of {cloaked['n_conditional']} pictures (95 % interval "
-        f"{interval(cloaked['ci95_conditional'])}). {found}, {hidden_too}."
-    )
 
 
 def shown_pairs(subjects: pd.DataFrame) -> list[tuple[int, int]]:

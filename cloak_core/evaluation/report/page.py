@@ -1,4 +1,4 @@
-"""Build HTML pages that open offline: every picture and plot is inside, and no script at all."""
+"""Build pages from templates: HTML that opens offline, every picture and plot inside and no script, and Markdown."""
 
 from __future__ import annotations
 
@@ -23,27 +23,25 @@ MAX_PICTURE = 16 << 20
 def write_page(path: Path, template: str, values: Mapping[str, object]) -> Path:
     """Render a template of `TEMPLATES` with these values into the file `path`; return it.
 
-    The template also gets `css`, the style of all pages. What is put in is escaped unless it is Markup.
+    The template also gets `css`, the style of all pages. What is put into HTML is escaped unless it is Markup.
     """
     css = Markup(read_text(TEMPLATES / "style.css", MAX_TEXT_BYTES))  # our own file, nothing of the user's
-    write_text(path, _environment().get_template(template).render({"css": css} | dict(values)))
+    text = _environment().get_template(template).render({"css": css} | dict(values))
+    write_text(path, text.rstrip() + "\n")
     return path
 
 
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
+        autoescape=jinja2.select_autoescape(("html",)),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "percent": words.percent,
-        "interval": words.interval,
-        "degrees": words.degrees,
-        "label": words.control_label,
-    }
+    formats = (words.percent, words.interval, words.degrees, words.control_label, words.short_name)
+    environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
+    environment.filters |= {write.__name__: write for write in (*formats, words.duration, words.plain)}
     return environment
 
 

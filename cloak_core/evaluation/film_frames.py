@@ -9,16 +9,15 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.film.settings import FilmSettings
-from cloak_core.evaluation.film.tracking import track
 from cloak_core.evaluation.measure import batches
 from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.report.pictures import INK, PAPER, SOFT, font, to_pil
 from cloak_core.evaluation.report.style import FAINT, SERIES
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results
+from cloak_core.evaluation.settings import FilmSettings
 from cloak_core.evaluation.statistics import operating_point
-from cloak_core.evaluation.statistics_film import frame_boxes
+from cloak_core.evaluation.statistics_film import frame_boxes, track
 
 SIDES = (CLOTHING, LOGO)
 """From left to right."""
@@ -53,7 +52,7 @@ class _Drawing:
                 own = operating_point(rows)
                 self.scores[spec, control] = rows["score"].to_numpy()
                 self.boxes[spec, control] = frame_boxes(results, rows, min(own, settings.threshold))
-                tracked = track(frame_boxes(results, rows, own), settings.rule) if settings.track else ()
+                tracked = track(frame_boxes(results, rows, own), settings) if settings.track else ()
                 # By frame and index of a box: the number of the box's track.
                 self.tracks[spec, control] = {(i, b): one.number for one in tracked for i, b in one.boxes.items()}
         self.own = {spec: operating_point(results.rows(spec, LOGO)) for spec in self.detectors}

@@ -1,1 +1,0 @@
-"""Films: the cloaked body in motion beside its own clothing, and what detectors report in every frame."""
