@@ -20,7 +20,7 @@ import math
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -37,8 +37,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.writing import write_json, write_text, written
-from cloak_core.jobs.handing_out import Tell, hand_out
-from cloak_core.jobs.job import Executor, InOrder, Job, Outcome
+from cloak_core.jobs.job import Executor, InOrder, Job, Tell, hand_out
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import load_scene
@@ -161,18 +160,14 @@ class _Opened:
     """What runs are made of, opened once in a process."""
 
     def __init__(self) -> None:
-        self._scene, self._background_set, self._detector = (
-            cache(load_scene),
-            cache(load_backgrounds),
-            cache(load_detector),
-        )
+        self._scene, self._backgrounds, self._detector = map(cache, (load_scene, load_backgrounds, load_detector))
 
     def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
         """Bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
         bodies = self._scene(run.scene)
         logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
         detectors = [self._detector(spec, device=run.settings.compute.device) for spec in run.detectors]
-        return bodies, logo, detectors, self._background_set(run.backgrounds)
+        return bodies, logo, detectors, self._backgrounds(run.backgrounds)
 
 
 _opened = cache(_Opened)
@@ -217,7 +212,11 @@ class Sweep:
         with written(self.out):
             for folder in ("runs", "results"):
                 (self.out / folder).mkdir(parents=True, exist_ok=True)
-        with self._held():
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(lock(self.out / ".lock"))
+            except BlockingIOError:
+                raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
             return self._hand_out(executor, tell, on_event if executor.is_here else None, prepare, gpus)
 
     def results(self) -> list[dict]:
@@ -240,7 +239,7 @@ class Sweep:
         left = [run for run in self.runs if not self._is_done(run)]
         jobs = {self._job(run, on_event, prepare, gpus): run for run in left}
         shown = time.monotonic()
-        with contextlib.closing(hand_out(executor, list(jobs), tell, _said, unit="run")) as outcomes:
+        with contextlib.closing(hand_out(executor, list(jobs), tell, "run")) as outcomes:
             for outcome in outcomes:
                 run, record = jobs[outcome.job], outcome.result or {"error": outcome.error}
                 if "stopped" in record:
@@ -279,19 +278,6 @@ class Sweep:
 
     def _result_path(self, run: SweepRun) -> Path:
         return self.out / "results" / f"{run.name}.json"
-
-    @contextlib.contextmanager
-    def _held(self) -> Iterator[None]:
-        with contextlib.ExitStack() as stack:
-            try:
-                stack.enter_context(lock(self.out / ".lock"))
-            except BlockingIOError:
-                raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
-            yield
-
-
-def _said(outcome: Outcome) -> str:
-    return f"failed: {outcome.error}" if outcome.error else f"{outcome.result['seconds']:.0f} s"
 
 
 def _figures(folder: Path) -> dict:

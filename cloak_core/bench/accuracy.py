@@ -33,7 +33,7 @@ from cloak_core.bench.views import cached_render, clock, machine, timed, torch_t
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.jobs.handing_out import Tell
+from cloak_core.jobs.job import Tell
 from cloak_core.render.settings import GRIDS, Light, RenderSettings
 from cloak_core.render.types import CrowdedPixels
 from cloak_core.render.view_cache import ViewCache

@@ -27,7 +27,7 @@ from cloak_core.bench.views import machine
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import write_json
-from cloak_core.jobs.handing_out import Tell
+from cloak_core.jobs.job import Tell
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera

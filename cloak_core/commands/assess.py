@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, Stopped, err, out
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import Stopped, err, out
+from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.progress import WorkProgress
-from cloak_core.commands.sharing import SharingOptions
+from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Assess(Command):
+class Assess(Splitting, Detecting, Sharing):
     """Measure how robust detectors are, by a fixed protocol: a card for each.
 
     A card is figures and one page that opens offline; of several detectors, a page compares them.
@@ -51,15 +49,6 @@ class Assess(Command):
     """People in photographs, as in cloak wear: they wear the largest cloak and the patterns, and come first."""
     patterns: tuple[str, ...] = ()
     """Published patterns to wear as cloth: FILE.png, 0.5 m wide, or FILE.png@tile=METRES."""
-    scene: str = "sample"
-    """Bodies: scene folder, .npz, or sample; every second one attacks, the others judge."""
-    unseen: str | None = None
-    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
-    back)."""
-    backgrounds: str = "procedural"
-    """Folder of images without people, or procedural; every second one attacks, the others judge."""
-    unseen_backgrounds: str | None = None
-    """Backgrounds to judge on (default: every second one of --backgrounds)."""
     zoo: UseAppendAction[tuple[str, ...]] = ()
     """Entries of the zoo to show it (default: all that these bodies can wear)."""
     seed: int = 0
@@ -71,11 +60,6 @@ class Assess(Command):
     where one is broken."""
     junit: Path | None = None
     """JUnit XML file of the bounds in --gate, for CI."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
-        default_factory=SharingOptions
-    )
 
     def run(self) -> dict:
         from cloak_core.evaluation.card.gate import check, write_junit
@@ -148,11 +132,11 @@ class Assess(Command):
         from cloak_core.evaluation.card.leaderboard import folder_names
         from cloak_core.scene.photographs.people import load_people
 
-        prepare_process(self.compute)
+        self.prepare()
         budget, specs, patterns = self._budget(), tuple(dict.fromkeys(self.specs)), self._patterns()
-        people = None if self.people is None else load_people(self.people)
+        people = None if self.people is None else load_people(self.people, self.images)
         names, cards = folder_names(specs), {}
-        for spec, detector in zip(specs, self.options.load(specs, self.compute.device), strict=True):
+        for spec, detector in self.by_spec(specs).items():
             err.print(f"assessing {spec}")
             store = self._store(spec, detector, budget)
             folder, zoo = self.out / names[spec], self.zoo or None
@@ -160,17 +144,9 @@ class Assess(Command):
         return cards
 
     def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:
-        from cloak_core.evaluation.data_split import open_data_split
         from cloak_core.evaluation.store import RunStore
         from cloak_core.evaluation.store_options import StoreOptions
 
-        split = open_data_split(
-            {spec: detector},
-            scene=self.scene,
-            unseen=self.unseen,
-            backgrounds=self.backgrounds,
-            unseen_backgrounds=self.unseen_backgrounds,
-        )
         options = StoreOptions(
             out=self.out,
             seeds=budget.seeds,
@@ -178,7 +154,7 @@ class Assess(Command):
             device=self.compute.device,
             command=shlex.join(["cloak", *sys.argv[1:]]),
         )
-        return RunStore(split, options, lambda message: None)
+        return RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
 
     def show(self, result: dict) -> None:
         from cloak_core.evaluation.card.words import headline, lede

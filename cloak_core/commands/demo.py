@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from tyro.conf import OmitArgPrefixes, arg
 
 from cloak_core.attack.settings import make_settings
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, err, load_scene, out, warn
+from cloak_core.commands.base import err, load_scene, out, warn
 from cloak_core.commands.blender import SCRIPT, train_in_blender
-from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
+from cloak_core.commands.options import Computing
 from cloak_core.commands.train import Train
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.writing import write_text
@@ -28,7 +24,7 @@ HARDER = {"loss": "log", "tv_weight": 1.0}
 
 
 @dataclass(kw_only=True)
-class Demo(Command):
+class Demo(Computing):
     """Train, evaluate and report a cloak for the sample bodies in one go.
 
     A chest-and-thighs logo against the built-in detector.
@@ -42,12 +38,11 @@ class Demo(Command):
     """Updates of the colours."""
     seed: int = 0
     """Every random draw derives from it."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.scene.logos.logo import select_region
 
-        prepare_process(self.compute)
+        self.prepare()
         logo = self.out.parent / f"{self.out.name}-logo.npy"
         bodies = load_scene("sample:train")
         self.out.parent.mkdir(parents=True, exist_ok=True)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional
 
-from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, load_scene, out, require_new
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.options import Detecting
 from cloak_core.files.errors import InputError
 
 LOW = 0.1
@@ -20,7 +17,7 @@ LOW = 0.1
 
 
 @dataclass(kw_only=True)
-class Check(Command):
+class Check(Detecting):
     """Show what a detector says of a photograph, or of clean renders.
 
     Or of people in photographs (--people). Of `masked=SIDE:SPEC` it also says the certified recall: people whom no
@@ -49,11 +46,9 @@ class Check(Command):
     """With --scene: also show it patterned cloth that nobody wears, before the backgrounds."""
     people: str | None = None
     """People in photographs, as in cloak wear; the photographs lie beside the file."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        prepare_process(self.compute)
+        self.prepare()
         if [self.image, self.scene, self.people].count(None) != 2:
             raise InputError("detectors check: give either --image, or --scene and --backgrounds, or --people")
         if self.image is not None:
@@ -63,19 +58,19 @@ class Check(Command):
                 require_new(self.out)
             if not 0 <= self.threshold < 1:
                 raise InputError(f"--threshold: {self.threshold:g} is not in [0, 1)")
-            detector = self.options.load([self.spec], self.compute.device)[0]
+            detector = self.load(self.spec)
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.people is not None:
             from cloak_core.evaluation.certified import check_people
             from cloak_core.scene.photographs.people import load_people
 
-            return check_people(self.options.load([self.spec], self.compute.device)[0], load_people(self.people))
+            return check_people(self.load(self.spec), load_people(self.people))
         if self.backgrounds is None:
             raise InputError("detectors check: --scene needs --backgrounds")
         from cloak_core.evaluation.clean import check_scene
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
-        detector = self.options.load([self.spec], self.compute.device)[0]
+        detector = self.load(self.spec)
         bodies, backgrounds = load_scene(self.scene), load_backgrounds(self.backgrounds)
         result = check_scene(detector, bodies, backgrounds, self.angles, seed=self.seed)
         if self.patterns:
@@ -129,7 +124,7 @@ def operating_point(report: dict) -> str:
 
 
 @dataclass(kw_only=True)
-class Verify(Command):
+class Verify(Detecting):
     """Check that detectors are read rightly and keep the protocol.
 
     Exit code 1 where a check fails.
@@ -146,21 +141,17 @@ class Verify(Command):
     against: str | None = None
     """Detector that they are to agree with, the same network in another form (default: the file's own runtime, or the
     network as it was trained)."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        prepare_process(self.compute)
+        self.prepare()
         if not self.specs:
             raise InputError("detectors verify: which detector?")
         if self.renders < 0 or (self.images is None and not self.renders):
             raise InputError("--renders: some images are needed")
         from cloak_core.evaluation.clean import verify_specs
 
-        load = self.options.load
-        one = lambda spec: load([spec], self.compute.device)[0]
-        original = None if self.against is None else one(self.against)
-        reports = verify_specs(self.specs, one, self.images, self.renders, original)
+        original = None if self.against is None else self.load(self.against)
+        reports = verify_specs(self.specs, self.load, self.images, self.renders, original)
         return reports[self.specs[0]] if len(reports) == 1 else reports
 
     def failures(self, result: dict) -> list[str]:

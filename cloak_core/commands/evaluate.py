@@ -9,18 +9,16 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, out
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_worn
 from cloak_core.evaluation.settings import EvaluateSettings
 
 
 @dataclass(kw_only=True)
-class Evaluate(Command):
+class Evaluate(Detecting):
     """Measure a trained cloak on unseen bodies and backgrounds, beside controls."""
 
     example = "runs/first"
@@ -51,11 +49,9 @@ class Evaluate(Command):
     """Azimuths in degrees: A:B:STEP or a comma list."""
     events: Path | None = None
     """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[EvaluateSettings], arg(name="evaluation")] = field(
         default_factory=EvaluateSettings
     )
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.evaluation.trained_run import read_run
@@ -63,7 +59,7 @@ class Evaluate(Command):
         from cloak_core.scene.photographs.people import load_people
         from cloak_core.zoo.shelf import run_path
 
-        prepare_process(self.compute)
+        self.prepare()
         config = read_run(run_path(self.run_folder))
         specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
         people = None if self.people is None else load_people(self.people, self.images)
@@ -72,7 +68,7 @@ class Evaluate(Command):
                 self.run_folder,
                 self.scene,
                 self.backgrounds,
-                dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
+                self.by_spec(specs),
                 colors=self.colors,
                 profile=self.profile,
                 out=self.out,

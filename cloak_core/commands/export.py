@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.progress import Progress
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional
 
-from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, err, out
-from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.base import err, out
+from cloak_core.commands.options import Computing
 from cloak_core.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Coco(Command):
+class Coco(Computing):
     """Write renders of a run as a data set in COCO's format.
 
     Every image is written in own clothing, and cloaked.
@@ -54,12 +53,11 @@ class Coco(Command):
     """The body is moved by up to this many pixels along both axes (default: an eighth of the size, at most 50)."""
     seed: int = 0
     """Every random draw derives from it."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.evaluation.coco import export_coco
 
-        prepare_process(self.compute)
+        self.prepare()
         renderer = self._renderer()
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("rendering", total=None)

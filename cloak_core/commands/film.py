@@ -9,16 +9,14 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, out, require_new
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import out, require_new
+from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import FilmSettings
 
 
 @dataclass(kw_only=True)
-class Film(Command):
+class Film(Detecting):
     """Film a trained cloak in motion beside its own clothing.
 
     Told are the frames hidden, the longest visible run, the distance of the first sight, and tracks.
@@ -43,14 +41,12 @@ class Film(Command):
     """Detectors to watch with (default: those it was trained against)."""
     events: Path | None = None
     """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[FilmSettings], arg(name="film")] = field(default_factory=FilmSettings)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.scene.videos import check_film
 
-        prepare_process(self.compute)
+        self.prepare()
         require_new(self.out)
         check_film(self.out)
         from cloak_core.evaluation.trained_run import read_run
@@ -58,8 +54,7 @@ class Film(Command):
         from cloak_core.zoo.shelf import run_path
 
         trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
-        specs = tuple(dict.fromkeys(self.detector or trained))
-        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
+        detectors = self.by_spec(self.detector or trained)
         with counted("filming", self.events) as tell:
             return film(
                 self.run_folder,

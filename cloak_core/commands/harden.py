@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, Stopped, load_scene, out
-from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.base import Stopped, load_scene, out
+from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.files.errors import InputError
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Harden(Command):
+class Harden(Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
     The result is a detector of the same format.
@@ -50,14 +49,13 @@ class Harden(Command):
     assess: bool = True
     """Leave out the robustness cards of the detector before and after, which otherwise are made in OUT/cards."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.defend.hardening import harden
         from cloak_core.defend.students import open_student
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 
-        prepare_process(self.compute)
+        self.prepare()
         if self.out.exists() and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)

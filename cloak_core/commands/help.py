@@ -72,10 +72,14 @@ def summary(words: str) -> str:
 
 
 def _groups(cls: type, default: object) -> Iterator[tuple[str, str, list[Option]]]:
-    """The command's own options, then each group of options: its title, what it is about, and the options."""
+    """The command's own options, then each group of them: its title, what it is about, and the options.
+
+    What a class inherits comes last, --json at the very end.
+    """
     own: list[Option] = []
     groups = []
-    for field, kind, extras in annotations_of(cls):
+    inherited = lambda told: (told[0].name == "json", told[0].name not in cls.__annotations__)
+    for field, kind, extras in sorted(annotations_of(cls), key=inherited):
         if any(repr(extra) == "Suppress" for extra in extras):
             continue
         value = _default(field, default)
@@ -86,8 +90,6 @@ def _groups(cls: type, default: object) -> Iterator[tuple[str, str, list[Option]
             groups.append((title[0].upper() + title[1:], about, options))
         else:
             own.append(_option(cls, field, kind, extras, value))
-    if isinstance(cls, type) and issubclass(cls, Command):  # --json, which the base class has, comes last
-        own = [option for option in own if option.name != "--json"] + [o for o in own if o.name == "--json"]
     yield "Options", "", own
     yield from groups
 

@@ -10,16 +10,14 @@ from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, err, out, warn
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import err, out, warn
+from cloak_core.commands.options import Detecting
 from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
-class Judge(Command):
+class Judge(Detecting):
     """Judge photographs and videos of people with and without a cloak.
 
     DIR has with/ and without/, PERSON/SCENE/file inside as far as that is known, and where there are some, nobody/ and
@@ -41,12 +39,10 @@ class Judge(Command):
     """Folder for report.html, summary.json and scores.csv (default: DIR/judge)."""
     plan: bool = False
     """Judge nothing; print how wide intervals will be for numbers of people, scenes and pictures."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[JudgeSettings], arg(name="judging")] = field(default_factory=JudgeSettings)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        prepare_process(self.compute)
+        self.prepare()
         if self.plan:
             from cloak_core.evaluation.statistics_photographs import RATES, independent_pairs, plan
 
@@ -57,12 +53,11 @@ class Judge(Command):
             raise InputError("--detector: none given")
         from cloak_core.evaluation.photographs.judge import judge
 
-        specs = tuple(dict.fromkeys(self.detector))
         with Progress(console=err, disable=not err.is_terminal) as progress:
             task = progress.add_task("looking", total=None)
             return judge(
                 self.directory,
-                dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)),
+                self.by_spec(self.detector),
                 self.settings,
                 table=self.pictures,
                 boxes=self.boxes,

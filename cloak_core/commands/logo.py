@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, load_scene, out, require_new
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.face_lists import write_face_list
@@ -112,7 +109,7 @@ class Project(Command):
 
 
 @dataclass(kw_only=True)
-class Heatmap(Command):
+class Heatmap(Detecting):
     """Measure how much each face moves a detector's person score."""
 
     example = "--scene sample:train --detector builtin --pick 0.2 --out heat.npy"
@@ -133,8 +130,6 @@ class Heatmap(Command):
     """Where --pick writes its face list (default: beside the heat map, NAME-pick.npy)."""
     events: Path | None = None
     """New file that tells how far this is: lines of JSON, as a run's events.jsonl has them."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.attack.heatmap import heatmap
@@ -143,14 +138,14 @@ class Heatmap(Command):
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
         from cloak_core.scene.geometry import face_areas
 
-        prepare_process(self.compute)
+        self.prepare()
         logo = self.logo or self.out.with_name(self.out.stem + "-pick.npy")
         if self.pick is not None and not 0 < self.pick <= 1:
             raise InputError(f"--pick {self.pick}: a share of the area in (0, 1] is needed")
         for path in [self.out] + [logo] * (self.pick is not None):
             require_new(path)
         bodies = load_scene(self.scene)
-        detector = self.options.load([self.detector], self.compute.device)[0]
+        detector = self.load(self.detector)
         with counted("measuring heat", self.events) as tell:
             heat = heatmap(bodies, detector, load_backgrounds(self.backgrounds), self.angles, on_progress=tell)
         write_npy(self.out, np.asarray(heat, np.float32))

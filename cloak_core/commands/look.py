@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, out, warn
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import out, warn
+from cloak_core.commands.options import Detecting
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +21,7 @@ MAX_LINE = 1 << 16
 
 
 @dataclass(kw_only=True)
-class Look(Command):
+class Look(Detecting):
     """Render a body from one camera and say where detectors see a person."""
 
     example = "request.json --detector builtin"
@@ -34,17 +32,14 @@ class Look(Command):
     line from standard input, until that ends; answers, and what is wrong with a request, go to its OUT/look.json."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors to look with; builtin where none is named."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        prepare_process(self.compute)
+        self.prepare()
         from cloak_core.evaluation.look import Look, Looker
         from cloak_core.files.reading import read_json
 
-        specs = tuple(dict.fromkeys(self.detector)) or ("builtin",)
         asked = None if self.request == Path("-") else Look.of(read_json(self.request))
-        looker = Looker(dict(zip(specs, self.options.load(specs, self.compute.device), strict=True)))
+        looker = Looker(self.by_spec(self.detector or ("builtin",)))
         return {"looks": answer_lines(looker)} if asked is None else looker.look(asked)
 
     def show(self, result: dict) -> None:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, Stopped, err, out, warn
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.sharing import SharingOptions
+from cloak_core.commands.base import Stopped, err, out, warn
+from cloak_core.commands.options import Computing, Splitting
+from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Reproduce(Command):
+class Reproduce(Splitting, Computing, Sharing):
     """Run one of the paper's experiments, or all of them.
 
     Numbers and figures go to --out.
@@ -34,29 +33,11 @@ class Reproduce(Command):
     name: Annotated[Positional[str], arg(help=f"{', '.join(names())} (render-gap needs Blender), or all.")]
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors, as in cloak train (default: builtin)."""
-    scene: str = "sample"
-    """Bodies: scene folder, .npz, or sample."""
-    unseen: str | None = None
-    """Bodies to test on (default: every second one of --scene in every second outfit, or the sample bodies kept
-    back)."""
-    people: str | None = None
-    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on, the
-    others judge instead of renders."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
-    backgrounds: str = "procedural"
-    """Folder of images, or procedural."""
-    unseen_backgrounds: str | None = None
-    """Backgrounds to test on (default: every second one of --backgrounds)."""
     publish: Path | None = None
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     redraw: bool = False
     """Train and evaluate nothing: draw figures again from the numbers in --out."""
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
-        default_factory=SharingOptions
-    )
 
     def run(self) -> dict:
         from cloak_core.experiments.publish import make_page, publish
@@ -75,7 +56,7 @@ class Reproduce(Command):
             self.sharing.spread(self._parts(), self.compute)
         except Interrupted as stop:
             raise Stopped(str(stop)) from None
-        prepare_process(self.compute)
+        self.prepare()
         store = self._store()
         done, skipped = {}, {}
         for name in self._names():
@@ -111,7 +92,7 @@ class Reproduce(Command):
         from cloak_core.evaluation.cycles import NoBlender
         from cloak_core.experiments.runner import prepare_experiment
 
-        prepare_process(self.compute)
+        self.prepare()
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
             prepare_experiment(self.name, self._store())
 
@@ -137,18 +118,10 @@ class Reproduce(Command):
 
     def _store(self) -> RunStore:
         from cloak_core.detectors.loading import load_detector
-        from cloak_core.evaluation.data_split import open_data_split
         from cloak_core.evaluation.store import RunStore
-        from cloak_core.scene.photographs.people import load_people
 
-        split = open_data_split(
-            {spec: load_detector(spec, device=self.compute.device) for spec in self.detector or ("builtin",)},
-            scene=self.scene,
-            unseen=self.unseen,
-            backgrounds=self.backgrounds,
-            unseen_backgrounds=self.unseen_backgrounds,
-            people=None if self.people is None else load_people(self.people, self.images),
-        )
+        specs = self.detector or ("builtin",)
+        split = self.split({spec: load_detector(spec, device=self.compute.device) for spec in specs})
         command = shlex.join(["cloak", *sys.argv[1:]])
         options = replace(self.amount, device=self.compute.device, command=command)
         return RunStore(split, options, lambda message: err.print(message))

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional
 
-from cloak_core.commands.base import Command, Stopped, err, out
+from cloak_core.commands.base import Stopped, err, out
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.progress import TrainingProgress
-from cloak_core.commands.sharing import SharingOptions
+from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_text
 
 
 @dataclass(kw_only=True)
-class Sweep(Command):
+class Sweep(Sharing):
     """Train every combination of a grid of settings.
 
     What is done already is skipped.
@@ -42,9 +41,6 @@ class Sweep(Command):
     """CPU threads of torch in every run (default: what the grid says)."""
     seed: int | None = None
     """Every random draw derives from it (default: what the grid says, else 0)."""
-    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
-        default_factory=SharingOptions
-    )
 
     def run(self) -> dict:
         from cloak_core.attack import sweeps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -20,9 +20,8 @@ from cloak_core.attack.settings.queries import QuerySettings
 from cloak_core.attack.settings.run import ComputeSettings, RunSettings
 from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.views import ViewSettings
-from cloak_core.commands.base import RANK, Command, Stopped, out, warn
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import RANK, Stopped, out, warn
+from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.tensorboard import TensorBoardEvents
 from cloak_core.files.errors import InputError
@@ -30,7 +29,7 @@ from cloak_core.files.reading import read_json, read_toml
 
 
 @dataclass(kw_only=True)
-class Train(Command):
+class Train(Detecting):
     """Train a logo's face colours until detectors no longer report the person.
 
     Ctrl-C, or a file named `cancel` in the run folder, ends the run after the current step with everything in place
@@ -71,7 +70,6 @@ class Train(Command):
     preset: Preset = "best"
     """Settings to start from: paper (the paper's text), reference (its code), best (against these detectors), transfer
     (for detectors that training never saw, with several --detector), photographs (the default with --people)."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     length: Annotated[OmitArgPrefixes[RunSettings], arg(name="the run")]
     views: Annotated[OmitArgPrefixes[ViewSettings], arg(name="views")]
     augmentation: Annotated[OmitArgPrefixes[AugmentationSettings], arg(name="augmentation")]
@@ -119,7 +117,7 @@ class Train(Command):
         from cloak_core.scene.photographs.people import load_people
 
         settings = self.settings
-        prepare_process(settings.compute)
+        self.prepare()
         listeners = [TrainingProgress(silent=bool(RANK))]
         if self.tensorboard and not RANK:
             listeners.append(TensorBoardEvents(self.out))
@@ -132,7 +130,7 @@ class Train(Command):
                 "or take colours that were trained on several (cloak zoo list)"
             )
         people = None if self.people is None else load_people(self.people, self.images)
-        detectors = self.options.load(self.detector or ("builtin",), settings.compute.device)
+        detectors = self.load_all(self.detector or ("builtin",))
         noted = {"made_from": self.made_from, "people": self.people}
         with contextlib.ExitStack() as stack:
             for listener in listeners:
@@ -147,7 +145,7 @@ class Train(Command):
                 resume=self.resume,
                 on_event=lambda event: [listener(event) for listener in listeners],
                 inputs={key: str(value) for key, value in noted.items() if value},
-                query_prior=self.options.load(self.query_prior, settings.compute.device),
+                query_prior=self.load_all(self.query_prior),
                 people=people,
             )
         return result.record()

@@ -5,19 +5,17 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
+from tyro.conf import UseAppendAction
 
 from cloak_core.attack.settings.loss import Hide
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, Stopped, err, out
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
-from cloak_core.commands.sharing import SharingOptions
+from cloak_core.commands.base import Stopped, err, out
+from cloak_core.commands.options import Detecting, Splitting
+from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Transfer(Command):
+class Transfer(Splitting, Detecting, Sharing):
     """Train without each detector in turn; the one left out judges.
 
     The result is the leave-one-out matrix, for each ablation (--rungs).
@@ -40,20 +38,6 @@ class Transfer(Command):
     """Surrogates, as in cloak train; each judged detector is left out of its own."""
     judge: UseAppendAction[tuple[str, ...]] = ()
     """Judged detectors (default: every --detector); others than --detector are never trained on."""
-    scene: str = "sample"
-    """Bodies: scene folder, .npz, or sample."""
-    unseen: str | None = None
-    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
-    back)."""
-    people: str | None = None
-    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on
-    beside the bodies (preset photographs), the others judge instead of renders."""
-    images: Path | None = None
-    """Folder of these photographs (default: beside the file, or images/ beside it)."""
-    backgrounds: str = "procedural"
-    """Folder of images, or procedural."""
-    unseen_backgrounds: str | None = None
-    """Backgrounds to judge on (default: every second one of --backgrounds)."""
     logo: str = "shirt_trousers"
     """A face list (.npy), shirt_trousers, chest_thighs, or regions of the scene (chest+thighs)."""
     out: Path
@@ -93,11 +77,6 @@ class Transfer(Command):
     """Folder that takes the table and the heat map as NAME.md and NAME.png, NAME that of --out."""
     redraw: bool = False
     """Write table and heat map again from the cells in --out; train and judge nothing."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
-    sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
-        default_factory=SharingOptions
-    )
 
     def run(self) -> dict:
         from cloak_core.evaluation.store import Interrupted
@@ -118,7 +97,7 @@ class Transfer(Command):
 
     def work(self) -> None:
         """Fill the cells that are missing."""
-        prepare_process(self.compute)
+        self.prepare()
         self._matrix().fill(self.rungs)
 
     def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
@@ -136,12 +115,10 @@ class Transfer(Command):
         ]
 
     def _matrix(self) -> Matrix:
-        from cloak_core.evaluation.data_split import open_data_split
         from cloak_core.evaluation.store import RunStore
         from cloak_core.evaluation.store_options import StoreOptions
         from cloak_core.evaluation.transfer.matrix import Matrix
         from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, PHOTOGRAPHS, families
-        from cloak_core.scene.photographs.people import load_people
 
         started = time.monotonic()
         if self.circle and self.people:
@@ -149,15 +126,7 @@ class Transfer(Command):
         if not self.detector:
             raise InputError("--detector: none given; name several, for each is judged on the training without it")
         specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
-        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
-        split = open_data_split(
-            detectors,
-            scene=self.scene,
-            unseen=self.unseen,
-            backgrounds=self.backgrounds,
-            unseen_backgrounds=self.unseen_backgrounds,
-            people=None if self.people is None else load_people(self.people, self.images),
-        )
+        split = self.split(self.by_spec(specs))
         options = StoreOptions(
             out=self.out,
             steps=() if self.steps is None else (self.steps,),

@@ -9,17 +9,15 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
-from cloak_core.commands.base import Command, out, require_new
-from cloak_core.commands.compute import prepare_process
-from cloak_core.commands.detector_options import DetectorOptions
+from cloak_core.commands.base import out, require_new
+from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.files.errors import InputError
 
 
 @dataclass(kw_only=True)
-class Wear(Command):
+class Wear(Detecting):
     """Dress the people in photographs in trained colours, and judge them.
 
     Photographs show real people: measure, publish no faces, identify nobody.
@@ -40,12 +38,10 @@ class Wear(Command):
     """New folder for the pictures, a contact sheet and the table of scores."""
     backgrounds: str = "procedural:test"
     """Images without people, for false alarms."""
-    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
     settings: Annotated[OmitArgPrefixes[WearSettings], arg(name="judging")] = field(default_factory=WearSettings)
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
-        prepare_process(self.compute)
+        self.prepare()
         if not self.colors:
             raise InputError("wear: which colours? (a run, zoo:NAME, FILE.png@tile=0.5)")
         if not self.detector:
@@ -54,8 +50,7 @@ class Wear(Command):
             require_new(self.out)
         from cloak_core.library import wear
 
-        specs = tuple(dict.fromkeys(self.detector))
-        detectors = dict(zip(specs, self.options.load(specs, self.compute.device), strict=True))
+        detectors = self.by_spec(self.detector)
         with counted("dressing") as tell:
             return wear(
                 self.colors,

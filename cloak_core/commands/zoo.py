@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.table import Table
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import Positional
 
-from cloak_core.attack.settings.run import ComputeSettings
 from cloak_core.commands.base import Command, load_scene, out, require_new
-from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import counted
 from cloak_core.files.errors import InputError
 
@@ -88,7 +87,7 @@ class Show(Command):
 
 
 @dataclass(kw_only=True)
-class Reproduce(Command):
+class Reproduce(Computing):
     """Judge entries again as their records say.
 
     The new figures stand beside the recorded ones. What does not ship (detectors, scenes, photographs) is looked for
@@ -105,13 +104,12 @@ class Reproduce(Command):
     """Folder of the photographs that were trained and judged before; what training saw is left out by its content."""
     most_images: int | None = None
     """Of every entry's images only so many: quicker, and less sure."""
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
 
     def run(self) -> dict:
         from cloak_core.evaluation.zoo_reproduction import Files, evaluate_again
         from cloak_core.zoo.shelf import entry, shelved
 
-        prepare_process(self.compute)
+        self.prepare()
         files, rows, left_out = Files(self.files, self.backgrounds), [], {}
         for found in [entry(name) for name in self.names or shelved()]:
             name = found.record["name"]

@@ -1,12 +1,16 @@
-"""What there is to do, and what came of it. Whoever has a list of work hands it to an `Executor`."""
+"""What there is to do, who does it, and what came of it."""
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from cloak_core.files.errors import InputError
+
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,8 @@ class Outcome:
     result: object = None
     error: str = ""
     """The message of the InputError that it ended with; "" where it returned."""
+    seconds: float = 0.0
+    """It took, where it was done."""
 
 
 @runtime_checkable
@@ -41,13 +47,15 @@ class Executor(Protocol):
     """In this very process: work may call back what cannot be sent elsewhere."""
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        """The outcomes as they come, in any order. An InputError is an outcome; any other exception of the work is
-        raised. Whoever stops listening (closes the iterator) stops what is being done, in order, and the rest."""
+        """Yield the outcomes as they come, in any order. An InputError is an outcome; other exceptions are raised.
+
+        Closing the iterator stops what is being done, in order, and the rest.
+        """
         ...
 
 
 class InOrder:
-    """Here, one after the other."""
+    """Does jobs in this process, one after the other."""
 
     is_here = True
 
@@ -58,7 +66,25 @@ class InOrder:
 
 def done(job: Job) -> Outcome:
     """Do a job now."""
+    started, result, error = time.perf_counter(), None, ""
     try:
-        return Outcome(job, result=job.work(**job.arguments))
-    except InputError as error:
-        return Outcome(job, error=str(error) or "bad input")
+        result = job.work(**job.arguments)
+    except InputError as refused:
+        error = str(refused) or "bad input"
+    return Outcome(job, result, error, time.perf_counter() - started)
+
+
+def hand_out(executor: Executor, jobs: Sequence[Job], tell: Tell, unit: str) -> Iterator[Outcome]:
+    """Yield the outcomes as they come, and tell after each how many `unit`s are done and how long the others will take.
+
+    Closing the iterator stops what is being done elsewhere, in order.
+    """
+    started = time.perf_counter()
+    # Closed at the end whatever happens: what is still trained elsewhere then ends in order.
+    with contextlib.closing(executor.run(jobs)) as outcomes:
+        for count, outcome in enumerate(outcomes, 1):
+            yield outcome
+            words = f"failed: {outcome.error}" if outcome.error else f"{outcome.seconds:.0f} s"
+            minutes = (time.perf_counter() - started) / 60 * (len(jobs) / count - 1)
+            rest = f", about {minutes:.0f} min left" if count < len(jobs) else ""
+            tell(f"{unit} {count} of {len(jobs)}: {outcome.job.name}: {words}{rest}")

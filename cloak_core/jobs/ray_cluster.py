@@ -55,8 +55,7 @@ class RayCluster:
                         return
                     ready, _ = ray.wait(list(asked), num_returns=1)
                     for reference in ready:
-                        result, error = ray.get(reference)
-                        yield Outcome(asked.pop(reference), result, error)
+                        yield Outcome(asked.pop(reference), *ray.get(reference))
             finally:
                 _stop(ray, list(asked))
 
@@ -109,10 +108,10 @@ def _submit(ray: ModuleType, job: Job) -> object:
     return remote.remote(job, os.getcwd())
 
 
-def _answer(job: Job, folder: str) -> tuple[object, str]:
+def _answer(job: Job, folder: str) -> tuple[object, str, float]:
     os.chdir(folder)
     outcome = done(job)
-    return outcome.result, outcome.error
+    return outcome.result, outcome.error, outcome.seconds
 
 
 def _stop(ray: ModuleType, references: list) -> None:

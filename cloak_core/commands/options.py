@@ -1,0 +1,107 @@
+"""Options that several commands share: where to compute, which detectors, which bodies and backgrounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, arg
+
+from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.commands.base import Command
+from cloak_core.commands.compute import prepare_process
+
+if TYPE_CHECKING:
+    from cloak_core.detectors.protocol import Detector
+    from cloak_core.evaluation.data_split import DataSplit
+
+
+@dataclass(kw_only=True)
+class DetectorOptions:
+    """How detectors are loaded and run."""
+
+    person_class: str | None = None
+    """Name or index of the class to look for, where it is not called person; SPEC@person=CLASS for one of several
+    detectors."""
+    precision: Literal["float32", "bfloat16", "auto"] = "float32"
+    """bfloat16 runs detectors under autocast (faster on GPUs, rough gradients); auto uses it where the device gains."""
+    compile: bool = False
+    """Run detectors through torch.compile; needs a C++ compiler, and the first images of each size take long."""
+    layout: str | None = None
+    """Output layout of an ONNX model: yolov5, yolov8, yolox, nanodet ... (default: told from the file)."""
+    download: bool = False
+    """Fetch official weights of torchvision and transformers models that are not on this machine."""
+
+    def arguments(self) -> dict:
+        """Give the options as `load_detector` takes them."""
+        given = vars(self) | {"compiled": self.compile}
+        return {name: value for name, value in given.items() if name != "compile"}
+
+
+@dataclass(kw_only=True)
+class Computing(Command):
+    """A command that computes."""
+
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+
+    def prepare(self) -> None:
+        """Ready the process for computing. InputError: no such device, or number of threads."""
+        prepare_process(self.compute)
+
+
+@dataclass(kw_only=True)
+class Detecting(Computing):
+    """A command that runs detectors."""
+
+    options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)
+
+    def load_all(self, specs: Iterable[str]) -> list[Detector]:
+        """Load detectors, in order."""
+        from cloak_core.detectors.loading import load_detector
+
+        return [load_detector(spec, device=self.compute.device, **self.options.arguments()) for spec in specs]
+
+    def load(self, spec: str) -> Detector:
+        """Load one detector."""
+        return self.load_all([spec])[0]
+
+    def by_spec(self, specs: Iterable[str]) -> dict[str, Detector]:
+        """Load each of the detectors once, by its spec."""
+        specs = tuple(dict.fromkeys(specs))
+        return dict(zip(specs, self.load_all(specs), strict=True))
+
+
+@dataclass(kw_only=True)
+class Splitting(Command):
+    """A command that trains on a part of its bodies, backgrounds and people, and judges on the rest."""
+
+    scene: str = "sample"
+    """Bodies: scene folder, .npz, or sample."""
+    unseen: str | None = None
+    """Bodies to judge on (default: every second one of --scene in every second outfit, or the sample bodies kept
+    back)."""
+    people: str | None = None
+    """People in photographs, a COCO file with masks and landmarks: those of every second photograph are trained on, the
+    others judge instead of renders."""
+    images: Path | None = None
+    """Folder of these photographs (default: beside the file, or images/ beside it)."""
+    backgrounds: str = "procedural"
+    """Folder of images without people, or procedural."""
+    unseen_backgrounds: str | None = None
+    """Backgrounds to judge on (default: every second one of --backgrounds)."""
+
+    def split(self, detectors: dict[str, Detector], with_people: bool = True) -> DataSplit:
+        """Open the material and split it. InputError: something cannot be opened, or is too little to split."""
+        from cloak_core.evaluation.data_split import open_data_split
+        from cloak_core.scene.photographs.people import load_people
+
+        return open_data_split(
+            detectors,
+            scene=self.scene,
+            unseen=self.unseen,
+            backgrounds=self.backgrounds,
+            unseen_backgrounds=self.unseen_backgrounds,
+            people=load_people(self.people, self.images) if with_people and self.people else None,
+        )
