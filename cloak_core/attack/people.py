@@ -26,10 +26,17 @@ class PeopleViews:
 
     def view(self, person: int, seed: int) -> BakedView:
         """A view of one person; all that is random about it follows from `seed`."""
-        fit, random = self.fits[person], np.random.default_rng([seed, person])
-        framing = draw_framing(random, fit, self.settings, self.size)
-        looseness = draw_looseness(random, self.settings)
+        fit, framing, looseness = self._drawn(person, seed)
         return photograph_view(fit, shares_of(fit, self._position, self._count, looseness), framing, looseness)
+
+    def undressed(self, person: int, seed: int) -> BakedView:
+        """The same view of the photograph as it is: no face of the logo is in it."""
+        fit, framing, _ = self._drawn(person, seed)
+        return photograph_view(fit, shares_of(fit, np.full_like(self._position, -1), self._count), framing)
+
+    def _drawn(self, person: int, seed: int) -> tuple[Fit, Framing, Looseness]:
+        fit, random = self.fits[person], np.random.default_rng([seed, person])
+        return fit, draw_framing(random, fit, self.settings, self.size), draw_looseness(random, self.settings)
 
 
 def draw_framing(random: np.random.Generator, fit: Fit, settings: PeopleSettings, size: int) -> Framing:

@@ -43,7 +43,13 @@ class Harden(Computing):
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     photos: str | None = None
-    """Folder of photographs with people: the detector is to keep what it reported there. No labels are needed."""
+    """Folder of photographs, with people or without: the detector is to keep what it reported there. No labels are
+    needed."""
+    people: str | None = None
+    """People in photographs, as in cloak wear: they wear the cloaks, too, and are to be reported as in their own
+    clothes."""
+    images: Path | None = None
+    """Folder of the photographs of --people (default: beside the file, or images/ beside it)."""
     cloak: UseAppendAction[tuple[str, ...]] = ()
     """Runs or zoo:NAME to harden against as well, on the bodies of --scene. Judge the result by others."""
     assess: bool = True
@@ -54,6 +60,7 @@ class Harden(Computing):
         from cloak_core.defend.hardening import harden
         from cloak_core.defend.students import open_student
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+        from cloak_core.scene.photographs.people import load_people
 
         self.prepare()
         if self.out.exists() and not self.resume:
@@ -67,6 +74,7 @@ class Harden(Computing):
                 load_backgrounds(self.backgrounds),
                 self.out,
                 photographs=None if self.photos is None else load_backgrounds(self.photos),
+                people=None if self.people is None else load_people(self.people, self.images),
                 given=[self._given(bodies, name) for name in self.cloak],
                 resume=self.resume,
                 on_event=progress,

@@ -88,18 +88,20 @@ def draw_decoy(
     rng: np.random.Generator,
     silhouette: Float[Tensor, "H W"] | None = None,
     keep_clear: Sequence[Sequence[float]] = (),
+    flat: bool = False,
 ) -> Float[Tensor, "3 H W"]:
     """Draw patterned cloth into a picture, as one of `SHAPES` or on a dummy.
 
     picture: [0, 1], unchanged. textures: what the cloth may show. silhouette: a body's coverage of pixels, for dummies.
-    keep_clear: boxes (xyxy, pixels) of people, of whom the cloth hides no more than a tenth.
+    keep_clear: boxes (xyxy, pixels) of people, of whom the cloth hides no more than a tenth. flat: an upright panel
+    and nothing else.
     """
     height, width = picture.shape[1:]
     for _ in range(8):
         if silhouette is not None and rng.random() < DUMMIES:
             layers = [(_dummy_mask(silhouette), _whole(height, width))]
         else:
-            shape = SHAPES[rng.choice(len(SHAPES), p=ODDS)]
+            shape = _panel if flat else SHAPES[rng.choice(len(SHAPES), p=ODDS)]
             layers = [(None, quad) for quad in shape(rng, height, width)]
         alphas = [_quad_mask(quad, height, width) if mask is None else mask for mask, quad in layers]
         if not _covers(torch.stack(alphas).amax(0), keep_clear):

@@ -23,7 +23,9 @@ from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.render.photographs.fits import people_identity
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.photographs.people import People
 
 FORMAT = "cloak hardening 1"
 EARLIER = {"decoys": 0, "finished": 0}
@@ -50,6 +52,7 @@ def harden_config(
     backgrounds: Backgrounds,
     photographs: Backgrounds | None,
     given: Sequence[Given],
+    people: People | None = None,
 ) -> dict:
     """config.json: what decides the result, and where it ran."""
     return {
@@ -60,6 +63,7 @@ def harden_config(
         "scene": {"name": bodies.name, "poses": list(bodies.names), "identity": bodies.identity},
         "backgrounds": backgrounds.identities(),
         "photographs": None if photographs is None else photographs.identities(),
+        "people": None if people is None else people_identity(people),
         "cloaks": [sha256_arrays(one.logo.face_ids, one.colors) for one in given],
         "environment": environment(),
     }
@@ -104,7 +108,7 @@ def _check(recorded: dict, config: dict, path: Path) -> None:
     before, now = (
         {f"--{name.replace('_', '-')}": value for name, value in (usual | c["settings"]).items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
-        | {name: c[name] for name in ("backgrounds", "photographs", "cloaks")}
+        | {name: c.get(name) for name in ("backgrounds", "photographs", "people", "cloaks")}
         for c in (recorded, config)
     )
     for name, value in now.items():

@@ -27,7 +27,9 @@ from cloak_core.defend.settings import HardenSettings
 from cloak_core.defend.student import Student
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.render.photographs.fits import fit_people
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.photographs.people import People
 
 WARM_UP = 0.05
 """Share of the steps over which the learning rate rises."""
@@ -57,6 +59,7 @@ def harden(
     out: Path,
     *,
     photographs: Backgrounds | None = None,
+    people: People | None = None,
     given: Sequence[Given] = (),
     resume: bool = False,
     on_event: OnEvent | None = None,
@@ -64,12 +67,14 @@ def harden(
     """Harden the student into the folder `out`: a file of its family, hardened.*, and its licence, beside config.json,
     events.jsonl and checkpoint/ as a training's run has them.
 
-    photographs: pictures with people, of whom the detector is to report what it reported; no labels. given: cloaks that
-    are there already. SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step;
-    `resume` goes on from there. InputError: `out` exists without `resume`, or was begun with something else.
+    photographs: pictures of which the detector is to report what it reported; no labels. people: those who can be
+    dressed; in cloaks they are to be reported as in their own clothes. given: cloaks that are there already. SIGINT,
+    SIGTERM, a file `cancel` in `out` or the time budget end it after the current step; `resume` goes on from there.
+    InputError: `out` exists without `resume`, or was begun with something else.
     """
-    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs, student.teacher)
-    config = harden_config(settings, student, bodies, backgrounds, photographs, given)
+    fits = [] if people is None else fit_people(people)
+    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs, student.teacher, fits)
+    config = harden_config(settings, student, bodies, backgrounds, photographs, given, people)
     with (
         open_folder(Path(out), config, resume) as folder,
         stop_request(folder.cancel, settings.max_seconds) as stop,

@@ -17,6 +17,7 @@ from torch import Tensor
 from cloak_core.attack.batches import Batcher
 from cloak_core.attack.objective import Objective, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
+from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
@@ -25,12 +26,15 @@ from cloak_core.defend.settings import HardenSettings
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import person_boxes
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.render.compositing import compose
+from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo, make_logo
+from cloak_core.scene.photographs.rig import faces_on_rig
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
 """Metres and degrees, for one cloak after the other."""
@@ -106,9 +110,13 @@ class Pool:
         given: Sequence[Given] = (),
         photographs: Backgrounds | None = None,
         teacher: Detector | None = None,
+        people: Sequence[Fit] = (),
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
         self.given, self.photographs, self.teacher = tuple(given), photographs, teacher or detector
+        self.people = tuple(people)
+        if self.people:
+            faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)
         self.view_cache = ViewCache(bodies, RenderSettings(device=self.device, samples=SAMPLES))
         self.centres = face_centres(bodies)
@@ -155,14 +163,23 @@ class Pool:
 
     @torch.no_grad()
     def pair(self, turn: int) -> Pair:
-        """New images of the cloak whose turn it is; clean ones in the body's clothes, without changes of colour."""
+        """New images of the cloak whose turn it is.
+
+        Clean ones show the body in its clothes, without changes of colour, and a photograph as it is.
+        """
         cloak = self.cloak(turn)
-        batch = cloak.batcher.batch(self.place(turn)[2] * (self.settings.attack_steps + 1) + self.settings.attack_steps)
+        step = self.place(turn)[2] * (self.settings.attack_steps + 1) + self.settings.attack_steps
+        batch = cloak.batcher.batch(step)
         outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
         # The second call draws into the memory of the first.
         cloaked = batch.images(cloak.optimizer.colors()).clone()
-        return Pair(cloaked, replace(batch, on_logo=None).images(clothing).clone())
+        clean, draws = replace(batch, on_logo=None).images(clothing).clone(), cloak.batcher.sampler.draw(step)
+        for image, person, seed in zip(clean, draws.person.tolist(), draws.seed.tolist(), strict=True):
+            if person >= 0:
+                view = cloak.batcher.people.undressed(person, seed)
+                image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
+        return Pair(cloaked, clean)
 
     def pictures(self, turn: int) -> Float[Tensor, "P 3 H W"]:
         """Backgrounds and photographs, half of each where there are some, mirrored at random."""
@@ -257,12 +274,13 @@ class Pool:
                 colors = self.skins[slot].cpu().numpy()[logo.face_ids]
         settings = self._train_settings(slot)
         poses, outfits = self.bodies.pose_count, self.bodies.outfit_count
-        sampler = Sampler(settings, poses, outfits, len(self.backgrounds))
+        sampler = Sampler(settings, poses, outfits, len(self.backgrounds), len(self.people))
+        people = PeopleViews(self.people, logo, settings.photographs, self.settings.size) if self.people else None
         first = torch.from_numpy(np.array(colors, np.float32)).to(self.device)
         return Cloak(
             generation,
             logo,
-            Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device),
+            Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device, people),
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
             self._flat(logo),
@@ -288,6 +306,7 @@ class Pool:
             hide=self.settings.hide,
             size=self.settings.size,
             translation=self.settings.size // 8,
+            people_share=self.settings.people_share,
             angles=",".join(f"{angle:g}" for angle in angles),
             distance=f"{DISTANCES[slot % len(DISTANCES)]}",
             elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",

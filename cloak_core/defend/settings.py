@@ -33,6 +33,8 @@ class HardenSettings:
     finished: Annotated[int, Bounds(0, 256)] = 4
     """Cloaks that are trained to their end against the unhardened detector before its first update, for such cloth:
     those of the pool are young when they are shown, and a strong cloak on nobody looks otherwise."""
+    people_share: Annotated[float, Bounds(0, 1)] = 0.3
+    """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     cloaks: Annotated[int, Bounds(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
     life: Annotated[int, Bounds(1, 100_000)] = 32

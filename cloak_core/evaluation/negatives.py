@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
+from cloak_core.defend.decoys import TEXTURE, FlatCloth, Texture, draw_decoy, random_texture
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
@@ -25,6 +25,13 @@ from cloak_core.zoo.shelf import MARK, run_path, shelved
 COUNT, BATCH = 200, 8
 CLOAK, RANDOM = "cloak", "random"
 """Kinds of pattern: flat panels and other shapes in the colours of trained cloaks, and in patterns nobody trained."""
+FLAT_COUNT = 100
+"""Pictures of each flat kind."""
+FLAT = ("flat cloak", "flat blocks", "flat noise", "flat plain", "flat clothing")
+"""Kinds of upright rectangle: a trained cloak, blocks of random colours, noise in every pixel, one colour, and what
+the bodies wear themselves."""
+CELLS = 12
+"""Blocks along each side of a rectangle of blocks."""
 
 
 @torch.no_grad()
@@ -57,13 +64,37 @@ def pattern_scores(
     return pd.DataFrame(rows)
 
 
+@torch.no_grad()
+def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, seed: int = 0) -> pd.DataFrame:
+    """Score pictures without people with one upright rectangle of each kind in `FLAT`, and without it.
+
+    Returns the columns of `pattern_scores`. Every kind has the same pictures and places. Bodies that can wear no cloak
+    of the zoo have no "flat cloak".
+    """
+    cloaks, clothes, rows, size = cloak_textures(bodies), clothing_textures(bodies), [], 416
+    for image in range(FLAT_COUNT):
+        plain = backgrounds.image(image % len(backgrounds), (size, size)).float() / 255
+        textures = _flat_textures(cloaks, clothes, np.random.default_rng([seed, 0xF1A7, image]))
+        shown = [
+            draw_decoy(plain, [texture], np.random.default_rng([seed, 0xF1A8, image]), flat=True)
+            for texture in textures.values()
+        ]
+        scores = max_person_score(detector(torch.stack([plain, *shown]).to(detector.device))).cpu().numpy()
+        told = {"detector": detector.spec, "image": image, "plain": scores[0]}
+        rows += [told | {"pattern": kind, "score": score} for kind, score in zip(textures, scores[1:], strict=True)]
+    return pd.DataFrame(rows)
+
+
 def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, seed: int = 0) -> dict[str, dict]:
     """Measure how often patterned cloth that nobody wears is reported as a person, by kind of pattern.
+
+    The kinds are those of `pattern_scores` and `FLAT`.
 
     Returns {KIND: {"alarms": share of pictures above 0.6, "alarms_own": above the detector's own threshold, "plain",
     "plain_own": the same of these pictures without the cloth, "n"}}.
     """
-    table, told = pattern_scores({detector.spec: detector}, backgrounds, bodies, seed=seed), {}
+    mixed = pattern_scores({detector.spec: detector}, backgrounds, bodies, seed=seed)
+    table, told = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)]), {}
     for kind, rows in table.groupby("pattern"):
         told[str(kind)] = {"n": len(rows)}
         for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
@@ -81,6 +112,28 @@ def _pictures(
         worn = bool(cloaks) and number % 2 == 0
         texture = cloaks[rng.integers(len(cloaks))] if worn else random_texture(rng, plain)
         yield draw_decoy(plain, [texture], rng), plain, CLOAK if worn else RANDOM
+
+
+def _flat_textures(
+    cloaks: Sequence[Texture], clothes: Sequence[Texture], rng: np.random.Generator
+) -> dict[str, Texture]:
+    """Draw a texture of each kind in `FLAT`."""
+    side = TEXTURE // CELLS
+    drawn = {
+        "flat blocks": np.kron(rng.random((3, CELLS, CELLS)), np.ones((1, side, side))),
+        "flat noise": rng.random((3, TEXTURE, TEXTURE)),
+        "flat plain": np.tile(rng.random((3, 1, 1)), (1, TEXTURE, TEXTURE)),
+    }
+    worn = {"flat clothing": clothes[rng.integers(len(clothes))]}
+    worn |= {"flat cloak": cloaks[rng.integers(len(cloaks))]} if cloaks else {}
+    found = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
+    return {kind: found[kind] for kind in FLAT if kind in found}
+
+
+def clothing_textures(bodies: Bodies) -> list[Texture]:
+    """Lay what the bodies wear flat, seen from the front: a texture for each outfit."""
+    flat = FlatCloth(face_centres(bodies), face_normals(bodies))
+    return [flat.texture(np.asarray(outfit, np.float32)) for outfit in bodies.face_colors]
 
 
 def cloak_textures(bodies: Bodies) -> list[Texture]:

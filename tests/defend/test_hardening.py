@@ -3,6 +3,7 @@
 import itertools
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,15 @@ from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.files.errors import InputError
+from cloak_core.render.compositing import compose
+from cloak_core.render.photographs.fits import fit_people
 from cloak_core.scene.geometry import face_areas, face_centres
 from cloak_core.scene.logos.logo import region_mask
 from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.scene.photographs.people import load_people
 from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds
 from tests.detectors.helpers import images, write_tiny
+from tests.scene.photographs.made_people import write_people
 from tests.schemas import validate
 
 FEW = {
@@ -178,6 +183,30 @@ def test_a_pair_differs_where_the_logo_is(student: Student) -> None:
     assert pair.cloaked.shape == (2, 3, 64, 64)
     assert float(apart.max()) > 0.05
     assert pool.pictures(0).shape == (1, 3, 64, 64)
+
+
+@pytest.mark.slow
+def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothes(
+    student: Student, tmp_path: Path
+) -> None:
+    people = load_people(write_people(tmp_path, 2))
+    fits, bodies = fit_people(people), sample_bodies("train")
+    settings = HardenSettings(**(FEW | {"batch": 4, "people_share": 1.0, "size": 96}))
+    pool = Pool(settings, bodies, noise_backgrounds(), student.detector, people=fits)
+    pair, cloak = pool.pair(0), pool.cloak(0)
+    draws = cloak.batcher.sampler.draw(settings.attack_steps)
+    nothing = torch.zeros(len(cloak.logo), 3)
+    for image, person, seed in zip(pair.clean, draws.person.tolist(), draws.seed.tolist(), strict=True):
+        photograph = compose([cloak.batcher.people.undressed(person, seed)], nothing, torch.zeros(1, 3, 96, 96))
+        torch.testing.assert_close(image, photograph[0])
+    worn = (pair.cloaked - pair.clean).abs().amax(1) > 0.05
+    assert 0.001 < worn.float().mean() < 0.5, "only the person changes"
+    with pytest.raises(InputError, match="topology"):
+        harden(settings, student, box_bodies(), noise_backgrounds(), tmp_path / "box", people=people)
+    few, given = replace(settings, steps=2), (student, bodies, noise_backgrounds(), tmp_path / "out")
+    assert harden(few, *given, people=people).step == 2
+    with pytest.raises(InputError, match="begun with other people"):
+        harden(few, *given, resume=True)
 
 
 def test_cloaks_die_one_after_the_other_and_given_ones_are_among_them(student: Student) -> None:

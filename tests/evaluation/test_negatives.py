@@ -3,10 +3,19 @@
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation import negatives
-from cloak_core.evaluation.negatives import CLOAK, RANDOM, cloak_textures, pattern_alarms, pattern_scores
+from cloak_core.evaluation.negatives import (
+    CLOAK,
+    FLAT,
+    RANDOM,
+    cloak_textures,
+    flat_scores,
+    pattern_alarms,
+    pattern_scores,
+)
 from cloak_core.evaluation.statistics import matched_threshold
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.people.samples import sample_bodies
@@ -36,6 +45,21 @@ def test_the_same_pictures_are_shown_to_every_detector_with_and_without_cloth() 
 def test_alarms_are_told_by_kind_with_and_without_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = {"pattern": [CLOAK, CLOAK, RANDOM], "score": [0.9, 0.55, 0.1], "plain": [0.7, 0.1, 0.1]}
     monkeypatch.setattr(negatives, "pattern_scores", lambda *_, **__: pd.DataFrame(scores))
+    monkeypatch.setattr(negatives, "flat_scores", lambda *_: pd.DataFrame())
     told = pattern_alarms(load_detector("builtin"), load_backgrounds("procedural:test:1"), sample_bodies("unseen"))
     assert told[CLOAK] == {"n": 2, "alarms": 0.5, "plain": 0.5, "alarms_own": 1.0, "plain_own": 0.5}
     assert told[RANDOM] == {"n": 1, "alarms": 0.0, "plain": 0.0, "alarms_own": 0.0, "plain_own": 0.0}
+
+
+@pytest.mark.slow
+def test_flat_rectangles_of_every_kind_stand_in_the_same_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(negatives, "FLAT_COUNT", 3)
+    shown: list[torch.Tensor] = []
+    detector = load_detector("builtin")
+    detector.register_forward_pre_hook(lambda _, given: shown.append(given[0].clone()))
+    table = flat_scores(detector, load_backgrounds("procedural:test:2"), sample_bodies("unseen"))
+    assert table["pattern"].value_counts().to_dict() == dict.fromkeys(FLAT, 3)
+    for images in shown:
+        changed = [(one != images[0]).any(0) for one in images[1:]]
+        assert all(0.01 < float(one.float().mean()) < 0.9 for one in changed)
+        assert all(float((one & changed[1]).sum() / (one | changed[1]).sum()) > 0.95 for one in changed)
