@@ -13,9 +13,8 @@ from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.attack.settings.augmentation import AugmentationSettings
+from cloak_core.attack.settings.components import AugmentationSettings, ViewSettings
 from cloak_core.attack.settings.values import Range
-from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import Canvas, blank, lay_backdrop, true_boxes
 from cloak_core.render.threads import own_threads_kept, spread, workers

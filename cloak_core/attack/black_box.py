@@ -161,7 +161,7 @@ class Search:
 
     def _asked(self, batch: Batch, colors: Float[Tensor, "*B L 3"]) -> tuple[Float[Tensor, " B"], float]:
         """Each image's loss, mean over the detectors, and the success."""
-        answer = self.objective.ask(batch.images(colors), bodies=batch.bodies)
+        answer = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
         said = answer.detections.items()
         losses = torch.stack([self.objective.loss(detections, number) for number, detections in said]).mean(0)
         if not torch.isfinite(losses).all():

@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.settings.loss import LossSettings
+from cloak_core.attack.settings.components import LossSettings
 from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7

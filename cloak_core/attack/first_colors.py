@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
-from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.components import OptimizerSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo

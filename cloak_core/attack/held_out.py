@@ -18,7 +18,7 @@ from torch import Tensor
 from cloak_core.attack.batches import Batcher
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.attack.settings.run import RunSettings
+from cloak_core.attack.settings.components import RunSettings
 from cloak_core.attack.world import World
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -140,7 +140,7 @@ class HeldOut:
         for step in range(sampler.steps):
             batch = self.batcher.batch(step, self.world.rank, self.world.size)
             if len(batch):
-                said = self.objective.ask(batch.images(colors), bodies=batch.bodies)
+                said = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
                 total += len(batch) * torch.stack([said.disappearance, said.success]).double()
         seen, success = (self.world.sum(total) / sampler.images).tolist()
         return seen, success

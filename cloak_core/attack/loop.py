@@ -282,8 +282,8 @@ class TrainingLoop:
 
     def _restore(self) -> list[str]:
         """Load the last sound checkpoint, if any, in every process; returns what was wrong with later ones."""
-        checkpoint, damaged = self.world.first_does(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
-        checkpoint = receive_checkpoint(self.world.spread(send_checkpoint(checkpoint)))
+        checkpoint, damaged = self.world.on_rank0(lambda: load_checkpoint(self.run.checkpoint)) or (None, [])
+        checkpoint = receive_checkpoint(self.world.broadcast(send_checkpoint(checkpoint)))
         if checkpoint is not None:
             try:
                 self.optimizer.load(checkpoint.tensors)

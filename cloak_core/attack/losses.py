@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from cloak_core.attack.settings.loss import Loss, Reduce
+from cloak_core.attack.settings.components import Loss, Reduce
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
@@ -37,11 +37,11 @@ def disappearance(
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
 ) -> Float[Tensor, ""]:
-    """Batch mean of `evidence`."""
-    return evidence(detections, kind, reduce, operating_point, margin).mean()
+    """Batch mean of `person_loss`."""
+    return person_loss(detections, kind, reduce, operating_point, margin).mean()
 
 
-def evidence(
+def person_loss(
     detections: Detections,
     kind: Loss = "score",
     reduce: Reduce = "max",
@@ -67,10 +67,10 @@ def evidence(
     return best
 
 
-def proposal_evidence(detections: Detections, reduce: Reduce = "max") -> Float[Tensor, "B"]:
+def proposal_loss(detections: Detections, reduce: Reduce = "max") -> Float[Tensor, "B"]:
     """Of two-stage detectors: the first stage's objectness of the proposals, each as far as it became a person.
 
-    The product of both, its gradient reaching the first stage alone (the second has `evidence`); a proposal that the
+    The product of both, its gradient reaching the first stage alone (the second has `person_loss`); a proposal that the
     second stage takes for something else may stay. InputError where there are no proposal scores.
     """
     if detections.proposal_scores is None:

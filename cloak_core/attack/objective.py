@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cloak_core.attack.batches import Batch, Company
 from cloak_core.attack.ensemble import Ensemble
-from cloak_core.attack.losses import evidence, non_printability, proposal_evidence, total_variation
+from cloak_core.attack.losses import non_printability, person_loss, proposal_loss, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.self_ensemble import SelfEnsemble
 from cloak_core.attack.settings import TrainSettings
@@ -24,7 +24,7 @@ from cloak_core.scene.logos.logo import Logo
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class LossAndGradient:
     """What the detectors say of images, and the gradient of it."""
 
     disappearance: Float[Tensor, ""]
@@ -34,7 +34,7 @@ class Answer:
     gradient: Float[Tensor, "B 3 H W"] | None
     """Of `disappearance`, with respect to the images; None under `torch.no_grad`, and where there are no images."""
     detections: dict[int, Detections]
-    """By the number of the detector, those that were asked; see `Objective.heard`."""
+    """By the number of the detector, those that were asked; see `Objective.detect`."""
 
 
 class Objective:
@@ -65,13 +65,13 @@ class Objective:
         """How restless the colours are."""
         return total_variation(colors, self.edges, self.edge_lengths)
 
-    def ask(
+    def forward_backward(
         self,
         images: Float[Tensor, "B 3 H W"],
         step: int | None = None,
         bodies: Float[Tensor, "B 4"] | None = None,
         company: Company | None = None,
-    ) -> Answer:
+    ) -> LossAndGradient:
         """Show the images to the detectors of `step` (None: to all), `microbatch` at a time.
 
         bodies: the true box of each image's body, needed where everything on it is to be hidden, and with `company`:
@@ -91,22 +91,22 @@ class Objective:
             near = None if bodies is None else bodies[first : first + size]
             among = None if company is None else company.part(first, first + size)
             for group in groups:
-                heard = {number: self.heard(number, part, step, near, among) for number in group}
-                losses = {number: self.loss(detections, number) for number, detections in heard.items()}
+                detected = {number: self.detect(number, part, step, near, among) for number in group}
+                losses = {number: self.loss(detections, number) for number, detections in detected.items()}
                 loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
                 if part.requires_grad:
                     loss.backward()
                 disappearance += loss.detach()
-                for number, detections in heard.items():
+                for number, detections in detected.items():
                     said[number].append(join_detections([detections]))
                     found += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
             if part.grad is not None:
                 gradients.append(part.grad)
         detections = {number: join_detections(parts) for number, parts in said.items() if parts}
         gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
-        return Answer(disappearance, 1 - found, gradient, detections)
+        return LossAndGradient(disappearance, 1 - found, gradient, detections)
 
-    def heard(
+    def detect(
         self,
         number: int,
         images: Float[Tensor, "B 3 H W"],
@@ -133,11 +133,11 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        loss = evidence(detections, settings.loss, settings.reduce, point, settings.margin)
+        loss = person_loss(detections, settings.loss, settings.reduce, point, settings.margin)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:
-            return loss + settings.rpn_weight * proposal_evidence(detections, settings.reduce)
+            return loss + settings.rpn_weight * proposal_loss(detections, settings.reduce)
         self._without_proposals.add(number)
         if len(self._without_proposals) == len(self.detectors):
             raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
@@ -185,10 +185,10 @@ def gradient_step(
     if objective.ascent is None:
         return _gradient(objective, optimizer, batch, world, share, step)
     if objective.ascent == "momentum":
-        with optimizer.raised(optimizer.heading):
+        with optimizer.perturbed(optimizer.momentum):
             return _gradient(objective, optimizer, batch, world, share, step)
     here = _gradient(objective, optimizer, batch, world, share, step)
-    with optimizer.raised(optimizer.gradient.clone()):
+    with optimizer.perturbed(optimizer.gradient.clone()):
         worse = _gradient(objective, optimizer, batch, world, share, step)
     return replace(worse, figures=here.figures, is_finite=here.is_finite and worse.is_finite)
 
@@ -199,14 +199,14 @@ def _gradient(
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
-    answer = objective.ask(images, step, batch.bodies, batch.company)
+    found = objective.forward_backward(images, step, batch.bodies, batch.company)
     variation, unprintable = objective.total_variation(colors), objective.printability(colors)
     weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
     restless = (weight * variation + print_weight * unprintable) / world.size
-    gradient = torch.zeros_like(images) if answer.gradient is None else answer.gradient
+    gradient = torch.zeros_like(images) if found.gradient is None else found.gradient
     torch.autograd.backward([images, restless], [gradient if share == 1 else gradient.mul_(share), None])
     gradient = optimizer.gradient
-    shares = [share * answer.disappearance, variation / world.size, unprintable / world.size, share * answer.success]
+    shares = [share * found.disappearance, variation / world.size, unprintable / world.size, share * found.success]
     values = torch.stack(shares).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
@@ -217,4 +217,4 @@ def _gradient(
     seen, variation, unprintable, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
     loss = seen + weight * variation + print_weight * unprintable
     figures = StepFigures(loss, seen, variation, unprintable, success)
-    return Step(figures, bool(is_finite), images.detach(), answer.detections)
+    return Step(figures, bool(is_finite), images.detach(), found.detections)

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from cloak_core.attack.near import Near
 from cloak_core.attack.pattern import Pattern
-from cloak_core.attack.settings.optimizer import OptimizerSettings
+from cloak_core.attack.settings.components import OptimizerSettings
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -112,12 +112,12 @@ class ColorOptimizer:
         return self._parameter.grad
 
     @property
-    def heading(self) -> Float[Tensor, "N 3"] | None:
+    def momentum(self) -> Float[Tensor, "N 3"] | None:
         """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
         return self._state.get("exp_avg", self._state.get("momentum_buffer"))
 
     @contextlib.contextmanager
-    def raised(self, direction: Float[Tensor, "N 3"] | None) -> Iterator[None]:
+    def perturbed(self, direction: Float[Tensor, "N 3"] | None) -> Iterator[None]:
         """For the time of the block, the free parameters moved by `sharpness` (root mean square) along `direction`."""
         if direction is None or not self.settings.sharpness:
             yield

@@ -65,7 +65,7 @@ class QueryPrior:
             images, total = batch.images(moved), 0.0
             for number in np.unique(chosen).tolist():
                 rows = torch.from_numpy(np.flatnonzero(chosen == number)).to(images.device)
-                said = self.objective.heard(number, images[rows], step, batch.bodies[rows])
+                said = self.objective.detect(number, images[rows], step, batch.bodies[rows])
                 total = total + self.objective.loss(said, number).sum()
             (gradient,) = torch.autograd.grad(total, moved)
         return gradient

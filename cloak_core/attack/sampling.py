@@ -10,8 +10,8 @@ import numpy as np
 
 from cloak_core.attack.hard_views import HardViews
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.components import ViewSettings
 from cloak_core.attack.settings.values import Range
-from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.scene.cameras import Camera
 
 _EPOCH, _STEP, _PEOPLE = 0, 1, 4

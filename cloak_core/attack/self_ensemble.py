@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from cloak_core.attack.settings.surrogates import SurrogateSettings
+from cloak_core.attack.settings.components import SurrogateSettings
 
 _STREAM = 0x5EA
 """Of random numbers, apart from those that draw the images."""

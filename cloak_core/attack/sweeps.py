@@ -27,7 +27,7 @@ from pathlib import Path
 from cloak_core.attack.events import OnEvent, read_events
 from cloak_core.attack.run_config import check_same, run_config
 from cloak_core.attack.settings import TrainSettings, merge, settings_from_record, settings_record
-from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.attack.training import train
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector

@@ -30,8 +30,7 @@ from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.attack.settings.pattern import PatternSettings
-from cloak_core.attack.settings.views import ViewSettings
+from cloak_core.attack.settings.components import PatternSettings, ViewSettings
 from cloak_core.attack.smoothing import Smoothing
 from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
@@ -148,7 +147,7 @@ def _train(
     else:
         first = torch.from_numpy(start).to(device)
     with contextlib.ExitStack() as stack:
-        run = world.first_does(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
+        run = world.on_rank0(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
         objective = Objective(drawn, logo, detectors, device, palette)
         if is_search:

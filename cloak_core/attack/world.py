@@ -51,7 +51,7 @@ class World:
         flag = torch.tensor([float(bool(reason))], device=device)
         return (reason or "stopped elsewhere") if self.sum(flag).item() else ""
 
-    def first_does(self, work: Callable[[], T]) -> T | None:
+    def on_rank0(self, work: Callable[[], T]) -> T | None:
         """Rank 0 does `work`; an InputError of it is raised everywhere, with the same message."""
         if self.size == 1:
             return work()
@@ -61,12 +61,12 @@ class World:
                 result = work()
             except InputError as error:
                 message = str(error) or "bad input"
-        message = self.spread(message.encode()).decode()
+        message = self.broadcast(message.encode()).decode()
         if message:
             raise InputError(message)
         return result
 
-    def spread(self, data: bytes) -> bytes:
+    def broadcast(self, data: bytes) -> bytes:
         """Rank 0's bytes, everywhere."""
         if self.size == 1:
             return data

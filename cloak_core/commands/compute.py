@@ -7,7 +7,7 @@ import ctypes
 import sys
 
 from cloak_core.attack.settings import check_settings
-from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.components import ComputeSettings
 
 _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 """Options of mallopt(3)."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.commands.base import Command
 from cloak_core.commands.compute import prepare_process
 

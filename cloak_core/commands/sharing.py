@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.commands.base import Command, err
 from cloak_core.files.errors import InputError
 

@@ -11,15 +11,18 @@ import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.attack.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
-from cloak_core.attack.settings.augmentation import AugmentationSettings
-from cloak_core.attack.settings.loss import LossSettings
-from cloak_core.attack.settings.optimizer import OptimizerSettings
-from cloak_core.attack.settings.pattern import PatternSettings
+from cloak_core.attack.settings.components import (
+    AugmentationSettings,
+    ComputeSettings,
+    LossSettings,
+    OptimizerSettings,
+    PatternSettings,
+    QuerySettings,
+    RunSettings,
+    SurrogateSettings,
+    ViewSettings,
+)
 from cloak_core.attack.settings.people import PeopleSettings
-from cloak_core.attack.settings.queries import QuerySettings
-from cloak_core.attack.settings.run import ComputeSettings, RunSettings
-from cloak_core.attack.settings.surrogates import SurrogateSettings
-from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.commands.base import RANK, Stopped, out, warn
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import TrainingProgress

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from tyro.conf import UseAppendAction
 
-from cloak_core.attack.settings.loss import Hide
+from cloak_core.attack.settings.components import Hide
 from cloak_core.commands.base import Stopped, err, out
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cloak_core.attack.settings import check_settings
-from cloak_core.attack.settings.loss import Hide
+from cloak_core.attack.settings.components import Hide
 from cloak_core.attack.settings.values import Bounds
 
 

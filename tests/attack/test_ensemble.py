@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cloak_core.attack.ensemble import Ensemble, level
-from cloak_core.attack.losses import evidence
+from cloak_core.attack.losses import person_loss
 from cloak_core.attack.objective import Objective
 from cloak_core.detectors.protocol import Detections, join_detections
 from cloak_core.files.errors import InputError
@@ -42,7 +42,7 @@ def asked(ensemble: Ensemble, step: int) -> tuple[int, ...]:
 def by_hand(detectors, combine) -> tuple[torch.Tensor, torch.Tensor]:
     """Loss and gradient of the whole batch at once."""
     images = IMAGES.clone().requires_grad_()
-    loss = combine(torch.stack([evidence(detector(images)) for detector in detectors])).mean()
+    loss = combine(torch.stack([person_loss(detector(images)) for detector in detectors])).mean()
     return loss.detach(), torch.autograd.grad(loss, images)[0]
 
 
@@ -57,7 +57,7 @@ def by_hand(detectors, combine) -> tuple[torch.Tensor, torch.Tensor]:
 )
 def test_loss_and_gradient_of_an_ensemble(changes, combine, microbatch):
     detectors = [TinyDetector(seed) for seed in range(3)]
-    answer = objective(detectors, **changes, microbatch=microbatch).ask(IMAGES)
+    answer = objective(detectors, **changes, microbatch=microbatch).forward_backward(IMAGES)
     loss, gradient = by_hand(detectors, combine)
     torch.testing.assert_close(answer.disappearance, loss)
     torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
@@ -69,9 +69,9 @@ def test_each_detector_has_the_margin_of_its_own_operating_point():
     detectors = [TinyDetector(seed) for seed in range(2)]
     for detector, point in zip(detectors, (0.25, 0.65), strict=True):
         detector.operating_point = point
-    answer = objective(detectors, loss="margin").ask(IMAGES)
+    answer = objective(detectors, loss="margin").forward_backward(IMAGES)
     # Of the second, the run's own threshold lies lower.
-    each = [evidence(d(IMAGES), "margin", operating_point=p) for d, p in zip(detectors, (0.25, 0.6), strict=True)]
+    each = [person_loss(d(IMAGES), "margin", operating_point=p) for d, p in zip(detectors, (0.25, 0.6), strict=True)]
     torch.testing.assert_close(answer.disappearance, torch.stack(each).mean())
     assert (each[0] > each[1]).sum() + (each[1] > each[0]).sum() == len(IMAGES)
 
@@ -79,18 +79,20 @@ def test_each_detector_has_the_margin_of_its_own_operating_point():
 def test_hiding_everything_counts_any_class_on_the_body():
     detector, bodies = RenamingDetector(), torch.tensor([[8.0, 8.0, 40.0, 56.0]]).expand(len(IMAGES), 4)
     for loss in ("score", "log", "margin"):
-        answer = objective([detector], loss=loss, hide="everything", microbatch=2).ask(IMAGES, bodies=bodies)
+        answer = objective([detector], loss=loss, hide="everything", microbatch=2).forward_backward(
+            IMAGES, bodies=bodies
+        )
         images = IMAGES.clone().requires_grad_()
         found = detector(images)
         inside = (found.boxes[..., 0] >= 8) & (found.boxes[..., 2] <= 40)
         inside &= (found.boxes[..., 1] >= 8) & (found.boxes[..., 3] <= 56)
         best = torch.maximum(found.scores, torch.where(inside, found.other, 0.0))
-        expected = evidence(Detections(found.boxes, best), loss, operating_point=0.5).mean()
+        expected = person_loss(Detections(found.boxes, best), loss, operating_point=0.5).mean()
         (gradient,) = torch.autograd.grad(expected, images)
         torch.testing.assert_close(answer.disappearance, expected.detach())
         torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
     with pytest.raises(ValueError, match="box must be known"):
-        objective([detector], hide="everything").ask(IMAGES)
+        objective([detector], hide="everything").forward_backward(IMAGES)
 
 
 @pytest.mark.slow
@@ -149,23 +151,23 @@ def test_an_adaptive_subset_asks_those_more_often_that_still_see():
 def test_subsets_stand_for_the_whole_ensemble():
     detectors = [TinyDetector(seed) for seed in range(3)]
     weighted = {"ensemble": "weighted", "detector_weights": "2,1,1"}
-    full = objective(detectors, **weighted).ask(IMAGES)
+    full = objective(detectors, **weighted).forward_backward(IMAGES)
     part = objective(detectors, **weighted, detectors_per_step=2)
     first = {asked(part.ensemble, step): step for step in range(100)}
     assert len(first) == 3
-    mean = torch.stack([part.ask(IMAGES, step).gradient for step in first.values()]).mean(dim=0)
+    mean = torch.stack([part.forward_backward(IMAGES, step).gradient for step in first.values()]).mean(dim=0)
     torch.testing.assert_close(mean, full.gradient, rtol=1e-4, atol=1e-9)
 
 
 def test_rpn_weight_reaches_the_first_stage():
     detector = Proposing()
-    answer = objective([detector], rpn_weight=0.5).ask(IMAGES)
+    answer = objective([detector], rpn_weight=0.5).forward_backward(IMAGES)
     images = IMAGES.clone().requires_grad_()
     found = detector(images)
     first = (found.proposal_scores * found.scores.detach()).amax(dim=1)
     (gradient,) = torch.autograd.grad((found.scores.amax(dim=1) + 0.5 * first).mean(), images)
     torch.testing.assert_close(answer.gradient, gradient, rtol=1e-5, atol=1e-9)
-    assert not torch.allclose(answer.gradient, objective([detector]).ask(IMAGES).gradient)
+    assert not torch.allclose(answer.gradient, objective([detector]).forward_backward(IMAGES).gradient)
 
 
 def test_rpn_weight_needs_one_detector_with_two_stages(tmp_path):

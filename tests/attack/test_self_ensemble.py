@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from cloak_core.attack.self_ensemble import SelfEnsemble
-from cloak_core.attack.settings.surrogates import SurrogateSettings
+from cloak_core.attack.settings.components import SurrogateSettings
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.files.errors import InputError
 from tests.attack.fakes import TinyDetector

@@ -16,8 +16,7 @@ from cloak_core.attack.settings import (
     settings_from_record,
     settings_record,
 )
-from cloak_core.attack.settings.optimizer import OptimizerSettings
-from cloak_core.attack.settings.run import RunSettings
+from cloak_core.attack.settings.components import OptimizerSettings, RunSettings
 from cloak_core.attack.settings.values import Angles, Azimuths, Range, Weights
 from cloak_core.commands import train
 from cloak_core.files.errors import InputError

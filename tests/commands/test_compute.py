@@ -6,7 +6,7 @@ import json
 import pytest
 import torch
 
-from cloak_core.attack.settings.run import ComputeSettings
+from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.attack.training import train
 from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.demo import Demo

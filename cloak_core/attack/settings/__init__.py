@@ -12,6 +12,7 @@ settings do not: `cloak train --help` is to be quick.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import typing
 from collections.abc import Mapping
@@ -19,16 +20,19 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
-from cloak_core.attack.settings.augmentation import AugmentationSettings
-from cloak_core.attack.settings.loss import LossSettings
-from cloak_core.attack.settings.optimizer import OptimizerSettings
-from cloak_core.attack.settings.pattern import PatternSettings
+from cloak_core.attack.settings.components import (
+    AugmentationSettings,
+    ComputeSettings,
+    LossSettings,
+    OptimizerSettings,
+    PatternSettings,
+    QuerySettings,
+    RunSettings,
+    SurrogateSettings,
+    ViewSettings,
+)
 from cloak_core.attack.settings.people import PeopleSettings
-from cloak_core.attack.settings.queries import QuerySettings
-from cloak_core.attack.settings.run import ComputeSettings, RunSettings
-from cloak_core.attack.settings.surrogates import SurrogateSettings
 from cloak_core.attack.settings.values import Bounds, Parsable, from_plain, option
-from cloak_core.attack.settings.views import ViewSettings
 from cloak_core.files.errors import InputError
 
 Preset = Literal["paper", "reference", "best", "transfer", "photographs"]
@@ -84,16 +88,7 @@ class TrainSettings:
 
 
 COMPONENTS: dict[str, type] = {
-    "run": RunSettings,
-    "views": ViewSettings,
-    "augmentation": AugmentationSettings,
-    "photographs": PeopleSettings,
-    "objective": LossSettings,
-    "pattern": PatternSettings,
-    "surrogates": SurrogateSettings,
-    "optimization": OptimizerSettings,
-    "queries": QuerySettings,
-    "compute": ComputeSettings,
+    entry.name: entry.default_factory for entry in dataclasses.fields(TrainSettings) if entry.name != "preset"
 }
 """Of `TrainSettings`, by the name of the field."""
 PRESETS: dict[str, dict[str, object]] = {
