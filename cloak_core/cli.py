@@ -102,7 +102,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def complain(words: str) -> None:
-    """One line on standard error; also where no memory is left to make it pretty."""
+    """Write one line on standard error, also where no memory is left to make it pretty."""
     try:
         err.print(f"cloak: {words}", style="red")
     except (MemoryError, ImportError):
@@ -110,7 +110,7 @@ def complain(words: str) -> None:
 
 
 def run_or_say_usage(command: Command, name: str, options: list[str]) -> int:
-    """As `run`; who gave no options at all, and some were needed, is told which there are."""
+    """Run a command; tell whoever gave no options at all, and some were needed, which there are."""
     try:
         return run(command)
     except InputError as error:
@@ -144,7 +144,7 @@ def run(command: Command) -> int:
 
 
 def _verdict(command: Command, result: dict) -> int:
-    """1 where a command found that something failed, which is said.
+    """Say what failed; 1 where something did.
 
     InputError where part of its input was bad, and the rest was done: "refused".
     """
@@ -184,7 +184,7 @@ def load(name: str) -> type[Command]:
 
 
 def print_help(commands: dict[str, str]) -> None:
-    """The help of `cloak`, or of a group of commands such as `cloak scene`."""
+    """Print the help of `cloak`, or of a group of commands such as `cloak scene`."""
     from cloak_core.commands.help import all_commands
 
     groups = {title: {n: load(n) for n in members if n in commands} for title, members in GROUPS.items()}
@@ -192,7 +192,7 @@ def print_help(commands: dict[str, str]) -> None:
 
 
 def parse(name: str, arguments: list[str]) -> Command:
-    """The command with its options, or its help."""
+    """Parse the command's options, or print its help."""
     from cloak_core.commands import parsing
 
     return parsing.parse(load(name), name, arguments)

@@ -271,7 +271,7 @@ def wear(
 def _worn(
     folder: Path, config: dict, logo: Logo, bodies: Bodies, colors: Named | None
 ) -> tuple[np.ndarray, dict | None, str]:
-    """Colours for the logo's faces, what is known of their training, and their name; "" for the run's own."""
+    """Find the colours of the logo's faces, their training's record, and their name; "" for the run's own."""
     if colors is None:
         return read_colors(folder / "colors.npy", len(logo)), config, ""
     from cloak_core.evaluation.foreign_colors import colors_of
@@ -282,7 +282,7 @@ def _worn(
 def _unseen(
     scene: Bodies | Named | None, backgrounds: Backgrounds | Named | None, config: dict
 ) -> tuple[Bodies, Backgrounds]:
-    """What to evaluate on: as it is, by name, or what was kept back from the run's training."""
+    """Open what to evaluate on: as it is, by name, or what was kept back from the run's training."""
     bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
     if not isinstance(backgrounds, Backgrounds):
         backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
@@ -290,7 +290,7 @@ def _unseen(
 
 
 def _fitted(people: People | Named | None) -> list[Fit]:
-    """Bodies fitted to the people, from the cache where they were fitted before."""
+    """Fit bodies to the people, or find them in the cache."""
     if people is None:
         return []
     from cloak_core.render.photographs.fits import fit_people
@@ -299,7 +299,7 @@ def _fitted(people: People | Named | None) -> list[Fit]:
 
 
 def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:
-    """The settings, or those made by the changes. TypeError: both are given."""
+    """Take the settings, or make them by the changes. TypeError: both are given."""
     if settings is not None and changes:
         raise TypeError(f"settings are given: change {', '.join(changes)} there")
     return make(**changes) if settings is None else settings
@@ -310,7 +310,7 @@ def _detector(detector: Detector | str, device: str) -> Detector:
 
 
 def _several(detectors: Detector | str | Sequence[Detector | str]) -> Sequence[Detector | str]:
-    """One detector, or one spec, is a list of one."""
+    """Make one detector, or one spec, a list of one."""
     return [detectors] if isinstance(detectors, (Detector, str)) else detectors
 
 

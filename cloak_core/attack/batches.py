@@ -49,8 +49,10 @@ class Batch:
         return self.canvas.shape[0] if self.canvas else 0
 
     def images(self, colors: Float[Tensor, "*B L 3"]) -> Float[Tensor, "B 3 H W"]:
-        """The images, in [0, 1], differentiable in the colours (all images', or each image's own). The next call draws
-        into the same memory."""
+        """Paint the colours (all images', or each image's own) into the images, in [0, 1], differentiably.
+
+        The next call draws into the same memory.
+        """
         if self.canvas is None:
             return self.empty + 0 * colors.sum()
         shown = colors if self.on_logo is None else self.on_logo(colors)
@@ -69,7 +71,7 @@ class Company:
     """Renders: nobody else can be in them, so that every box counts."""
 
     def part(self, first: int, last: int) -> "Company":
-        """Of some of the images."""
+        """Take the company of some of the images."""
         return Company(self.others[first:last], self.anywhere[first:last])
 
 
@@ -99,7 +101,7 @@ class Batcher:
         self._centres = face_centres(view_cache.bodies)[logo_faces] if self.augmentation.cutout else None
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
-        """The images of `step`, or one process's share of them."""
+        """Build the images of `step`, or one process's share of them."""
         draws = self.sampler.draw(step).share(rank, ranks)
         settings, size = self.augmentation, self.views.size
         empty = torch.empty(0, 3, size, size, device=self.device)
@@ -152,7 +154,7 @@ class Batcher:
         return Company(others.to(self.device), torch.from_numpy(draws.person < 0).to(self.device))
 
     def _backdrop(self, index: int, seed: int) -> UInt8[Tensor, "3 H W"]:
-        """A background, with a share of another one in it where the settings say so."""
+        """Take a background, mixed with a share of another one where the settings say so."""
         size, most = self.views.size, self.augmentation.background_mix
         image = self.backgrounds.image(index, (size, size))
         if not most:
@@ -200,7 +202,7 @@ class Prefetcher:
         self._next: tuple[int, Future] | None = None
 
     def batch(self, step: int) -> Batch:
-        """The batch of `step`; that of `step + 1` is begun."""
+        """Give the batch of `step`; begin that of `step + 1`."""
         expected = self._next is not None and self._next[0] == step
         ready = self._next[1].result() if expected else self._batcher.batch(step, self._rank, self._ranks)
         if self._pool is not None and step + 1 < self._batcher.sampler.steps:
@@ -220,7 +222,8 @@ class Prefetcher:
 
 
 def looks_ahead(device: torch.device) -> bool:
-    """Whether the detector leaves a core to whoever builds the next batch: on a GPU, and with fewer threads than cores.
+    """Tell whether the detector leaves a core to whoever builds the next batch: on a GPU, and with fewer threads than
+    cores.
 
     Otherwise a batch takes less time between two steps, from all threads together, than it takes away from the
     detector's threads, which wait for each other after every layer.
@@ -230,7 +233,7 @@ def looks_ahead(device: torch.device) -> bool:
 
 
 def _cores() -> int:
-    """That this process may use."""
+    """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -260,12 +263,12 @@ class LogoChange:
 
 
 def is_photometric(settings: AugmentationSettings) -> bool:
-    """Whether contrast, brightness or noise change anything."""
+    """Tell whether contrast, brightness or noise change anything."""
     return bool(settings.noise) or settings.contrast != Range(1.0, 1.0) or settings.brightness != Range(0.0, 0.0)
 
 
 def distortion(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Distortion:
-    """What happens to the finished images."""
+    """Gather what happens to the finished images."""
     return Distortion(
         _on(device, draws.zoom) if settings.zoom != Range(1.0, 1.0) else None,
         _on(device, _windows(draws, settings)) if settings.crop or settings.pad else None,
@@ -286,7 +289,10 @@ def _tints(draws: Draws, settings: AugmentationSettings) -> Float[np.ndarray, "B
 
 
 def render_change(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Photometric:
-    """The same on the body's pixels. Its noise has one seed for all images that a process composes together."""
+    """Draw contrast, brightness and noise on the body's pixels.
+
+    The noise has one seed for all images that a process composes together.
+    """
     seed = int(draws.seed[0]) if len(draws) else 0
     contrast, brightness = _on(device, draws.contrast), _on(device, draws.brightness)
     return Photometric(contrast, brightness, settings.noise, seed)
@@ -299,7 +305,7 @@ def _on(device: torch.device, values: np.ndarray) -> Tensor:
 def require_visible_logo(
     view_cache: ViewCache, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings
 ) -> None:
-    """InputError when no training view (any pose at any training angle) shows any part of the logo."""
+    """Require that some training view shows the logo. InputError: none does, of any pose at any training angle."""
     for azimuth in settings.angles.centers:
         camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
         for pose in range(pose_count):

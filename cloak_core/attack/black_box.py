@@ -59,12 +59,12 @@ class SearchResult(RunResult):
 
 
 def queries_after(steps: int, cost: int) -> int:
-    """Images asked in so many steps; `cost`: those of a batch, every detector's."""
+    """Count the images asked in so many steps; `cost`: those of a batch, every detector's."""
     return cost * (2 * steps + -(-steps // EVERY))
 
 
 def steps_within(settings: TrainSettings, detectors: int) -> int:
-    """How many steps the allowed images last. InputError: not even for one."""
+    """Count the steps that the allowed images last. InputError: not even for one."""
     cost, allowed = settings.run.batch * detectors, settings.queries.black_box_queries or 0
     if allowed < queries_after(1, cost):
         raise InputError(
@@ -76,7 +76,7 @@ def steps_within(settings: TrainSettings, detectors: int) -> int:
 
 
 def search_settings(settings: TrainSettings, detectors: int) -> TrainSettings:
-    """The settings by which a search draws its images and judges answers: a batch a step, the margin for its loss."""
+    """Make the settings by which a search draws images and judges answers: a batch a step, the margin as loss."""
     steps = steps_within(settings, detectors)
     changes = {"steps": steps, "epochs": None, "hard_views": 0.0, "loss": "margin", "rpn_weight": 0.0}
     ensemble = {"ensemble": "mean", "detector_weights": None, "detectors_per_step": None}
@@ -97,7 +97,10 @@ class Search:
         on_event: OnEvent | None,
         prior: QueryPrior | None = None,
     ) -> None:
-        """`batcher` and `objective` are those of `search_settings`; centres: of the logo's faces, metres."""
+        """Begin a search; `batcher` and `objective` are those of `search_settings`.
+
+        centres: of the logo's faces, metres.
+        """
         self.prior = prior
         self.settings, self.run, self.batcher, self.objective = settings, run, batcher, objective
         self.centres, self.colors, self.step = centres, start.clone(), 0
@@ -109,7 +112,7 @@ class Search:
         self.log = EventLog(run.events, on_event)
 
     def run_to_end(self, stop: StopRequest) -> SearchResult:
-        """Asks until done or told to stop; a checkpoint and the colours are written either way."""
+        """Ask until done or told to stop; a checkpoint and the colours are written either way."""
         figures, reason = None, ""
         try:
             self._tell("resume" if self.step else "start", steps=self.steps)
@@ -160,7 +163,7 @@ class Search:
         return figures
 
     def _asked(self, batch: Batch, colors: Float[Tensor, "*B L 3"]) -> tuple[Float[Tensor, " B"], float]:
-        """Each image's loss, mean over the detectors, and the success."""
+        """Ask the detectors: each image's loss, mean over the detectors, and the success."""
         answer = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
         said = answer.detections.items()
         losses = torch.stack([self.objective.loss(detections, number) for number, detections in said]).mean(0)
@@ -174,7 +177,7 @@ class Search:
         self._tell("round", queries=asked, success=success, disappearance=float(losses.mean()))
 
     def _directions(self, batch: Batch) -> Float[Tensor, "B L 3"]:
-        """-1, 0 or 1 for every face and channel, alike within a cell; a function of (seed, step) and the colours."""
+        """Draw -1, 0 or 1 for every face and channel, alike within a cell; by (seed, step) and the colours."""
         random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
         found = torch.from_numpy(self._random_directions(len(batch), random)).to(self.colors)
         if self.prior is None:
@@ -190,7 +193,7 @@ class Search:
         return found
 
     def _follow(self, estimate: Float[Tensor, "L 3"]) -> None:
-        """One step of Adam with a single scale for all colours: where answers contradict each other, it is short."""
+        """Take one step of Adam with a single scale for all colours: short where answers contradict each other."""
         first, second = MEMORY
         self._mean.lerp_(estimate, 1 - first)
         self._square.lerp_(estimate.square().mean(), 1 - second)

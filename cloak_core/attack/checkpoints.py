@@ -61,7 +61,7 @@ def save_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(folder: Path) -> tuple[Checkpoint | None, list[str]]:
-    """The latest sound checkpoint in `folder`, None where there is none, and a line on each that is not sound."""
+    """Load the latest sound checkpoint in `folder`, None where there is none; list what is wrong with others."""
     damaged = []
     for path in reversed(_checkpoints(folder)):
         try:
@@ -72,7 +72,7 @@ def load_checkpoint(folder: Path) -> tuple[Checkpoint | None, list[str]]:
 
 
 def send_checkpoint(checkpoint: Checkpoint | None) -> bytes:
-    """As bytes, for another process; empty for none."""
+    """Serialise a checkpoint for another process; empty for none."""
     if checkpoint is None:
         return b""
     place = {
@@ -83,7 +83,7 @@ def send_checkpoint(checkpoint: Checkpoint | None) -> bytes:
 
 
 def receive_checkpoint(data: bytes) -> Checkpoint | None:
-    """What `send_checkpoint` sent."""
+    """Read what `send_checkpoint` sent."""
     if not data:
         return None
     tensors = load(data)

@@ -57,7 +57,7 @@ class Distortion:
 
 
 def zoomed(images: Float[Tensor, "B 3 H W"], factor: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
-    """Each image enlarged about its centre by its factor, bilinearly, at the same size."""
+    """Enlarge each image about its centre by its factor, bilinearly, at the same size."""
     scale = torch.zeros(len(images), 2, 3, dtype=images.dtype, device=images.device)
     scale[:, 0, 0] = scale[:, 1, 1] = 1 / factor
     grid = F.affine_grid(scale, list(images.shape), align_corners=False)
@@ -65,7 +65,7 @@ def zoomed(images: Float[Tensor, "B 3 H W"], factor: Float[Tensor, "B"]) -> Floa
 
 
 def tinted(images: Float[Tensor, "B 3 H W"], factors: Float[Tensor, "B 4"]) -> Float[Tensor, "B 3 H W"]:
-    """Channels multiplied by the first three factors, then the distance from each pixel's grey by the last; clamped.
+    """Multiply channels by the first three factors, then each pixel's distance from grey by the last; clamp.
 
     The gradient passes the clamp within [0, 1].
     """
@@ -78,7 +78,7 @@ def tinted(images: Float[Tensor, "B 3 H W"], factors: Float[Tensor, "B 4"]) -> F
 def occluded(
     canvas: Canvas, boxes: Sequence[tuple[int, int, int, int, int]], pictures: Sequence[UInt8[Tensor, "3 H W"]]
 ) -> Canvas:
-    """The canvas with rectangles before its bodies, each cut from its picture at the same place.
+    """Put rectangles before the canvas's bodies, each cut from its picture at the same place.
 
     boxes: image, x0, y0, x1, y1, pixels, within the images. What lies behind gets no gradient.
     """
@@ -96,7 +96,7 @@ def occluded(
 def draw_occluders(
     random: np.random.Generator, body: Sequence[float], most: int, size: int
 ) -> list[tuple[int, int, int, int]]:
-    """0 to `most` rectangles (x0, y0, x1, y1), their centres in a body's box, cut at the edges of a square image."""
+    """Draw 0 to `most` rectangles (x0, y0, x1, y1) about places in a body's box, cut at a square image's edges."""
     low, high = np.array(body[:2]), np.array(body[2:])
     count = random.integers(most, endpoint=True)
     centers = random.uniform(low, high, (count, 2))
@@ -106,7 +106,7 @@ def draw_occluders(
 
 
 def draw_window(random: np.random.Generator, crop: float, pad: float) -> tuple[float, float, float]:
-    """One image's window (see `Distortion`): up to a share `crop` cut away, or up to `pad` of it margin, anywhere."""
+    """Draw one image's window (see `Distortion`): up to a share `crop` cut away, or up to `pad` of margin."""
     is_crop = random.random() < 0.5 if crop and pad else bool(crop)
     share = random.uniform(0, crop if is_crop else pad)
     side = 1 - share if is_crop else 1 / (1 - share)

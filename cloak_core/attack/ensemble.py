@@ -49,18 +49,20 @@ class Ensemble:
         return self._standing()
 
     def _standing(self) -> Float[np.ndarray, " detectors"]:
-        """By how surely each found a person lately; they sum to 1."""
+        """Weigh detectors by how surely each found a person lately; the weights sum to 1."""
         grown = np.exp(_SHARPNESS * (self._levels - self._levels.max()))
         return grown / grown.sum()
 
     def observe(self, levels: dict[int, float]) -> None:
-        """After a step: by the number of the detector, how surely it found a person, from 0 over 0.5 at its own
-        operating point to 1 (`level`). In every process for the whole batch."""
+        """Note after a step how surely each detector found a person (`level`), by its number.
+
+        From 0 over 0.5 at its own operating point to 1. In every process for the whole batch.
+        """
         for number, level in levels.items():
             self._levels[number] = _MEMORY * self._levels[number] + (1 - _MEMORY) * level
 
     def state(self) -> dict[str, Tensor]:
-        """For a checkpoint."""
+        """Give the state for a checkpoint."""
         return {_STATE + "levels": torch.from_numpy(self._levels.copy())} if self.is_adaptive else {}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
@@ -73,7 +75,8 @@ class Ensemble:
         self._levels = levels.astype(np.float64, copy=True)
 
     def asked(self, step: int | None) -> list[list[int]]:
-        """The detectors of a step (None: all), in groups whose losses need each other: alone but for the maximum.
+        """Choose the detectors of a step (None: all), in groups whose losses need each other: alone but for the
+        maximum.
 
         A function of (seed, step) and of what was observed, so that a resumed run and every process ask the same.
         """
@@ -87,7 +90,7 @@ class Ensemble:
         return [[int(number)] for number in chosen]
 
     def combine(self, losses: dict[int, Float[Tensor, "B"]], asked: int) -> Float[Tensor, "B"]:
-        """What a group adds to each image's loss, by the number of the detector; `asked` of them were in all groups.
+        """Combine a group's losses, by the detector's number; `asked` detectors were in all groups.
 
         Of a subset each detector counts for those left out, too, so that its expectation is the whole ensemble's.
         """
@@ -99,7 +102,7 @@ class Ensemble:
 
 
 def level(scores: Float[Tensor, "B"], operating_point: float) -> Float[Tensor, "B"]:
-    """How surely a person is found, beside the detector's own operating point: 0.5 there, in [0, 1].
+    """Measure how surely a person is found beside the detector's operating point: 0.5 there, in [0, 1].
 
     The odds of the score over the sum of its odds and those of the operating point.
     """

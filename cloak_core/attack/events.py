@@ -41,7 +41,7 @@ class EventLog:
 
 
 def read_events(path: str | os.PathLike) -> list[Event]:
-    """The events of a run; lines that are torn or no JSON objects are skipped, as a crash may leave one."""
+    """Read the events of a run; torn lines and lines that are no JSON objects are skipped."""
     events = []
     with open_regular(path, MAX_BYTES) as file:
         while line := file.readline(MAX_LINE):

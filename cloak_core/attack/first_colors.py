@@ -31,7 +31,7 @@ COLUMN, GAP = 0.06, 0.05
 def first_colors(
     settings: OptimizerSettings, bodies: Bodies, logo: Logo, seed: int = 0, device: torch.device | None = None
 ) -> Float[Tensor, "L 3"]:
-    """First colours of the logo's faces: grey, seeded random ones, those of the first outfit, or an animal's face."""
+    """Make the logo's first colours: grey, seeded random ones, those of the first outfit, or an animal's face."""
     if settings.initial == "clothing":
         return torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
     if settings.initial == "animal":
@@ -43,7 +43,7 @@ def first_colors(
 
 
 def animal_face(bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:
-    """Grey, with a dog's face on the front and one on the back: light fur, a brown coat, two eyes, nose and mouth.
+    """Draw a dog's face on front and back, on grey: light fur, a brown coat, two eyes, nose and mouth.
 
     Each is as high as 0.38 of the body in its first pose, or as the logo has room along the middle, and begins where
     that does. Trainings for detectors of many classes that end well have drawn such a face by themselves.
@@ -63,7 +63,7 @@ def animal_face(bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:
 
 
 def _room(centres: Float[np.ndarray, "faces 3"], tall: float) -> tuple[float, float, float] | None:
-    """Of faces of one side: the middle, and top and height of the longest strip along it without a gap; metres."""
+    """Find the longest strip without a gap along the middle of one side's faces: middle, top, height; metres."""
     middle = float(np.median(centres[:, 0])) if len(centres) else 0.0
     column = np.sort(centres[abs(centres[:, 0] - middle) <= COLUMN * tall, 1])
     if not len(column):
@@ -80,7 +80,7 @@ def _draw(
     down: Float[np.ndarray, " L"],
     side: Bool[np.ndarray, " L"],
 ) -> None:
-    """The face onto the faces of one side, in place."""
+    """Draw the face onto the faces of one side, in place."""
     inside = side & (abs(across) < HALF_WIDTH) & (down >= 0) & (down < 1)
     colors[inside] = FUR
     colors[inside & ((down < FOREHEAD) | ((abs(across) > CHEEKS) & (down < CHEEKS_END)))] = COAT

@@ -40,7 +40,7 @@ class HardViews:
     def observe(
         self, step: int, pose: Int[np.ndarray, "B"], azimuth: Int[np.ndarray, "B"], found: Float[np.ndarray, "B"]
     ) -> None:
-        """How surely a person was found, 0..1, in each image of `step`. In every process for the whole batch."""
+        """Note how surely a person was found, 0..1, in each image of `step`. In every process for the whole batch."""
         for p, a, value in zip(pose, azimuth, found, strict=True):
             self._mean[p, a] = MEMORY * self._mean[p, a] + (1 - MEMORY) * value
         if (step + 2) % EVERY == 0:
@@ -49,7 +49,7 @@ class HardViews:
             self._chances[block] = self._mean + LEAST
 
     def state(self) -> dict[str, Tensor]:
-        """For a checkpoint."""
+        """Give the state for a checkpoint."""
         blocks = sorted(self._chances)
         kept = np.stack([self._chances[block] for block in blocks]) if blocks else np.empty((0, *self._mean.shape))
         return {

@@ -31,7 +31,7 @@ def heatmap(
     device: str | torch.device = "cpu",
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Float[np.ndarray, "F"]:
-    """Mean size of the gradient of an image's person score with respect to each face's colour.
+    """Average the size of the gradient of an image's person score by each face's colour.
 
     Size: absolute values summed over channels; mean over every pose from every angle (azimuths, degrees), each on
     `backgrounds_per_view` backgrounds taken in turn. The body wears its outfits in turn. Faces never seen have 0.

@@ -42,7 +42,7 @@ class TrainingData:
 
 
 def set_aside(settings: RunSettings, material: TrainingData) -> tuple[TrainingData, TrainingData | None]:
-    """What is trained on, and what is held out (None where `settings.held_out` is 0).
+    """Split the material into what is trained on and what is held out (None where `settings.held_out` is 0).
 
     At least one background is held out, and at least one pose where there are several; a single pose serves both.
     InputError: a single background.
@@ -72,7 +72,7 @@ def _split(random: np.random.Generator, count: int, share: float) -> tuple[list[
 
 
 def held_out_settings(settings: TrainSettings) -> TrainSettings:
-    """Settings whose `steps` batches are the images of one measurement."""
+    """Make settings whose `steps` batches are the images of one measurement."""
     steps = math.ceil(IMAGES / settings.run.batch)
     return settings.changed(
         epochs=None, steps=steps, seed=settings.run.seed ^ 1, held_out=0.0, patience=0, hard_views=0.0
@@ -97,7 +97,7 @@ class HeldOut:
         self.best: Best | None = None
 
     def is_due(self, step: int, steps: int) -> bool:
-        """Whether the colours after `step` of `steps` updates are to be measured."""
+        """Tell whether the colours after `step` of `steps` updates are to be measured."""
         return step == steps or step % self.settings.held_out_every == 0
 
     def consider(self, step: int, colors: Float[Tensor, "L 3"]) -> dict[str, float]:
@@ -109,14 +109,14 @@ class HeldOut:
         return {"disappearance": seen, "success": success, "best_step": self.best.step}
 
     def is_over(self, step: int) -> bool:
-        """Whether `patience` measurements in a row, up to `step`, brought nothing better."""
+        """Tell whether `patience` measurements in a row, up to `step`, brought nothing better."""
         if not self.settings.patience or self.best is None:
             return False
         since = step // self.settings.held_out_every - self.best.step // self.settings.held_out_every
         return since >= self.settings.patience
 
     def state(self) -> dict[str, Tensor]:
-        """For a checkpoint."""
+        """Give the state for a checkpoint."""
         if self.best is None:
             return {}
         figures = torch.tensor([self.best.step, self.best.disappearance, self.best.success], dtype=torch.float64)
@@ -134,7 +134,7 @@ class HeldOut:
 
     @torch.no_grad()
     def _measure(self, colors: Float[Tensor, "L 3"]) -> tuple[float, float]:
-        """Mean disappearance loss and success over all images, in all processes together."""
+        """Average disappearance loss and success over all images, in all processes together."""
         sampler = self.batcher.sampler
         total = torch.zeros(2, dtype=torch.float64, device=self.batcher.device)
         for step in range(sampler.steps):

@@ -69,7 +69,7 @@ class RunResult:
     """Mean and 95th percentile of CIEDE2000 from the garment that the colours were kept close to."""
 
     def record(self) -> dict:
-        """As the command line prints it."""
+        """Make the record that the command line prints."""
         figures = dataclasses.asdict(self.figures) if self.figures else {}
         record = {
             "out": str(self.out),
@@ -112,7 +112,7 @@ class TrainingLoop:
         self.batches = Prefetcher(batcher, world.rank, world.size)
 
     def run_to_end(self, stop: StopRequest) -> RunResult:
-        """Steps until done or told to stop; a checkpoint and the colours are written either way."""
+        """Train until done or told to stop; a checkpoint and the colours are written either way."""
         try:
             figures, reason = self._steps(stop)
         finally:
@@ -168,7 +168,7 @@ class TrainingLoop:
         return self.step >= self.sampler.steps or bool(self._enough())
 
     def _enough(self) -> str:
-        """Why no more steps are needed before the last one; "" when they are."""
+        """Say why no more steps are needed before the last one; "" when they are."""
         if self.held_out is None or self.step >= self.sampler.steps or not self.held_out.is_over(self.step):
             return ""
         return f"nothing better on what is held out since step {self.held_out.best.step}"
@@ -178,7 +178,7 @@ class TrainingLoop:
             self._tell("held_out", **self.held_out.consider(self.step, self.optimizer.finished()))
 
     def _recorded_figures(self) -> StepFigures | None:
-        """Of the last step in the event log: what a run that was complete before has to tell."""
+        """Read the last step's figures from the event log: a run that was complete before has no others."""
         names = [field.name for field in dataclasses.fields(StepFigures)]
         for event in reversed(read_events(self.run.events) if self.world.is_first else []):
             if event.get("type") == "step" and all(isinstance(event.get(name), float) for name in names):
@@ -258,13 +258,13 @@ class TrainingLoop:
         return _as_array(self.optimizer.finished())
 
     def _final_colors(self) -> tuple[Float[np.ndarray, "L 3"], int]:
-        """The colours the run ends with, and the step they are of."""
+        """Give the colours the run ends with, and the step they are of."""
         if self.held_out is None or self.held_out.best is None:
             return self._colors_array(), self.step
         return _as_array(self.held_out.best.colors), self.held_out.best.step
 
     def _save(self, final: bool = False) -> None:
-        """A checkpoint, and the colours: the latest, or those the run ends with."""
+        """Write a checkpoint, and the colours: the latest, or those the run ends with."""
         if self.world.is_first:
             write_colors(self.run.colors, self._final_colors()[0] if final else self._colors_array())
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
@@ -275,7 +275,7 @@ class TrainingLoop:
             self._tell("checkpoint")
 
     def _show(self) -> None:
-        """The latest colours, for whoever watches, every now and then."""
+        """Write the latest colours every now and then, for whoever watches."""
         if self.world.is_first and time.perf_counter() - self._shown >= LIVE_SECONDS:
             write_colors(self.run.colors, self._colors_array())
             self._shown = time.perf_counter()

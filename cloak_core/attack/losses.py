@@ -37,7 +37,7 @@ def disappearance(
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
 ) -> Float[Tensor, ""]:
-    """Batch mean of `person_loss`."""
+    """Average `person_loss` over the batch."""
     return person_loss(detections, kind, reduce, operating_point, margin).mean()
 
 
@@ -48,7 +48,9 @@ def person_loss(
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
 ) -> Float[Tensor, "B"]:
-    """How surely each image shows a person, in [0, 1] for "score" and "objectness", in [0, inf) for the others.
+    """Measure how surely each image shows a person.
+
+    In [0, 1] for "score" and "objectness", in [0, inf) for the others.
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
     without objectness), "log" or "margin", which alone asks for the `operating_point`, the score in (0, 1) at which the
@@ -68,7 +70,7 @@ def person_loss(
 
 
 def proposal_loss(detections: Detections, reduce: Reduce = "max") -> Float[Tensor, "B"]:
-    """Of two-stage detectors: the first stage's objectness of the proposals, each as far as it became a person.
+    """Measure the first stage's objectness of proposals, each as far as it became a person (two-stage detectors).
 
     The product of both, its gradient reaching the first stage alone (the second has `person_loss`); a proposal that the
     second stage takes for something else may stay. InputError where there are no proposal scores.
@@ -125,7 +127,7 @@ def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradi
 
 
 def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
-    """Mean over faces of the Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
+    """Average the faces' Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
 
     The non-printability score of Sharif et al., "Accessorize to a Crime" (CCS 2016), as Thys et al., "Fooling automated
     surveillance cameras" (CVPR workshops 2019) use it: Sharif's product of the distances to all palette colours

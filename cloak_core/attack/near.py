@@ -58,7 +58,7 @@ class Near:
         return torch.from_numpy(own).to(colors)
 
     def _wanted(self, far: Float[np.ndarray, " L"]) -> Float[np.ndarray, " L"]:
-        """Each face's largest distance so that both bounds hold together."""
+        """Find each face's largest distance so that both bounds hold together."""
         place = math.ceil(0.95 * (len(far) - 1))  # of the largest that the percentile looks at
         wanted = np.minimum(far, self.most) if np.sort(far)[place] > self.most else far
         if wanted is not far:
@@ -71,7 +71,7 @@ class Near:
     def _moved(
         self, colors: Float[np.ndarray, "n 3"], garment: Float[np.ndarray, "n 3"], wanted: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "n 3"]:
-        """On the line from the garment to each colour, the farthest place found that is near enough."""
+        """Find the farthest place on the line from the garment to each colour that is near enough."""
         low, high = np.zeros(len(colors)), np.ones(len(colors))
         base = lab(garment)
         reached = garment.copy()
@@ -85,7 +85,7 @@ class Near:
 
 
 def _threshold(far: Float[np.ndarray, " L"], total: float) -> float:
-    """What to take from every distance, none going below 0, so that they sum up to `total`."""
+    """Find what to take from every distance, none going below 0, so that they sum up to `total`."""
     ordered = np.sort(far)[::-1]
     sums = np.cumsum(ordered) - total
     counts = np.arange(1, len(far) + 1)

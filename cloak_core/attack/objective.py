@@ -58,11 +58,11 @@ class Objective:
         self._without_proposals: set[int] = set()
 
     def printability(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
-        """Non-printability against the palette; 0 without one."""
+        """Compute non-printability against the palette; 0 without one."""
         return colors.new_zeros(()) if self.palette is None else non_printability(colors, self.palette)
 
     def total_variation(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
-        """How restless the colours are."""
+        """Compute the colours' total variation."""
         return total_variation(colors, self.edges, self.edge_lengths)
 
     def forward_backward(
@@ -129,7 +129,7 @@ class Objective:
         return as_anything(detections, bodies)
 
     def loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
-        """What detector `number` adds to each image's loss."""
+        """Compute what detector `number` adds to each image's loss."""
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)

@@ -30,7 +30,7 @@ COSINE_END = 0.01
 
 
 def learning_rate(settings: OptimizerSettings, step: int, steps: int, epoch: float) -> float:
-    """The learning rate of update `step` (from 0) of `steps`, `epoch` epochs into the run."""
+    """Find the learning rate of update `step` (from 0) of `steps`, `epoch` epochs into the run."""
     if settings.schedule == "step":
         return settings.lr * 0.1 ** math.floor(epoch / settings.lr_epochs)
     if settings.schedule == "cosine":
@@ -52,7 +52,7 @@ class ColorOptimizer:
         pattern: Pattern | None = None,
         near: Near | None = None,
     ) -> None:
-        """`pattern` makes colours of the N parameters, which begin as `initial`; None: they are the colours.
+        """Begin with N parameters as `initial`, of which `pattern` makes colours; None: they are the colours.
 
         `near`: the garment that the colours stay close to.
         """
@@ -77,18 +77,18 @@ class ColorOptimizer:
             self._parameter[inks] = torch.logit(values[inks].clamp(0.02, 0.98)) if self._sigmoid else values[inks]
 
     def colors(self) -> Float[Tensor, "L 3"]:
-        """The colours, in [0, 1], as part of the graph."""
+        """Give the colours, in [0, 1], as part of the graph."""
         return self._kept_near(self._values() if self._pattern is None else self._pattern(self._values()))
 
     @torch.no_grad()
     def finished(self) -> Float[Tensor, "L 3"]:
-        """The colours if the run ended here: with an ink for each patch, where it is to end so."""
+        """Give the colours if the run ended here: with an ink for each patch, where it is to end so."""
         return self._kept_near(
             self._values() if self._pattern is None else self._pattern.finished(self._values())
         ).detach()
 
     def _kept_near(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:
-        """The colours close to the garment; parameters that are colours are kept so themselves."""
+        """Keep the colours close to the garment; parameters that are colours are kept so themselves."""
         if self.near is None or self._direct:
             return colors
         # Straight through, as for inks: what is cut off may still come back.
@@ -118,7 +118,7 @@ class ColorOptimizer:
 
     @contextlib.contextmanager
     def perturbed(self, direction: Float[Tensor, "N 3"] | None) -> Iterator[None]:
-        """For the time of the block, the free parameters moved by `sharpness` (root mean square) along `direction`."""
+        """Move the free parameters by `sharpness` (root mean square) along `direction` inside the block (SAM)."""
         if direction is None or not self.settings.sharpness:
             yield
             return
@@ -139,14 +139,14 @@ class ColorOptimizer:
 
     @torch.no_grad()
     def update(self, lr: float) -> None:
-        """One step against the gradient; projected colours are cut back to [0, 1]."""
+        """Take one step against the gradient; projected colours are cut back to [0, 1]."""
         self._move(self._parameter, self._parameter.grad, self._state, lr)
         if not self._sigmoid:
             self._parameter.clamp_(0, 1)
         self._project()
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that later updates depend on, for a checkpoint."""
+        """Give everything that later updates depend on, for a checkpoint."""
         own = {_STATE + name: value for name, value in self._state.items()}
         return {"parameter": self._parameter.detach(), **own}
 

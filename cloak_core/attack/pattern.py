@@ -53,8 +53,11 @@ class Pattern:
         inks: Inks | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        """smoothing: over patches where there are some. profile: parameters are then what is sent to the printer,
-        colours what is photographed; inks that are given are colours as photographed."""
+        """Make a pattern; smoothing: over patches where there are some.
+
+        profile: parameters are then what is sent to the printer, colours what is photographed; inks that are given are
+        colours as photographed.
+        """
         self.smoothing, self.inks, self.profile = smoothing, inks, profile
         self.learnt = inks.learnt if inks else 0
         self.patch = None if patch is None else torch.from_numpy(patch).to(device)
@@ -63,13 +66,13 @@ class Pattern:
         """How far the run is, 0 to 1: the temperature hangs on it."""
 
     def __call__(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "L 3"]:
-        """The colours in this part of the run, differentiable."""
+        """Compute the colours in this part of the run, differentiably."""
         cold = (self.progress - FREE_UNTIL) / (HARD_FROM - FREE_UNTIL)
         temperature = WARM * (COLD / WARM) ** cold if cold < 1 else None
         return self._colors(values, temperature, is_free=cold < 0)
 
     def finished(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "L 3"]:
-        """The colours if the run ended here."""
+        """Compute the colours if the run ended here."""
         return self._colors(values, None)
 
     def reach(self, step: int, steps: int) -> bool:
@@ -78,7 +81,7 @@ class Pattern:
         return bool(self.learnt) and step == math.ceil(FREE_UNTIL * steps)
 
     def with_inks(self, values: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        """The parameters, their inks the means of clusters of the patches' values; as they were where these are few."""
+        """Set the inks to the means of clusters of the patches' values; leave them where these are few."""
         smoothed = values[: -self.learnt] if self.smoothing is None else self.smoothing(values[: -self.learnt])
         own = smoothed.detach().cpu().double().numpy()
         if len(np.unique(own, axis=0)) < self.learnt:
@@ -87,7 +90,7 @@ class Pattern:
         return torch.cat([values[: -self.learnt], torch.from_numpy(means).to(values)])
 
     def begin(self, first: Float[Tensor, "L 3"]) -> Float[Tensor, "N 3"]:
-        """Parameters that come out as these colours, or near them, before any ink is assigned."""
+        """Find parameters that come out as these colours, or near them, before any ink is assigned."""
         values = first
         if self.patch is not None:
             members = [np.bincount(self.patch.cpu(), channel) for channel in first.cpu().numpy().T]
@@ -123,7 +126,7 @@ class Pattern:
         return F.grid_sample(self._table, place, padding_mode="border", align_corners=True).view(3, -1).T
 
     def _first_inks(self) -> Float[np.ndarray, "K 3"]:
-        """Far apart among all there may be: what a run that ends early has to go by."""
+        """Choose inks far apart among all there may be, which a run that ends early has to go by."""
         steps = np.linspace(0.1, 0.9, 5)
         there_are = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
         if self.inks.given is not None:
@@ -135,7 +138,7 @@ class Pattern:
 def assigned(
     values: Float[Tensor, "N 3"], inks: Float[Tensor, "K 3"], temperature: float | None
 ) -> Float[Tensor, "N 3"]:
-    """Each value as a mean of the inks, weighted by exp(-squared distance / temperature); None: the nearest one.
+    """Mix each value from the inks, weighted by exp(-squared distance / temperature); None: take the nearest.
 
     The nearest one's gradient goes to that ink, and to the value as if it had stayed itself.
     """
@@ -147,7 +150,7 @@ def assigned(
 
 
 def far_apart(colors: Float[np.ndarray, "P 3"], count: int) -> Float[np.ndarray, "K 3"]:
-    """So many of the colours: the first, then always the one farthest from those there are."""
+    """Choose so many of the colours: the first, then always the one farthest from those there are."""
     chosen = [0]
     distance = ((colors - colors[0]) ** 2).sum(axis=1)
     while len(chosen) < count:

@@ -17,7 +17,7 @@ MOST = 8
 
 
 def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detections, threshold: float) -> None:
-    """A sheet of the first images, boxes drawn around persons above `threshold`; appears whole or not at all."""
+    """Save a sheet of the first images, boxes drawn around persons above `threshold`; whole or not at all."""
     count = min(len(images), MOST)
     columns = math.ceil(math.sqrt(count))
     height, width = images.shape[-2:]

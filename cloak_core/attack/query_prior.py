@@ -24,8 +24,10 @@ CELLS = (64, 1024)
 def random_cells(
     centres: Float[np.ndarray, "L 3"], bounds: tuple[int, int], random: np.random.Generator
 ) -> Int[np.ndarray, " L"]:
-    """The cell of every face, numbered from 0: the one around the nearest of some random faces, fewest and most of
-    which are the `bounds`, their number drawn evenly in its logarithm."""
+    """Divide the faces into cells around random faces: the number of each face's cell, from 0.
+
+    Their number lies within `bounds`, drawn evenly in its logarithm.
+    """
     low, high = np.log(np.minimum(bounds, len(centres)))
     count = round(np.exp(random.uniform(low, high)))
     about = centres[random.choice(len(centres), count, replace=False)]
@@ -36,7 +38,7 @@ class QueryPrior:
     """Directions from surrogates' gradients. InputError: a surrogate gives none."""
 
     def __init__(self, objective: Objective, centres: Float[np.ndarray, "L 3"]) -> None:
-        """`objective`: of the surrogates, with the margin for its loss; centres: of the logo's faces, metres."""
+        """Take the `objective` of the surrogates, the margin as its loss; centres: of the logo's faces, metres."""
         for detector in objective.detectors:
             if not detector.differentiable:
                 raise InputError(f"--query-prior {detector.spec}: gives no gradients")
@@ -45,8 +47,10 @@ class QueryPrior:
     def directions(
         self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, random: np.random.Generator
     ) -> Float[Tensor, "B L 3"]:
-        """-1, 0 or 1 for every face and channel of each image: the sign of one surrogate's gradient, averaged within
-        cells; 0 where the image does not show the cell."""
+        """Give -1, 0 or 1 for every face and channel of each image: the sign of one surrogate's gradient.
+
+        Averaged within cells; 0 where the image does not show the cell.
+        """
         count = len(self.objective.detectors)
         gradient = self._gradient(batch, colors, step, random.integers(count, size=len(batch)))
         found = torch.empty_like(gradient)
@@ -59,7 +63,7 @@ class QueryPrior:
     def _gradient(
         self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, chosen: Int[np.ndarray, " B"]
     ) -> Float[Tensor, "B L 3"]:
-        """Of each image's chosen surrogate's loss, by the colours in that image."""
+        """Compute each image's gradient of its chosen surrogate's loss, by the colours in that image."""
         with torch.enable_grad():
             moved = colors.expand(len(batch), -1, -1).clone().requires_grad_()
             images, total = batch.images(moved), 0.0

@@ -67,7 +67,7 @@ def run_config(
     people: Sequence[Fit] = (),
     near: np.ndarray | None = None,
 ) -> dict:
-    """config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
+    """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
@@ -123,7 +123,7 @@ def _backgrounds(backgrounds: Backgrounds) -> dict:
 
 
 def _people(fits: Sequence[Fit]) -> dict | None:
-    """Who was trained on: photographs by name, so that evaluation can tell them from unseen ones."""
+    """Record who was trained on, photographs by name, so that evaluation can tell them from unseen ones."""
     if not fits:
         return None
     licences = {fit.person.photograph: fit.person.licence for fit in fits}
@@ -136,7 +136,7 @@ def _people(fits: Sequence[Fit]) -> dict | None:
 
 
 def environment() -> dict:
-    """Versions, the machine's kind, and the threads of torch."""
+    """Record versions, the machine's kind, and the threads of torch."""
     return {
         "python": platform.python_version(),
         "torch": torch.__version__,
@@ -147,7 +147,7 @@ def environment() -> dict:
 
 
 def device_kind(device: str | torch.device) -> str:
-    """A device as far as results depend on it: "cpu", or the model of a GPU."""
+    """Name a device as far as results depend on it: "cpu", or the model of a GPU."""
     return torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else torch.device(device).type
 
 
@@ -155,7 +155,9 @@ def device_kind(device: str | torch.device) -> str:
 
 
 def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = tuple(DECISIVE)) -> None:
-    """InputError names the first of what decides the result in which `config` is not what the run at `path` recorded.
+    """Check that `config` is what the run at `path` recorded, in all that decides the result.
+
+    InputError names the first difference.
 
     What versions before this one did not record is not compared.
     """
@@ -177,7 +179,7 @@ def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = 
 
 
 def changes_around(recorded: dict, config: dict) -> list[str]:
-    """In what a run began otherwise than `config` goes on, though neither decides the result but for its last bits."""
+    """List differences from the recorded run that move the last bits of the result at most."""
     found = []
     if recorded.get("code") != config["code"]:
         found.append(f"other code (of Cloak {recorded.get('cloak', 'unknown')})")

@@ -51,7 +51,7 @@ class RunFolder:
 
 
 def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:
-    """Colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. Raises `InputError`."""
+    """Read colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. InputError."""
     path = run_path(path)
     if not path.is_dir():
         return read_colors(path, len(logo.face_ids))

@@ -57,7 +57,7 @@ class Draws:
         return len(self.pose)
 
     def share(self, rank: int, count: int) -> "Draws":
-        """Every `count`-th image from `rank` on: one process's part of the batch."""
+        """Take every `count`-th image from `rank` on: one process's part of the batch."""
         return Draws(**{name: getattr(self, name)[rank::count] for name in self.__dataclass_fields__})
 
 
@@ -85,16 +85,16 @@ class Sampler:
         self._plan: tuple[int, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def epoch_of(self, step: int) -> float:
-        """Epochs finished before `step` (counted from 0)."""
+        """Count the epochs finished before `step` (from 0)."""
         return step * self.settings.run.batch / self.epoch_images
 
     def images_of(self, step: int) -> int:
-        """How many images `step` has: a batch, or what is left at the end."""
+        """Count the images of `step`: a batch, or what is left at the end."""
         batch = self.settings.run.batch
         return min(batch, self.images - step * batch)
 
     def draw(self, step: int) -> Draws:
-        """The images of `step`, 0 <= step < steps."""
+        """Draw the images of `step`, 0 <= step < steps."""
         views, augmentation, run = self.settings.views, self.settings.augmentation, self.settings.run
         images = step * run.batch + np.arange(self.images_of(step))
         background, pose, sector = self._deal(images)
@@ -127,7 +127,7 @@ class Sampler:
         return draws if self.hard_views is None else self._harden(draws, step, random)
 
     def _people(self, step: int, images: np.ndarray) -> np.ndarray:
-        """Who is shown in each image: everybody equally often, in random order; -1 in the share of renders."""
+        """Choose who is shown in each image: everybody equally often, in random order; -1 in the share of renders."""
         if not self.people_count:
             return np.full(len(images), -1)
         random = np.random.default_rng([self.settings.run.seed, _PEOPLE, step])
@@ -146,7 +146,7 @@ class Sampler:
         return replace(draws, pose=pose, sector=sector, azimuth=draws.azimuth + turn)
 
     def _deal(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Background, pose and angle index of images counted from the start of the run."""
+        """Deal background, pose and angle index to images counted from the start of the run."""
         epochs, places = np.divmod(images, self.epoch_images)
         dealt = np.empty((3, len(images)), np.int64)
         for epoch in np.unique(epochs):
@@ -166,12 +166,12 @@ class Sampler:
 
 
 def cameras(draws: Draws, settings: ViewSettings) -> list[Camera]:
-    """The B cameras of some draws. Equal draws give equal cameras, so that views are found again in the ViewCache."""
+    """Make the B cameras of some draws. Equal draws give equal cameras, so that the ViewCache finds views again."""
     places = zip(draws.azimuth.tolist(), draws.elevation.tolist(), draws.distance.tolist(), strict=True)
     return [settings.camera(*place) for place in places]
 
 
 def is_fresh(settings: ViewSettings) -> bool:
-    """Whether every image has a camera of its own, so that caching views gains nothing."""
+    """Tell whether every image has a camera of its own, so that caching views gains nothing."""
     spread = settings.angle_jitter, settings.elevation_jitter, settings.angles.width
     return any(spread) or settings.distance.width > 0 or settings.elevation.width > 0

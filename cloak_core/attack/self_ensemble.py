@@ -34,8 +34,7 @@ class SelfEnsemble:
         self.settings, self.seed = settings, seed
 
     def shaken(self, number: int, step: int | None) -> contextlib.AbstractContextManager:
-        """For detector `number` in `step`, a function of (seed, step, number); None, outside training, changes
-        nothing."""
+        """Shake detector `number` in `step`, by (seed, step, number); None, outside training, changes nothing."""
         if step is None or not self.settings.on:
             return contextlib.nullcontext()
         state = np.random.SeedSequence([self.seed, _STREAM, step, number]).generate_state(1, np.uint64)
@@ -66,7 +65,7 @@ class _Shaking(TorchFunctionMode):
         return found
 
     def _branches(self, one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-        """Both summands, the residual branch (or both, where neither is one) multiplied.
+        """Multiply the residual branch of two summands (or both, where neither is one).
 
         What a layer has read already is the way around; what none has read comes out of the branch.
         """
@@ -86,13 +85,13 @@ class _Shaking(TorchFunctionMode):
         return factors
 
     def _factors(self, x: Tensor, channels: int, reach: float) -> Tensor:
-        """[B, channels, 1, 1], uniform in 1 ± reach."""
+        """Draw [B, channels, 1, 1], uniform in 1 ± reach."""
         drawn = torch.rand(len(x), channels, 1, 1, generator=self.random)
         return (1 + reach * (2 * drawn - 1)).to(x.device, x.dtype)
 
 
 def _are_maps(one: object, other: object) -> bool:
-    """Whether both are feature maps of one size."""
+    """Tell whether both are feature maps of one size."""
     if not (isinstance(one, Tensor) and isinstance(other, Tensor)):
         return False
     return one.dim() == 4 and one.shape == other.shape and one.shape[1] >= _FEW_CHANNELS and one.is_floating_point()

@@ -21,7 +21,7 @@ class Smoothing:
     def __init__(
         self, edges: Int[np.ndarray, "E 2"], count: int, rounds: int, device: torch.device | str = "cpu"
     ) -> None:
-        """edges: positions of two neighbouring faces among the `count`."""
+        """Build the matrix; edges: positions of two neighbouring faces among the `count`."""
         self.rounds = rounds
         pairs = np.unique(np.sort(edges, axis=1), axis=0)
         degree = np.bincount(pairs.ravel(), minlength=count)
@@ -36,7 +36,7 @@ class Smoothing:
         self.matrix = csr(offsets(rows, count), columns, values.float(), (count, count))
 
     def __call__(self, values: Float[Tensor, "L C"]) -> Float[Tensor, "L C"]:
-        """The averaged values, within the bounds of [0, 1] where the given ones are."""
+        """Average the values; they stay within [0, 1] where the given ones do."""
         return _Averaged.apply(values, self)
 
     def averaged(self, values: Float[Tensor, "L C"]) -> Float[Tensor, "L C"]:

@@ -18,7 +18,7 @@ class StopRequest:
         self.signal: str = ""
 
     def reason(self, seconds: float) -> str:
-        """The reason to stop after `seconds` of training."""
+        """Give the reason to stop after `seconds` of training."""
         if self.signal:
             return self.signal
         if self._cancel_file.exists():

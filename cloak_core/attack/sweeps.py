@@ -86,7 +86,7 @@ class SweepRun:
 
 
 def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> list[SweepRun]:
-    """The runs of a grid file: every combination of the lists in [grid], over what [base] says. In the file's order.
+    """Read the runs of a grid file: every combination of the lists in [grid], over [base], in the file's order.
 
     [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
     command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
@@ -163,7 +163,7 @@ class _Opened:
         self._scene, self._backgrounds, self._detector = map(cache, (load_scene, load_backgrounds, load_detector))
 
     def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
-        """Bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
+        """Open bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
         bodies = self._scene(run.scene)
         logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
         detectors = [self._detector(spec, device=run.settings.compute.device) for spec in run.detectors]
@@ -220,7 +220,7 @@ class Sweep:
             return self._hand_out(executor, tell, on_event if executor.is_here else None, prepare, gpus)
 
     def results(self) -> list[dict]:
-        """What came of the runs that have ended, in the grid's order; those without an end are missing."""
+        """Read what came of the runs that have ended, in the grid's order; those without an end are missing."""
         found = [self._result_path(run) for run in self.runs]
         return [read_json(path) for path in found if path.exists()]
 
@@ -258,7 +258,7 @@ class Sweep:
         return Job(run.label, train_run, arguments, **resources)
 
     def _check_inputs(self) -> None:
-        """InputError: some input cannot be opened, or a run is done whose inputs held something else."""
+        """Check all inputs. InputError: one cannot be opened, or a run is done whose inputs held something else."""
         known: dict[tuple, dict] = {}
         opened: dict[tuple, tuple] = {}
         for run in self.runs:
@@ -281,7 +281,7 @@ class Sweep:
 
 
 def _figures(folder: Path) -> dict:
-    """Means over the last tenth of a run's steps, and what was held out last told."""
+    """Average the last tenth of a run's steps; add what was held out last told."""
     events = read_events(folder / "events.jsonl")
     steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
     last = steps[-max(1, len(steps) // 10) :]
@@ -293,7 +293,7 @@ def _figures(folder: Path) -> dict:
 
 
 def table(results: Sequence[dict]) -> list[str]:
-    """The results as lines of a Markdown table."""
+    """Write the results as lines of a Markdown table."""
     varied = list(dict.fromkeys(key for result in results for key in result["varied"]))
     held = any("held_out" in result for result in results)
     heads = [*varied, "steps", "seconds", "loss", "success", *(["held-out success"] if held else []), "run"]

@@ -167,7 +167,7 @@ def _train(
 
 
 def _require_plain(settings: TrainSettings, held: TrainingData | None, world: World) -> None:
-    """InputError: what a search by questions does not do."""
+    """Refuse what a search by questions does not do. InputError."""
     if held is not None or world.size > 1:
         raise InputError("--black-box-queries: searches in one process, without --held-out")
     if settings.pattern.on:
@@ -184,7 +184,7 @@ def make_pattern(
     profile: Profile | None,
     device: torch.device,
 ) -> Pattern | None:
-    """What makes the faces' colours of free parameters; None where these are the colours."""
+    """Make what turns free parameters into the faces' colours; None where these are the colours."""
     wanted, rounds, inks = settings.pattern, settings.optimization.smooth, None
     patch, edges, count = shared_colors(wanted, bodies, logo), logo.edges, len(logo)
     if patch is not None:
@@ -211,7 +211,9 @@ def shared_colors(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Int64[
 
 
 def make_near(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Near:
-    """The garment that the colours stay close to, and how close; where faces share colours, the garment in their mean.
+    """Find the garment that the colours stay close to, and how close.
+
+    Where faces share colours, the garment in their mean.
 
     InputError: no such garment; one of several colours where inks are counted.
     """
@@ -232,7 +234,7 @@ def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective
 
 
 def make_view_cache(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewCache:
-    """The views of a run, kept for the next one. Where each image has a camera of its own, keeping gains nothing."""
+    """Make the cache of a run's views, kept for the next run unless each image has a camera of its own."""
     if is_fresh(settings):
         fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
         return ViewCache(bodies, RenderSettings.of(settings, device=device, **fresh))
@@ -240,7 +242,7 @@ def make_view_cache(bodies: Bodies, settings: ViewSettings, device: torch.device
 
 
 def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, device: torch.device) -> Batcher:
-    """What draws and builds a run's batches."""
+    """Make what draws and builds a run's batches."""
     bodies, backgrounds, folds = material.bodies, material.backgrounds, settings.augmentation
     if folds.wrinkles:
         bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)

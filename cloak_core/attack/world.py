@@ -38,21 +38,21 @@ class World:
         return self.rank == 0
 
     def sum(self, tensor: Tensor) -> Tensor:
-        """The sum over all processes, in place."""
+        """Sum over all processes, in place."""
         if self.size > 1:
             with _noticing():
                 dist.all_reduce(tensor)
         return tensor
 
     def agree(self, reason: str, device: torch.device) -> str:
-        """The first process's non-empty `reason`, else any other's, the same everywhere; "" when all are empty."""
+        """Agree on the first non-empty `reason` among the processes; "" when all are empty."""
         if self.size == 1:
             return reason
         flag = torch.tensor([float(bool(reason))], device=device)
         return (reason or "stopped elsewhere") if self.sum(flag).item() else ""
 
     def on_rank0(self, work: Callable[[], T]) -> T | None:
-        """Rank 0 does `work`; an InputError of it is raised everywhere, with the same message."""
+        """Do `work` on rank 0; an InputError of it is raised everywhere, with the same message."""
         if self.size == 1:
             return work()
         result, message = None, ""
@@ -67,7 +67,7 @@ class World:
         return result
 
     def broadcast(self, data: bytes) -> bytes:
-        """Rank 0's bytes, everywhere."""
+        """Send rank 0's bytes everywhere."""
         if self.size == 1:
             return data
         device = torch.device("cuda", torch.cuda.current_device()) if dist.get_backend() == "nccl" else "cpu"
@@ -86,7 +86,7 @@ ALONE = World()
 
 @contextlib.contextmanager
 def join_world(device: torch.device, alone: bool = False) -> Iterator[World]:
-    """The world torchrun describes in the environment; a world of one without it, or where one is to be `alone`."""
+    """Join the world that torchrun describes in the environment; a world of one without it, or `alone`."""
     size = 1 if alone else int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield ALONE
@@ -106,7 +106,10 @@ def join_world(device: torch.device, alone: bool = False) -> Iterator[World]:
 
 
 def local_device(name: str) -> torch.device:
-    """The device of this process: under torchrun "cuda" means the GPU with its local rank. InputError: no such one."""
+    """Find the device of this process: under torchrun "cuda" is the GPU of its local rank.
+
+    InputError: there is none.
+    """
     try:
         device = torch.device(name)
         if device.type == "cuda" and device.index is None and "LOCAL_RANK" in os.environ:

@@ -118,7 +118,7 @@ class Assess(Splitting, Detecting, Sharing):
         return budget if self.minutes is None else replace(budget, minutes=self.minutes)
 
     def _patterns(self) -> tuple[str, ...]:
-        """The patterns with their widths. InputError: one cannot be read."""
+        """List the patterns with their widths. InputError: one cannot be read."""
         from cloak_core.evaluation.wearing.clothes import read_clothes
 
         patterns = tuple(spec if "@tile=" in spec else f"{spec}@tile=0.5" for spec in self.patterns)
@@ -127,7 +127,7 @@ class Assess(Splitting, Detecting, Sharing):
         return patterns
 
     def work(self) -> dict[str, dict]:
-        """A card for each detector, by its folder's name."""
+        """Make a card for each detector, by its folder's name."""
         from cloak_core.evaluation.card.assess import Assessment
         from cloak_core.evaluation.card.leaderboard import folder_names
         from cloak_core.scene.photographs.people import load_people

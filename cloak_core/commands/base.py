@@ -25,7 +25,7 @@ class Words(Console):
         super().__init__(stderr=stderr, highlight=False, soft_wrap=True, markup=False)
 
     def on_broken_pipe(self) -> None:
-        """Rich would end the process with exit code 1."""
+        """Raise what rich would end the process for, with exit code 1."""
         raise
 
 
@@ -54,11 +54,11 @@ class Command:
         raise NotImplementedError
 
     def given(self, *others: str) -> dict:
-        """The options by name, but for --json and these others."""
+        """List the options by name, but for --json and these others."""
         return {name: value for name, value in vars(self).items() if name not in ("json", *others)}
 
     def failures(self, result: dict) -> list[str]:
-        """What turned out wrong, in words; the command then ends with exit code 1."""
+        """Say what turned out wrong; the command then ends with exit code 1."""
         return [result["failed"]] if result.get("failed") else []
 
     def show(self, result: dict) -> None:
@@ -66,7 +66,7 @@ class Command:
 
 
 def warn(message: str) -> None:
-    """One line on standard error."""
+    """Write one line on standard error."""
     err.print(f"cloak: {one_line(message)}", style="yellow")
 
 

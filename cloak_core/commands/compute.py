@@ -14,8 +14,7 @@ _MMAP_MAX, _TRIM_THRESHOLD, _ARENA_MAX = -4, -1, -8
 
 
 def prepare_process(settings: ComputeSettings) -> None:
-    """From now on torch uses so many threads, and memory that was freed is kept. InputError: no such number, or no
-    such device."""
+    """Set torch's threads, and keep freed memory. InputError: no such number, or no such device."""
     check_settings(settings)
     keep_freed_memory()
     if settings.device != "cpu":
@@ -29,7 +28,7 @@ def prepare_process(settings: ComputeSettings) -> None:
 
 
 def keep_freed_memory() -> bool:
-    """From now on this process reuses what it frees; whether that could be arranged (glibc on Linux).
+    """Have this process reuse what it frees; tell whether that could be arranged (glibc on Linux).
 
     glibc maps large blocks anew and unmaps them when they are freed. A step frees hundreds of megabytes of activations
     and images and takes them again, and the system hands them out page by page, zeroed: up to 30,000 page faults a

@@ -63,7 +63,7 @@ class Demo(Computing):
         return result | Report(run_folder=self.out).run()
 
     def _train(self, logo: Path, poses: int) -> None:
-        """Through Blender where there is one, which also pictures the result; directly otherwise, and says so."""
+        """Train through Blender where there is one, which also pictures the result; else directly, and say so."""
         blender = find_bpy() if SCRIPT.exists() else None
         if blender is None:
             warn(

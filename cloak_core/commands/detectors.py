@@ -109,7 +109,7 @@ class Check(Detecting):
 
     @staticmethod
     def _show_pixels(result: dict) -> None:
-        """How the network may want its pixels, where nobody said."""
+        """Show how the network may want its pixels, where nobody said."""
         undecided = result.get("pixels_undecided", [])
         if len(undecided) > 1:
             out.print(f"one picture cannot tell how it wants its pixels: the first {len(undecided)} are as plausible")
@@ -119,7 +119,7 @@ class Check(Detecting):
 
 
 def operating_point(report: dict) -> str:
-    """From which score a detector reports, in words."""
+    """Say from which score a detector reports."""
     return f"from {report['operating_point']:g} up{' (assumed)' if report['operating_point_assumed'] else ''}"
 
 
@@ -168,7 +168,7 @@ class Verify(Detecting):
 
 
 def show_report(report: dict) -> None:
-    """One detector's checks, one a line."""
+    """Show one detector's checks, one a line."""
     kind = "white box" if report["white_box"] else "black box, evaluation alone"
     out.print(f"{report['spec']}: {report['layout']}, {kind}, reports {operating_point(report)}")
     for name, check in report["checks"].items():

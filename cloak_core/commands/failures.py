@@ -18,7 +18,7 @@ _FULL_MEMORY = (
 
 
 def in_words(error: BaseException) -> str | None:
-    """What to tell the user of an error; None for a defect, whose traceback is to be seen."""
+    """Say what to tell the user of an error; None for a defect, whose traceback is to be seen."""
     if isinstance(error, InputError):
         return str(error)
     if memory_is_full(error):
@@ -31,7 +31,7 @@ def in_words(error: BaseException) -> str | None:
 
 
 def memory_is_full(error: BaseException | None) -> bool:
-    """Whether an error, or one behind it, says that there is no memory left: Python's, torch's, the system's."""
+    """Tell whether an error, or one behind it, says that no memory is left: Python's, torch's, the system's."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))

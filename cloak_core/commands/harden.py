@@ -87,7 +87,7 @@ class Harden(Computing):
         return record | ({"stopped": stopped} if stopped else {})
 
     def _cards(self, spec: str) -> dict:
-        """The cards of the detector before and after, and the page that compares them."""
+        """Make the cards of the detector before and after, and the page that compares them."""
         from cloak_core.commands.assess import Assess
 
         specs = (self.spec, spec)
@@ -107,7 +107,7 @@ class Harden(Computing):
         return Given(logo, read_colors(folder / "colors.npy", len(logo)))
 
     def _commands(self, spec: str) -> list[str]:
-        """What judges the result by new cloaks, trained against it on logos that it never saw."""
+        """List the commands that judge the result by new cloaks on logos that it never saw."""
         both = ["--detector", self.spec, "--detector", spec]
         proof = ["reproduce", "hardened", *both, "--out", str(self.out / "proof")]
         cards = ["assess", self.spec, spec, "--quick", "--out", str(self.out / "cards")]

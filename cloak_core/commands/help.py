@@ -30,7 +30,7 @@ class Option:
 
 
 def all_commands(groups: dict[str, dict[str, type[Command]]]) -> str:
-    """The help of `cloak` itself: every command under its group."""
+    """Write the help of `cloak` itself: every command under its group."""
     lines = ["usage: cloak COMMAND [OPTIONS]   (cloak COMMAND --help says what it takes)"]
     for title, commands in groups.items():
         lines += ["", f"{title}:"]
@@ -40,8 +40,10 @@ def all_commands(groups: dict[str, dict[str, type[Command]]]) -> str:
 
 
 def one_command(cls: type[Command], name: str, default: Command | None, everything: bool) -> str:
-    """The help of one command. default: where options' defaults are taken from; everything: also what few people
-    use."""
+    """Write the help of one command.
+
+    default: where options' defaults are taken from; everything: also what few people use.
+    """
     about, *more = [" ".join(part.split()) for part in inspect.cleandoc(cls.__doc__ or "").split("\n\n")]
     lines = [f"usage: {usage(cls, name)}", ""]
     for paragraph in (about, *more):
@@ -66,13 +68,13 @@ def one_command(cls: type[Command], name: str, default: Command | None, everythi
 
 
 def summary(words: str) -> str:
-    """Of a docstring: up to the first full stop that a capital follows; a name such as .npz ends none."""
+    """Take a docstring's first sentence: up to a full stop that a capital follows."""
     paragraph = " ".join(words.strip().partition("\n\n")[0].split())
     return re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
 
 
 def _groups(cls: type, default: object) -> Iterator[tuple[str, str, list[Option]]]:
-    """The command's own options, then each group of them: its title, what it is about, and the options.
+    """Yield the command's own options, then each group of them: its title, what it is about, and the options.
 
     What a class inherits comes last, --json at the very end.
     """
@@ -113,7 +115,7 @@ def _option(cls: type, field: dataclasses.Field, kind: object, extras: list, val
 
 
 def _takes(kind: object) -> str:
-    """What stands behind an option."""
+    """Name what stands behind an option."""
     if typing.get_origin(kind) is typing.Annotated:
         return _takes(typing.get_args(kind)[0])
     if typing.get_origin(kind) in (types.UnionType, typing.Union):
@@ -132,7 +134,7 @@ def _written(value: object) -> str:
 
 
 def _default(field: dataclasses.Field, instance: object) -> object:
-    """The field's value in `instance`, or its default; None where it has none."""
+    """Find the field's value in `instance`, or its default; None where it has none."""
     if instance is not None:
         return getattr(instance, field.name)
     if field.default is not dataclasses.MISSING:
@@ -143,7 +145,7 @@ def _default(field: dataclasses.Field, instance: object) -> object:
 
 
 def _documented(cls: type) -> dict[str, str]:
-    """The string below each field, also of the classes above."""
+    """Read the string below each field, also of the classes above."""
     found: dict[str, str] = {}
     for above in reversed(cls.__mro__):
         if dataclasses.is_dataclass(above):
@@ -156,7 +158,7 @@ def _documented(cls: type) -> dict[str, str]:
 
 
 def _entry(name: str, words: str, column: int) -> list[str]:
-    """A name, and beside it what it means; below it where the name is long."""
+    """Write a name, and beside it what it means; below it where the name is long."""
     wrapped = textwrap.wrap(words, max(_width() - column, 24), break_long_words=False, break_on_hyphens=False) or [""]
     lines = [" " * column + line for line in wrapped]
     head = f"  {name}"
@@ -166,7 +168,7 @@ def _entry(name: str, words: str, column: int) -> list[str]:
 
 
 def _wrapped_command(line: str) -> list[str]:
-    """A command that a shell takes as it stands, on several lines where it is long."""
+    """Wrap a command so that a shell takes it as it stands."""
     parts = textwrap.wrap(line.strip(), _width() - 6, break_long_words=False, break_on_hyphens=False)
     return ["  " + " \\\n    ".join(parts)]
 

@@ -102,7 +102,7 @@ def _interval(bounds: tuple) -> str:
 
 
 def show_plan(result: dict) -> None:
-    """Half widths of 95 % intervals, in points."""
+    """Show half widths of 95 % intervals, in points."""
     rates = list(result["independent"])
     table = Table(title="half of the 95 % interval, points")
     for head in ("people", "scenes", "pairs of each in each", "pairs in all", *(f"rate {rate}" for rate in rates)):

@@ -71,7 +71,7 @@ def answer_lines(looker: Looker) -> int:
 
 
 def tell_error(record: dict, message: str) -> None:
-    """Where an answer is waited for, say what was wrong with the request."""
+    """Write what was wrong with a request to where its answer is waited for."""
     from cloak_core.evaluation.look import ANSWER
     from cloak_core.files.writing import write_json
 

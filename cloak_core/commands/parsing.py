@@ -22,7 +22,7 @@ REGISTRY = ConstructorRegistry()
 
 @REGISTRY.primitive_rule
 def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """Ranges, angles and weights, as they spell themselves; None for every other type."""
+    """Read and write ranges, angles and weights as they spell themselves; None for every other type."""
     kinds = typing.get_args(info.type) if info.type_origin in (types.UnionType, typing.Union) else (info.type,)
     kind, optional = kinds[0], types.NoneType in kinds
     if not (isinstance(kind, type) and issubclass(kind, Parsable)):
@@ -41,7 +41,7 @@ def written(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
 
 
 def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
-    """The command `cloak NAME` with these options; help is printed (SystemExit). InputError: tyro's box as one line."""
+    """Parse the options of `cloak NAME`; print help where asked (SystemExit). InputError: tyro's box as one line."""
     default = cls.default(arguments) if hasattr(cls, "default") else None
     if {"-h", "--help", "--help-all"} & set(arguments):
         print(one_command(cls, name, default, "--help-all" in arguments), end="")
@@ -57,7 +57,7 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
 
 
 def _refusal(cls: type[Command], name: str, boxed: str) -> str:
-    """Why tyro refused, on one line; with the usage where something is missing."""
+    """Say why tyro refused, on one line; with the usage where something is missing."""
     needs = missing(cls, boxed)
     if not needs:
         return _one_line(boxed)
@@ -68,7 +68,7 @@ def _refusal(cls: type[Command], name: str, boxed: str) -> str:
 
 
 def _one_line(boxed: str) -> str:
-    """The first paragraph of tyro's boxed message, without the box."""
+    """Take the first paragraph of tyro's boxed message, without the box."""
     # Boxes are of plain characters where the terminal has no others.
     lines = [re.sub(r"^[╭╰+][─-]+.*|^[│|] ?|\s*[│|]$", "", line).strip() for line in boxed.splitlines()]
     kept: list[str] = []
@@ -84,6 +84,6 @@ _CHOICE = r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*
 
 
 def _choice_words(found: re.Match) -> str:
-    """As settings word it; tyro has the choices in the order of a set."""
+    """Word a wrong choice as settings do; tyro has the choices in the order of a set."""
     known = sorted(found[3].rstrip(",").replace("'", "").split(", "))
     return f"{found[2]}: {found[1]} is not one of {', '.join(known)}"

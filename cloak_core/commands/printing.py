@@ -76,7 +76,7 @@ class Print(Command):
 
 
 def told(report: dict) -> list[str]:
-    """A print's report in sentences, with what to do about what will not come out."""
+    """Describe a print's report in sentences, with what to do about what will not come out."""
     width, height = (100 * extent for extent in report["sheet_m"])
     words = [
         f"{report['charts']} pieces, together {width:.0f} x {height:.0f} cm, on {report['pages']} pages of "

@@ -73,7 +73,7 @@ class TrainingProgress:
 
 @contextmanager
 def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, int], None]]:
-    """Yields what a count is told to, `tell(done, total)`: a bar in a terminal, and the lines of `events`.
+    """Yield `tell(done, total)`, which feeds a bar in a terminal and the lines of `events`.
 
     These are a run's (`attack.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
@@ -127,7 +127,7 @@ class WorkProgress:
             err.print(f"{label}: {done / total:.0%}{left}")
 
     def left(self, total: float) -> float:
-        """Seconds that the rest will take at the pace so far."""
+        """Estimate the seconds that the rest will take at the pace so far."""
         return (total - self._done) * self._spent / max(self._worked, 1e-9)
 
 

@@ -47,7 +47,7 @@ class Reproduce(Splitting, Computing, Sharing):
         return {"page": str(make_page(self.amount.out)), "experiments": done, "skipped": skipped} | published
 
     def _measure(self) -> tuple[dict, dict]:
-        """Records by name, and why others were left out."""
+        """Measure; give records by name, and why others were left out."""
         from cloak_core.evaluation.cycles import NoBlender
         from cloak_core.evaluation.store import Interrupted
         from cloak_core.experiments.runner import run_experiment
@@ -72,7 +72,7 @@ class Reproduce(Splitting, Computing, Sharing):
         return done, skipped
 
     def _parts(self) -> list[tuple[str, Reproduce]]:
-        """The same command for one experiment and, where their trainings are their own, one detector."""
+        """Split the command by experiment and, where their trainings are their own, by detector."""
         from cloak_core.experiments.runner import experiments
 
         alone, specs = replace(self, sharing=SharingOptions(), publish=None), self.detector or ("builtin",)
@@ -97,7 +97,7 @@ class Reproduce(Splitting, Computing, Sharing):
             prepare_experiment(self.name, self._store())
 
     def _redraw(self) -> tuple[dict, dict]:
-        """The same, from the numbers alone."""
+        """Draw again from the numbers alone, with what `_measure` gives."""
         from cloak_core.experiments.runner import draw_again, finished
 
         if self.name != "all":

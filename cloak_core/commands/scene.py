@@ -169,7 +169,7 @@ class Sample(Writes):
 
 
 def dress(bodies: Bodies, uv: Path | None, textures: tuple[Path, ...]) -> Bodies:
-    """The bodies with the UV map of a file, if one is given, and in the textures, if there are any."""
+    """Give the bodies the UV map of a file, if one is given, and the textures, if there are any."""
     from cloak_core.scene.meshes.textures import dress_in_textures, read_textures, with_uv_of
 
     if uv is not None:

@@ -30,7 +30,7 @@ class Forgiving(io.TextIOWrapper):
 
 
 def prepare_streams() -> None:
-    """Characters that a terminal lacks are written as escapes; what libraries log or warn of is one line each."""
+    """Write characters that a terminal lacks as escapes, and each message of a library as one line."""
     _open_what_is_closed()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -53,8 +53,10 @@ class OneLine(logging.Formatter):
 
 @contextlib.contextmanager
 def saying() -> Iterator[None]:
-    """A block that writes on standard output. A reader who has had enough (`| head`) is no error; anything else that
-    the system has against it (a full disk) is an InputError."""
+    """Guard a block that writes on standard output; a reader who leaves (`| head`) is no error.
+
+    Anything else that the system has against it (a full disk) is an InputError.
+    """
     try:
         try:
             yield
@@ -70,8 +72,10 @@ def saying() -> Iterator[None]:
 
 @contextlib.contextmanager
 def kept_for_json() -> Iterator[None]:
-    """A block in which everything written on standard output, also by compiled libraries and by children, goes to
-    standard error. InputError: standard output is closed, so that nobody could read the JSON."""
+    """Send all that a block writes on standard output to standard error, compiled libraries and children included.
+
+    InputError: standard output is closed, so that nobody could read the JSON.
+    """
     if "stdout" in ABSENT:
         raise InputError("standard output: closed, and --json writes there")
     with contextlib.redirect_stdout(sys.stderr), _descriptor_as(1, 2):
@@ -91,7 +95,7 @@ def _descriptor_as(one: int, other: int) -> Iterator[None]:
 
 
 def _open_what_is_closed() -> None:
-    """Closed descriptors lead nowhere from now on: the next file to be opened must not become standard output."""
+    """Point closed descriptors nowhere: the next file to be opened must not become standard output."""
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         try:
             os.fstat(number)

@@ -86,8 +86,10 @@ class Train(Detecting):
 
     @classmethod
     def default(cls, arguments: list[str]) -> Train:
-        """What the options default to: the preset, as it was when a resumed run began, then the TOML file; not checked
-        before the options replace them."""
+        """Find what the options default to: the preset, as it was when a resumed run began, then the TOML file.
+
+        Not checked before the options replace them.
+        """
         preset, config = _value_of("preset", arguments), _value_of("config", arguments)
         if preset is None and config is None and _value_of("people", arguments) is not None:
             preset = "photographs"
@@ -105,7 +107,7 @@ class Train(Detecting):
 
     @classmethod
     def of(cls, settings: TrainSettings, **inputs: object) -> Train:
-        """Training with these settings; `inputs` are the other options, by name."""
+        """Make the command that trains with these settings; `inputs` are the other options, by name."""
         parts = dict(vars(settings))
         return cls(length=parts.pop("run"), **parts, **inputs)
 
@@ -168,7 +170,7 @@ class Train(Detecting):
 
 
 def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
-    """What `preset` stood for when the run that is resumed began: it may be another in this version."""
+    """Read what `preset` stood for when the run that is resumed began: it may be another in this version."""
     recorded = Path(_value_of("out", arguments) or "") / "config.json"
     if "--resume" not in arguments or preset not in PRESETS or not recorded.is_file():
         return {}
@@ -180,7 +182,7 @@ def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:
 
 
 def _value_of(name: str, arguments: list[str]) -> str | None:
-    """What the last --NAME in the arguments was given."""
+    """Find what the last --NAME in the arguments was given."""
     found = None
     for argument, following in zip(arguments, [*arguments, None][1:], strict=True):
         if argument == f"--{name}":

@@ -101,7 +101,7 @@ class Transfer(Splitting, Detecting, Sharing):
         self._matrix().fill(self.rungs)
 
     def _parts(self, asked: tuple[str, ...]) -> list[tuple[str, Transfer]]:
-        """The same command for one rung and the judges that share its trainings, by a name."""
+        """Split the command by rung and by the judges that share its trainings, each with a name."""
         from cloak_core.evaluation.report.words import short_name
 
         if self.sharing.ray is None:

@@ -19,7 +19,7 @@ POSITIONAL = typing.get_args(Positional[int])[-1]
 
 
 def usage(cls: type[Command], name: str) -> str:
-    """One line: the command, what it must be given, and that there are options."""
+    """Write one line: the command, what it must be given, and that there are options."""
     parts = [f"cloak {name}"]
     options = []
     for field, kind, extras in _own(cls):
@@ -32,7 +32,7 @@ def usage(cls: type[Command], name: str) -> str:
 
 
 def missing(cls: type[Command], boxed: str) -> list[str]:
-    """The names of what tyro says is missing."""
+    """List the names of what tyro says is missing."""
     found = FOUR_DEEP.findall(boxed.partition("Missing from")[2].partition("Unrecognized")[0])
     flags = [line.split()[0] for line in found if line.startswith("--")]
     positional = [f.name.upper() for f, _, extras in _own(cls) if POSITIONAL in extras and is_needed(f)]
@@ -41,7 +41,7 @@ def missing(cls: type[Command], boxed: str) -> list[str]:
 
 
 def annotations_of(cls: type) -> list[tuple[dataclasses.Field, object, list]]:
-    """Of each field: itself, its type, and what tyro is told about it."""
+    """List each field, its type, and what tyro is told about it."""
     hints = typing.get_type_hints(cls, include_extras=True)
     told = []
     for field in dataclasses.fields(cls):
@@ -53,16 +53,16 @@ def annotations_of(cls: type) -> list[tuple[dataclasses.Field, object, list]]:
 
 
 def is_needed(field: dataclasses.Field) -> bool:
-    """Whether the option has no default."""
+    """Tell whether the option has no default."""
     return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def flag_name(field: dataclasses.Field, extras: list) -> str:
-    """How the option is typed."""
+    """Write the option as it is typed."""
     named = next((extra.name for extra in extras if getattr(extra, "name", None)), field.name)
     return f"--{named.replace('_', '-')}"
 
 
 def _own(cls: type[Command]) -> list[tuple[dataclasses.Field, object, list]]:
-    """As `annotations_of`, without the groups of options, which all have defaults."""
+    """List fields as `annotations_of`, without the groups of options, which all have defaults."""
     return [told for told in annotations_of(cls) if not dataclasses.is_dataclass(told[1])]

@@ -68,7 +68,7 @@ class Wear(Detecting):
 
 
 def show_worn(result: dict, threshold: float | int) -> None:
-    """A table for each detector: who is not found in what."""
+    """Show a table for each detector: who is not found in what."""
     for spec, told in result["detectors"].items():
         point = result["operating_points"][spec]
         table = Table(title=f"{spec}: share of people who are not found")

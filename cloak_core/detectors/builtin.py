@@ -11,7 +11,7 @@ CLASS_NAMES = ("person",)
 
 
 def load_builtin(request: Request) -> DarknetDetector:
-    """The embedded detector, frozen; or the same network with other weights, `builtin:WEIGHTS` (`cloak harden`)."""
+    """Load the embedded detector, or the same network with other weights, `builtin:WEIGHTS` (`cloak harden`)."""
     weights = Path(request.what).expanduser() if request.what else WEIGHTS
     detector = read_darknet(CFG, weights, request, class_names=CLASS_NAMES)
     detector.operating_point, detector.operating_point_assumed = 0.5, False  # it was trained and judged for that

@@ -54,14 +54,14 @@ def check_image(
 
 
 def read_image(path: Path) -> Float[Tensor, "3 H W"]:
-    """An image file as RGB in [0, 1]; InputError when it is missing, no image, broken or huge."""
+    """Read an image file as RGB in [0, 1]. InputError: missing, no image, broken or huge."""
     with open_picture(path) as file:
         pixels = np.array(ImageOps.exif_transpose(file).convert("RGB"))
     return torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
 
 
 def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Image.Image:
-    """The image with each box (x1, y1, x2, y2, score) framed and its score beside it."""
+    """Draw each box (x1, y1, x2, y2, score) onto the image, its score beside it."""
     pixels = (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
     picture = Image.fromarray(pixels)
     draw = ImageDraw.Draw(picture)

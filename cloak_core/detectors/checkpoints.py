@@ -14,7 +14,7 @@ WRAPPERS = ("model", "state_dict", "model_state_dict")
 
 
 def read_state_dict(path: Path) -> dict[str, Tensor]:
-    """The tensors of a .pth or .safetensors file, on the CPU, nothing unpickled but plain data.
+    """Read the tensors of a .pth or .safetensors file; nothing is unpickled but plain data.
 
     InputError when the file is missing, broken, holds pickled objects, or tensors that are not finite.
     """
@@ -31,7 +31,7 @@ def read_state_dict(path: Path) -> dict[str, Tensor]:
 
 
 def load_state(module: nn.Module, state: dict[str, Tensor], path: Path) -> None:
-    """Strict `load_state_dict`; InputError says in one line what is missing, left over or of another shape."""
+    """Load a state dict strictly. InputError: in one line what is missing, left over or of another shape."""
     own = module.state_dict()
     # Batch norm counts its training steps; files of frozen batch norm do not, and inference does not ask.
     missing = [key for key in own if key not in state and not key.endswith("num_batches_tracked")]

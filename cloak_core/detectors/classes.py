@@ -34,7 +34,7 @@ VOC = (
 
 
 def person_index(names: Sequence[str] | None, person_class: str, count: int, source: str) -> int:
-    """Index of the person class among `count` classes, by name or, where `person_class` is a number, by index.
+    """Find the index of the person class among `count` classes, by name or by index.
 
     `source` names the detector in the InputError raised when there is no such class.
     """
@@ -53,7 +53,7 @@ def person_index(names: Sequence[str] | None, person_class: str, count: int, sou
 
 
 def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:
-    """The names of `count` classes: NAME.names of NAME.cfg, else any list of that length beside it, else COCO or VOC.
+    """Find the names of `count` classes: NAME.names of NAME.cfg, another list beside it, COCO or VOC.
 
     None where nothing fits; InputError where several lists fit and disagree, or NAME.names has another length.
     """
@@ -72,6 +72,6 @@ def names_beside(cfg: Path, count: int) -> tuple[str, ...] | None:
 
 
 def read_names(path: Path) -> tuple[str, ...]:
-    """One class name per line, blank lines left out."""
+    """Read one class name per line; blank lines are left out."""
     lines = read_text(path, 1 << 20, errors="replace").splitlines()
     return tuple(line.strip() for line in lines if line.strip())

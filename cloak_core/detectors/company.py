@@ -38,7 +38,7 @@ def only_hers(
 def of_others(
     boxes: Float[Tensor, "B N 4"], bodies: Float[Tensor, "B 4"], others: Float[Tensor, "B K 4"]
 ) -> Bool[Tensor, "B N"]:
-    """Which boxes fit another known person, and better than the one that is meant."""
+    """Tell which boxes fit another known person, and better than the one that is meant."""
     if not others.shape[1]:
         return torch.zeros(boxes.shape[:2], dtype=torch.bool, device=boxes.device)
     best = box_iou(boxes[:, :, None], others[:, None].to(boxes)).max(dim=2).values

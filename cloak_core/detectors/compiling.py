@@ -7,7 +7,7 @@ from cloak_core.files.errors import InputError
 
 
 def compile_detector(detector: Detector) -> Detector:
-    """The same detector, its `detect` compiled. InputError for a black box, and where no compiler is found.
+    """Compile the detector's `detect`. InputError: a black box, or no compiler is found.
 
     Results equal the uncompiled ones up to rounding; what torch cannot compile runs as before.
     """

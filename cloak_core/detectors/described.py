@@ -72,7 +72,7 @@ def _person(said: object, names: tuple[str, ...] | None) -> int | None:
 
 
 def _pixels(said: Mapping) -> PixelFormat | None:
-    """RGB or BGR, 0..1 or 0..255, nothing further; None of whatever else is said."""
+    """Read RGB or BGR, 0..1 or 0..255; None where anything else is said."""
     channels, scale = str(said.get("channels", "")).upper(), str(said.get("range", "")).replace(" ", "")
     whites = {"[0,1]": 1.0, "0..1": 1.0, "[0,255]": 255.0, "0..255": 255.0}
     plain = str(said.get("normalisation", "none")).startswith(("none", "folded"))

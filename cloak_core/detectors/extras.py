@@ -19,17 +19,17 @@ COPYLEFT = {"ultralytics": "AGPL-3.0"}
 
 
 def installed(package: str) -> bool:
-    """Whether a package can be imported, without importing it."""
+    """Tell whether a package can be imported, without importing it."""
     return importlib.util.find_spec(package) is not None
 
 
 def install_command(package: str) -> str:
-    """What to type to get it."""
+    """Give the command that installs it."""
     return f"pip install 'cloak-core[{EXTRAS[package]}]'"
 
 
 def require(package: str, spec: str) -> None:
-    """InputError with the pip command when a package that `spec` needs is missing."""
+    """Require a package that `spec` needs. InputError: it is missing, with the pip command."""
     if not installed(package):
         licence = f" ({COPYLEFT[package]})" if package in COPYLEFT else ""
         raise InputError(f"detector {spec!r} needs the package {package}{licence}: {install_command(package)}")

@@ -50,8 +50,11 @@ class Family:
     """The package beyond the project's own dependencies, None for none."""
 
     def load(self, request: Request) -> Detector:
-        """The detector, frozen, on the CPU. InputError: a spec of another form, an option that means nothing here, and
-        whatever the loader cannot find, read or understand."""
+        """Load the detector, frozen, on the CPU.
+
+        InputError: a spec of another form, an option that means nothing here, and whatever the loader cannot find, read
+        or understand.
+        """
         (least, most), parts = self.parts, request.parts
         if not least <= len(parts) <= (len(parts) if most is None else most) or not all(parts):
             raise InputError(f"detector {request.spec!r}: expected {self.spec}, @OPTIONS at the end if wanted")
@@ -161,7 +164,9 @@ FAMILIES = {
 
 
 def list_families() -> dict[str, list[dict]]:
-    """{"families": [{family, spec, trains, evaluates, installed, install, needs, weights, licence, verified}, ...],
+    """List the families and the defences, with what each needs and whether it works here.
+
+    {"families": [{family, spec, trains, evaluates, installed, install, needs, weights, licence, verified}, ...],
     "defences": [{defence, spec, what}, ...]}.
 
     `installed` says whether it works here and now; where not, `install` is the command that changes it, else None.

@@ -34,7 +34,7 @@ TO_YCC = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -
 
 
 def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> Float[Tensor, "B 3 H W"]:
-    """What each image's window shows of it, bilinearly, at the same size; mid-grey beyond its edges.
+    """Show what lies in each image's window, bilinearly, at the same size; mid-grey beyond the edges.
 
     window: side (below 1 a crop, above 1 a margin) and centre (x, y), see `attack.distorting.Distortion`.
     """
@@ -46,8 +46,10 @@ def windowed(images: Float[Tensor, "B 3 H W"], window: Float[Tensor, "B 3"]) -> 
 
 
 def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"], reach: int = 3) -> Float[Tensor, "B 3 H W"]:
-    """A Gaussian blur of each image with its own standard deviation in pixels, cut at `reach` pixels; edges are
-    repeated."""
+    """Blur each image by a Gaussian of its own standard deviation, pixels.
+
+    The kernel is cut at `reach` pixels; edges are repeated.
+    """
     batch, channels, height, width = images.shape
     place = torch.arange(-float(reach), reach + 1, device=images.device)
     kernel = torch.exp(-0.5 * (place / sigma.clamp(min=1e-3)[:, None]) ** 2)
@@ -61,7 +63,7 @@ def blurred(images: Float[Tensor, "B 3 H W"], sigma: Float[Tensor, "B"], reach: 
 
 
 def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 H W"]:
-    """What JPEG of each image's quality leaves of it: blocks of 8 x 8 in YCbCr, DCT coefficients rounded to its tables.
+    """Simulate JPEG of each image's quality: 8 x 8 DCT blocks in YCbCr, coefficients rounded by its tables.
 
     Without chroma subsampling. The gradient passes rounding as if it were not there. Clamped to [0, 1].
     """
@@ -82,7 +84,7 @@ def through_jpeg(images: Float[Tensor, "B 3 H W"], quality: Float[Tensor, "B"]) 
 
 
 def _cosines(like: Tensor) -> Float[Tensor, "8 8"]:
-    """The orthonormal discrete cosine transform."""
+    """Compute the orthonormal discrete cosine transform."""
     k = torch.arange(BLOCK, dtype=torch.float64)
     matrix = torch.cos(torch.pi * (2 * k + 1) * k[:, None] / (2 * BLOCK)) * (2 / BLOCK) ** 0.5
     matrix[0] /= 2**0.5
@@ -90,7 +92,7 @@ def _cosines(like: Tensor) -> Float[Tensor, "8 8"]:
 
 
 def _quantisation(like: Tensor, quality: Float[Tensor, "B"]) -> Float[Tensor, "B 3 8 8"]:
-    """The tables of annex K scaled as libjpeg does for a quality of 1..100."""
+    """Scale the tables of annex K as libjpeg does for a quality of 1..100."""
     tables = torch.tensor([_LUMINANCE, _CHROMINANCE, _CHROMINANCE], dtype=like.dtype, device=like.device)
     percent = torch.where(quality < 50, 5000 / quality, 200 - 2 * quality)
     return (tables * percent.view(-1, 1, 1, 1) / 100 + 0.5).floor().clamp(1, 255)

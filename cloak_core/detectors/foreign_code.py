@@ -28,7 +28,7 @@ _watching = threading.local()
 
 @contextlib.contextmanager
 def excused(spec: str, file: Path | None) -> Iterator[None]:
-    """Whatever the user's code raises, or its leaving the process, becomes an InputError with the line of their file.
+    """Turn whatever the user's code raises, or its leaving the process, into an InputError with the line of their file.
 
     Only a keyboard's interrupt and memory that is full pass as they are: these are not the code's doing.
     """
@@ -45,7 +45,7 @@ def excused(spec: str, file: Path | None) -> Iterator[None]:
 
 
 def culprit(error: BaseException) -> str | None:
-    """What to say of an error that went through a user's file (a backward pass calls it unasked); None for no such."""
+    """Explain an error that went through a user's file (a backward pass calls it unasked); None for others."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         if frame.filename in _loaded:
             return _words(_loaded[frame.filename], frame.filename, error)
@@ -76,7 +76,7 @@ def watched(file: Path) -> Iterator[None]:
 
 
 def data_beside(file: Path) -> dict[str, str]:
-    """SHA-256 (hex) of each data file in a Python file's folder that the code reads, by its place there.
+    """Hash (SHA-256, hex) each data file in a Python file's folder that the code reads, by its place there.
 
     Counted are files that were opened while it was loaded, and files that its source (or what it imports from there)
     names in a text: `open(HERE / "anchors.json")`, `Path(__file__).with_suffix(".json")`.
@@ -93,7 +93,7 @@ def data_beside(file: Path) -> dict[str, str]:
 
 
 def _named(file: Path, sources: set[Path]) -> Iterator[Path]:
-    """Files below the folder that texts in the sources name, in it or in folders that they name."""
+    """Find files below the folder that strings in the sources name, in it or in folders that they name."""
     texts = {text for source in sources for text in _texts(source)}
     folders = [file.parent]
     for folder in folders:  # grows by the folders that are named, up to a depth
@@ -108,7 +108,7 @@ def _named(file: Path, sources: set[Path]) -> Iterator[Path]:
 
 
 def _texts(source: Path) -> Iterator[str]:
-    """Texts in a Python file that could be a path."""
+    """Yield the strings in a Python file that could be a path."""
     try:
         tree = ast.parse(read_bytes(source, MAX_TEXT_BYTES))
     except (SyntaxError, ValueError):  # whoever runs it will say so
@@ -118,7 +118,7 @@ def _texts(source: Path) -> Iterator[str]:
 
 
 def _listen() -> None:
-    """Python tells of every file that is opened, once asked to; it cannot be asked to stop."""
+    """Have Python report every file that is opened; it cannot be asked to stop."""
     if not getattr(_listen, "done", False):
         _listen.done = True
         sys.addaudithook(_hear)

@@ -86,13 +86,13 @@ def load_detector(
 
 
 def _meant(spec: str) -> str | None:
-    """What was probably meant by a file without its family; None of whatever is no such file."""
+    """Guess the spec that was meant by a file without its family; None where there is no guess."""
     suffix = Path(parse_spec(spec).family).suffix.lower()
     return FILES[suffix].format(spec) if suffix in FILES else None
 
 
 def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool, person_class: str | None) -> Request:
-    """The request with what was said beside the spec, which wins."""
+    """Apply what was said beside the spec, which wins."""
     if size is not None:
         request = replace(request, input_size=(size, size) if isinstance(size, int) else (int(size[0]), int(size[1])))
     if request.input_size is not None and min(request.input_size) < 1:
@@ -103,7 +103,7 @@ def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool,
 
 
 def usable_device(device: str | torch.device) -> torch.device:
-    """The torch device of this name. InputError: there is no such device, or it cannot be used on this machine."""
+    """Find the torch device of this name. InputError: there is none, or it cannot be used on this machine."""
     try:
         found = torch.device(device)
         if found.type == "meta":

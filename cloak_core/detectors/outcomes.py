@@ -148,7 +148,7 @@ def class_name(names: Sequence[str] | None, number: int) -> str:
 
 
 def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B]]:
-    """The largest of each row and its place; 0 where rows are empty, with the graph kept."""
+    """Find the largest of each row and its place; 0 where rows are empty, with the graph kept."""
     if not values.shape[1]:
         return values.sum(dim=1), torch.zeros(len(values), dtype=torch.int64, device=values.device)
     return tuple(values.max(dim=1))

@@ -70,7 +70,7 @@ def plausibility(boxes: Float[Tensor, "n 5"], mirrored: Float[Tensor, "m 5"], wi
 
 
 def _boxes(detector: OnnxDetector, image: Float[Tensor, "3 H W"]) -> Float[Tensor, "n 5"]:
-    """Boxes of any class, after suppression, best first."""
+    """Find boxes of any class, after suppression, best first."""
     found = detector(image[None])
     scores = found.scores if found.other is None else torch.maximum(found.scores, found.other)
     return suppressed(found.boxes[0], scores[0], SHOWN, SAME)[:MOST]

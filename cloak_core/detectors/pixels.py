@@ -24,7 +24,7 @@ class PixelFormat:
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def apply(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        """The images as the network wants them, differentiably."""
+        """Convert images to what the network wants, differentiably."""
         inputs = images.flip(1) if self.bgr else images
         inputs = inputs if self.range == 1 else inputs * self.range
         if any(self.mean):

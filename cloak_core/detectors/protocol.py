@@ -76,7 +76,7 @@ class Detector(nn.Module):
         self.source, self.packages = {}, ()
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        """RGB images in [0, 1], of any size, on the detector's device."""
+        """Detect persons in RGB images in [0, 1], of any size, on the detector's device."""
         if self.precision == "float32":
             return self.detect(images)
         with torch.autocast(images.device.type, torch.bfloat16):
@@ -84,20 +84,20 @@ class Detector(nn.Module):
         return Detections(*(part if part is None or not part.is_floating_point() else part.float() for part in found))
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        """The family's own work behind `forward`."""
+        """Do the family's own work behind `forward`."""
         raise NotImplementedError
 
     def freeze(self) -> "Detector":
-        """Eval mode, no gradients for parameters. Families call it last in their loader."""
+        """Switch to eval mode, without gradients for parameters. Families call it last in their loader."""
         return self.eval().requires_grad_(False)
 
     def verify(self, before: str) -> None:
-        """After use: RuntimeError where it is not bit-identical to what its `state_hash` was `before`."""
+        """Check after use that the `state_hash` is still `before`. RuntimeError: it is not."""
         if state_hash(self) != before:
             raise RuntimeError(f"detector {self.spec} changed while it was used")
 
     def original(self) -> "Detector | None":
-        """The same network in the runtime that its file was made for, to be compared with; None for none."""
+        """Load the same network in the runtime that its file was made for, to compare with; None for none."""
         return None
 
     @property
@@ -109,7 +109,7 @@ class Detector(nn.Module):
 
 
 def join_detections(parts: Sequence[Detections]) -> Detections:
-    """What a detector said of several batches as if of one, padded to the most boxes; no gradients."""
+    """Join detections of several batches into one, padded to the most boxes; no gradients."""
     most = max(part.scores.shape[1] for part in parts)
 
     def joined(name: str) -> Tensor | None:
@@ -123,14 +123,16 @@ def join_detections(parts: Sequence[Detections]) -> Detections:
 
 
 def at_least_float32(x: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """What autocast left in bfloat16, as float32: eight bits hold neither a coordinate nor a probability near 1."""
+    """Convert what autocast left in bfloat16 to float32: eight bits hold no coordinate, and no probability near 1."""
     return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
 
 
 def detector_record(detector: Detector) -> dict[str, object]:
-    """All that decides a detector's answers: its tensors ("sha256", see `state_hash`), "precision", "compiled",
-    "source" and the versions of its "packages"; wherever its files lie, and whatever it is called. Of one that no
-    family loaded, the spec stands for its source."""
+    """Record all that decides a detector's answers, wherever its files lie and whatever it is called.
+
+    Its tensors ("sha256", see `state_hash`), "precision", "compiled", "source" and the versions of its "packages". Of
+    one that no family loaded, the spec stands for its source.
+    """
     return {
         "sha256": state_hash(detector),
         "precision": detector.precision,
@@ -141,7 +143,7 @@ def detector_record(detector: Detector) -> dict[str, object]:
 
 
 def state_hash(detector: nn.Module) -> str:
-    """SHA-256 (hex) of every parameter, buffer and train flag; equal hashes mean a bit-identical detector.
+    """Hash (SHA-256, hex) every parameter, buffer and train flag; equal hashes mean a bit-identical detector.
 
     Independent of device and memory format.
     """

@@ -50,8 +50,11 @@ class PythonDetector(Detector):
         self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        """As every detector's. InputError, with the line of the user's file: it raises, exits, or returns what cannot
-        be; at the first images also: no gradients where they are asked for, a changed state, scores outside [0, 1]."""
+        """Detect as every detector does. InputError, with the line of the user's file: what it does wrong.
+
+        It raises, exits, or returns what cannot be; at the first images also: no gradients where they are asked for, a
+        changed state, scores outside [0, 1].
+        """
         first, layout = self._range is None, self.memory_format
         before = self._versions() if first else []
         found = super().forward(images)
@@ -73,7 +76,7 @@ class PythonDetector(Detector):
             raise self._error("it changed its own parameters or buffers while it was used")
 
     def _versions(self) -> list[tuple[int, int]]:
-        """Which tensors the module has, and how often each was written to: asked for nothing but the host's memory."""
+        """List the module's tensors and how often each was written to, from the host's memory alone."""
         return [(id(tensor), tensor._version) for tensor in (*self.parameters(), *self.buffers())]
 
     def _watch(self, scores: Float[Tensor, "B N"]) -> None:
@@ -93,7 +96,7 @@ class PythonDetector(Detector):
             )
 
     def _error(self, words: str) -> InputError:
-        """What is wrong with the user's module, with the line where its `forward` begins."""
+        """Say what is wrong with the user's module, with the line where its `forward` begins."""
         code = getattr(type(self.module).forward, "__code__", None)
         ours = code is not None and self.file is not None and code.co_filename == str(self.file)
         return InputError(f"{self.spec}: {f'{self.file}:{code.co_firstlineno}: ' if ours else ''}{words}")

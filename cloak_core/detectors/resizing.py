@@ -22,7 +22,7 @@ class Placement:
     offset_y: float = 0.0
 
     def restore(self, boxes: Float[Tensor, "*shape 4"]) -> Float[Tensor, "*shape 4"]:
-        """Boxes (xyxy) from the network's input pixels to the image's pixels."""
+        """Map boxes (xyxy) from the network's input pixels to the image's pixels."""
         offset = torch.tensor([self.offset_x, self.offset_y] * 2, device=boxes.device, dtype=boxes.dtype)
         scale = torch.tensor([self.scale_x, self.scale_y] * 2, device=boxes.device, dtype=boxes.dtype)
         return (boxes - offset) / scale

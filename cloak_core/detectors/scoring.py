@@ -10,12 +10,13 @@ from cloak_core.files.errors import InputError
 
 
 def max_person_score(detections: Detections) -> Float[Tensor, "B"]:
-    """The best person score of each image, 0 where there are no boxes; differentiable, never cut at a threshold."""
+    """Find the best person score of each image, 0 where there are no boxes; differentiable, without a threshold."""
     return row_max(detections.scores)
 
 
 def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
-    """The best objectness over the boxes whose likeliest class is person (the reference's form), 0 where there is none.
+    """Find the best objectness over the boxes whose likeliest class is person (the reference's form), 0 where there is
+    none.
 
     Where no box is a person the result is a constant 0 without gradient. InputError when the family has no objectness.
     """
@@ -25,12 +26,12 @@ def max_objectness(detections: Detections) -> Float[Tensor, "B"]:
 
 
 def is_detected(detections: Detections, threshold: float = THRESHOLD) -> Bool[Tensor, "B"]:
-    """Whether any person box in the image scores above the threshold."""
+    """Tell whether any person box in the image scores above the threshold."""
     return max_person_score(detections).detach() > threshold
 
 
 def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Float[Tensor, "..."]:
-    """Intersection over union of xyxy boxes, broadcast; 0 where both are empty."""
+    """Compute intersection over union of xyxy boxes, broadcast; 0 where both are empty."""
     sides = (torch.minimum(a[..., 2:], b[..., 2:]) - torch.maximum(a[..., :2], b[..., :2])).clamp(min=0)
     intersection = sides.prod(dim=-1)
     union = _area(a) + _area(b) - intersection
@@ -39,7 +40,7 @@ def box_iou(a: Float[Tensor, "*#shape 4"], b: Float[Tensor, "*#shape 4"]) -> Flo
 
 @torch.no_grad()
 def person_boxes(detections: Detections, threshold: float = THRESHOLD, nms: float = 0.45) -> list[Float[Tensor, "n 5"]]:
-    """Per image, the boxes to draw or print: score above the threshold, after non-maximum suppression at IoU `nms`.
+    """List each image's boxes to draw or print: above the threshold, after suppression at IoU `nms`.
 
     Rows are x1, y1, x2, y2, score, best first.
     """
@@ -61,7 +62,7 @@ def suppressed(
 
 
 def row_max(values: Float[Tensor, "B N"]) -> Float[Tensor, "B"]:
-    """The largest of each row, 0 where rows are empty."""
+    """Find the largest of each row, 0 where rows are empty."""
     # A detector may return no box at all (N = 0); the empty sum is 0 and keeps the graph.
     return values.max(dim=1).values if values.shape[1] else values.sum(dim=1)
 

@@ -112,7 +112,7 @@ def _numbers(spec: str, option: str) -> tuple[float, ...]:
 
 
 def with_person_class(spec: str, person_class: str) -> str:
-    """The spec of the same detector looking for that class, so that it can be loaded again from its spec alone."""
+    """Write the spec of the same detector looking for that class, so that its spec alone loads it again."""
     if parse_spec(spec).person_class is not None:
         raise InputError(f"detector {spec!r}: says person= already; drop --person-class")
     return f"{spec}{',' if _OPTIONS.match(spec) else '@'}person={person_class}"

@@ -90,7 +90,7 @@ class TransformersDetector(Detector):
 
 
 def load_transformers(request: Request) -> TransformersDetector:
-    """A model from a directory, or by its name from the local cache, fetched there where that is allowed.
+    """Load a model from a directory, or by name from the local cache, fetched there where that is allowed.
 
     No remote code is run; batch norm is folded where that changes nothing, unless told not to.
     InputError when the package is missing, the files are, weights are incomplete, or no label is the person.
@@ -137,7 +137,7 @@ def _read(where: str, request: Request) -> nn.Module:
 
 @contextmanager
 def _quiet(logging: ModuleType) -> Iterator[None]:
-    """No warnings of the library inside; how loud it is belongs to whoever else uses it in this process."""
+    """Silence the library's warnings inside; how loud it is belongs to whoever else uses it in this process."""
     before = logging.get_verbosity()
     logging.set_verbosity_error()
     try:
@@ -148,7 +148,7 @@ def _quiet(logging: ModuleType) -> Iterator[None]:
 
 @torch.no_grad()
 def _folded(model: nn.Module, preprocessing: Preprocessing) -> nn.Module:
-    """The model with its batch norm folded, if it then still says the same: how it runs is its own affair."""
+    """Fold the model's batch norm, if it then still says the same."""
     folded = copy.deepcopy(model)
     if not fold_batch_norm(folded):
         return model
@@ -158,7 +158,7 @@ def _folded(model: nn.Module, preprocessing: Preprocessing) -> nn.Module:
 
 
 def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessing:
-    """From the model's preprocessor_config.json; without one, what the family was trained with."""
+    """Read the model's preprocessor_config.json; without one, take what the family was trained with."""
     from transformers.utils import cached_file
 
     path = cached_file(

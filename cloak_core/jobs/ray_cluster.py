@@ -35,13 +35,13 @@ class RayCluster:
     is_here = False
 
     def __init__(self, address: str = LOCAL) -> None:
-        """InputError: Ray is not installed."""
+        """Name the cluster. InputError: Ray is not installed."""
         if importlib.util.find_spec("ray") is None:
             raise InputError("--ray needs the package ray: pip install 'cloak-core[ray]'")
         self.address = address
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        """As `Executor` says. InputError: no cluster there, or none of its machines is large enough for a job."""
+        """Do jobs as `Executor` says. InputError: no cluster there, or no machine is large enough for a job."""
         import ray
 
         with self._connected(ray):
@@ -90,7 +90,7 @@ class RayCluster:
 
 
 def _require_answer(address: str) -> None:
-    """InputError: nobody listens at HOST:PORT. Ray itself would try for minutes."""
+    """Require that somebody listens at HOST:PORT. InputError: nobody does; Ray itself would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not host or not port.isdigit():
         return

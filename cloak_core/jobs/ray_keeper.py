@@ -26,7 +26,7 @@ CLOSE_SECONDS = 30.0
 
 @contextlib.contextmanager
 def kept(session: str) -> Iterator[None]:
-    """A block whose process owns the Ray session of this name; the session ends with the process, however it ends."""
+    """Run a block whose process owns the Ray session of this name, which ends with the process, however it ends."""
     command = [sys.executable, "-m", "cloak_core.jobs.ray_keeper", session]
     keeper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True)
     try:
@@ -38,8 +38,10 @@ def kept(session: str) -> Iterator[None]:
 
 
 def processes_of(session: str) -> list[int]:
-    """The processes of a Ray session, but for this one: their command lines name it, or they are Ray's by their title
-    and have its logs open."""
+    """Find the processes of a Ray session, but for this one.
+
+    Their command lines name it, or they are Ray's by their title and have its logs open.
+    """
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError, InputError):  # ended meanwhile, or somebody else's

@@ -92,7 +92,7 @@ def spread(image: UInt8[np.ndarray, "h w 3"], painted: Bool[np.ndarray, "h w"], 
 def dressed(
     bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"]
 ) -> Float32[np.ndarray, "faces 3"]:
-    """All faces' colours: the first outfit with the logo on it."""
+    """Give all faces' colours: the first outfit with the logo on it."""
     all_colors = bodies.face_colors[0].copy()
     all_colors[face_ids] = colors
     return all_colors

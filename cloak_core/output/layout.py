@@ -83,7 +83,7 @@ def lay_out(bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], own_pattern:
 def unwrap(
     points: Float[np.ndarray, "v 3"], triangles: Integer[np.ndarray, "t 3"]
 ) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
-    """Flat corners in metres and the chart of every triangle."""
+    """Unwrap triangles: flat corners in metres, and the chart of every triangle."""
     import xatlas
 
     atlas = xatlas.Atlas()
@@ -99,7 +99,7 @@ def unwrap(
 def pattern_pieces(
     bodies: Bodies, chosen: Integer[np.ndarray, " t"], areas: Float[np.ndarray, " t"]
 ) -> tuple[Float[np.ndarray, "t 3 2"], Integer[np.ndarray, " t"]]:
-    """Flat corners in metres and the piece of every triangle, from the mesh's own UV map. InputError."""
+    """Take the pieces of the mesh's own UV map: flat corners in metres, the piece of every triangle. InputError."""
     if bodies.uv is None or bodies.triangle_uv is None:
         raise InputError(f"{bodies.name}: has no UV map to take the pieces of")
     # Two triangles belong together where they share an edge both on the mesh and on the map.
@@ -127,7 +127,7 @@ def pattern_pieces(
 def pack(
     flat: Float[np.ndarray, "v 2"], index: Integer[np.ndarray, "t 3"], chart: Integer[np.ndarray, " t"]
 ) -> Float[np.ndarray, "t 3 2"]:
-    """Corners of charts (metres, wherever they lie) side by side: none mirrored, none wider than high."""
+    """Pack charts (metres, wherever they lie) side by side: none mirrored, none wider than high."""
     import xatlas
 
     mirrored = np.bincount(chart, weights=signed_areas(flat[index])) < 0
@@ -146,19 +146,19 @@ def pack(
 
 
 def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> Float[np.ndarray, "charts 2"]:
-    """Each chart's lower left corner."""
+    """Find each chart's lower left corner."""
     found = np.full((int(chart.max()) + 1, 2), np.inf)
     np.minimum.at(found, chart, points)
     return found
 
 
 def welded(points: Float[np.ndarray, "n d"], within: float) -> Integer[np.ndarray, " n"]:
-    """A number for each point, the same for those at one place: files part vertices where other things differ."""
+    """Number the points, the same for those at one place: files part vertices where other things differ."""
     return np.unique(np.round(points / within).astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def apart(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> Float[np.ndarray, "v 2"]:
-    """Charts in a row, without touching."""
+    """Put charts in a row, without touching."""
     low, high = lows(flat, chart), -lows(-flat, chart)
     start = np.concatenate([[0.0], np.cumsum(high[:-1, 0] - low[:-1, 0] + GAP)])
     return flat - low[chart] + np.stack([start, np.zeros(len(start))], axis=1)[chart]
@@ -185,7 +185,7 @@ def pack_options() -> xatlas.PackOptions:
 
 
 def sheet(atlas: xatlas.Atlas) -> tuple[np.ndarray, np.ndarray]:
-    """Flat vertices in metres [N, 2], and triangles [T, 3] in the order they were given in."""
+    """Read flat vertices in metres [N, 2], and triangles [T, 3] in the order they were given in."""
     _, index, uv = atlas[0]
     return uv.astype(np.float64) * [atlas.width, atlas.height] / atlas.texels_per_unit, index.astype(np.int64)
 
@@ -196,7 +196,7 @@ def signed_areas(corners: Float[np.ndarray, "t 3 2"]) -> Float[np.ndarray, " t"]
 
 
 def stretches(solid: Float[np.ndarray, "t 3 3"], flat: Float[np.ndarray, "t 3 2"]) -> Float[np.ndarray, " t"]:
-    """max(s, 1 / s) over the singular values s of the map that lays each triangle flat; 1 for degenerate triangles."""
+    """Measure each triangle's stretch: max(s, 1 / s) over the map's singular values; 1 for degenerate triangles."""
     along = solid[:, 1] - solid[:, 0]
     other = solid[:, 2] - solid[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -215,7 +215,7 @@ def stretches(solid: Float[np.ndarray, "t 3 3"], flat: Float[np.ndarray, "t 3 2"
 
 
 def inside(corners: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-    """Which points lie in a counter-clockwise triangle or on its border."""
+    """Tell which points lie in a counter-clockwise triangle or on its border."""
     result = np.ones(len(points), bool)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         side = (end - start)[0] * (points[:, 1] - start[1]) - (end - start)[1] * (points[:, 0] - start[0])

@@ -32,7 +32,7 @@ def nearest_triangles(
     triangles: Float[np.ndarray, "t 3 3"],
     reach: float,
 ) -> Nearest:
-    """The closest triangle to each point within `reach` metres, of those that face the point's way."""
+    """Find the closest triangle to each point within `reach` metres, of those that face the point's way."""
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facing = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     centroid = triangles.mean(axis=1)
@@ -58,7 +58,7 @@ def nearest_triangles(
 
 
 def point_distances(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Distance of each point to its own triangle, degenerate ones included."""
+    """Measure the distance of each point to its own triangle, degenerate ones included."""
     import trimesh
 
     return np.linalg.norm(points - trimesh.triangles.closest_point(triangles, points), axis=1)

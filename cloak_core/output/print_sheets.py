@@ -27,7 +27,7 @@ TICK = 0.004
 
 
 def chart_names(layout: Layout, bodies: Bodies) -> list[str]:
-    """A name per chart: its number, and the region that most of it lies in (the smallest region, where several do)."""
+    """Name each chart: its number, and the smallest region that most of it lies in."""
     names = []
     for chart in range(layout.chart_count):
         faces = bodies.triangle_face[layout.triangles[layout.chart == chart]]
@@ -85,7 +85,7 @@ class Chart:
 def draw_tile(
     axes: Axes, layout: Layout, texture: Texture, chart: Chart, tile: Tile, at: tuple[float, float], allowance: float
 ) -> None:
-    """One chart's window: its colours inside its border, the allowance around it, marks, and its name."""
+    """Draw one chart's window: its colours inside its border, the allowance around it, marks, and its name."""
     from matplotlib.patches import Rectangle
 
     shift = np.array(at) - tile.low
@@ -105,7 +105,7 @@ def draw_tile(
 
 
 def draw_colors(axes: Axes, layout: Layout, texture: Texture, tile: Tile, shift: Float[np.ndarray, " 2"]) -> None:
-    """The texture within a window, where this chart is."""
+    """Draw the texture within a window, where this chart is."""
     from matplotlib.path import Path as Outline
 
     dots = texture.chart_rows / layout.size[1]
@@ -123,7 +123,7 @@ def draw_colors(axes: Axes, layout: Layout, texture: Texture, tile: Tile, shift:
 
 
 def draw_lines(axes: Axes, lines: Float[np.ndarray, "n 2 2"], frame: Patch, color: str, width: float) -> None:
-    """Lines within a window; width in points."""
+    """Draw lines within a window; width in points."""
     from matplotlib.collections import LineCollection
 
     collection = LineCollection(lines, colors=color, linewidths=width, capstyle="round", zorder=1 if width > 1 else 3)
@@ -132,7 +132,7 @@ def draw_lines(axes: Axes, lines: Float[np.ndarray, "n 2 2"], frame: Patch, colo
 
 
 def draw_marks(axes: Axes, marks: list[Mark], shift: Float[np.ndarray, " 2"], frame: Patch, length: float) -> None:
-    """A tick from the seam outwards, and its name."""
+    """Draw a tick from the seam outwards, and its name."""
     if not marks:
         return
     points = np.stack([mark.point for mark in marks]) + shift
@@ -146,7 +146,7 @@ def draw_marks(axes: Axes, marks: list[Mark], shift: Float[np.ndarray, " 2"], fr
 
 
 def draw_glue_lines(axes: Axes, tile: Tile, others: list[Tile], at: tuple[float, float]) -> None:
-    """Dashed lines where another part's window ends within this one: lay its edge there. Its number stands beside."""
+    """Draw dashed lines where another part's window ends within this one, its number beside: lay its edge there."""
     shift = np.subtract(at, tile.low)
     for other in others:
         for axis in (0, 1):
@@ -163,7 +163,7 @@ def draw_glue_lines(axes: Axes, tile: Tile, others: list[Tile], at: tuple[float,
 
 
 def draw_foot(axes: Axes, text: str, bar: bool = True) -> None:
-    """A bar of 100 mm with marks every 10 mm, and a line of text."""
+    """Draw a bar of 100 mm with marks every 10 mm, and a line of text."""
     axes.text(MARGIN, MARGIN + 0.006, text, fontsize=7)
     if not bar:
         return

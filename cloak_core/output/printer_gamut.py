@@ -22,7 +22,7 @@ STEPS = 33
 
 
 def printable() -> Float[np.ndarray, "mixtures 3"]:
-    """sRGB in [0, 1] of a dense grid of ink amounts."""
+    """Mix a dense grid of ink amounts, sRGB in [0, 1]."""
     amount = np.linspace(0, 1, STEPS)
     c, m, y = (axis.reshape(-1, 1) for axis in np.meshgrid(amount, amount, amount, indexing="ij"))
     share = np.concatenate(
@@ -32,6 +32,6 @@ def printable() -> Float[np.ndarray, "mixtures 3"]:
 
 
 def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Each colour (sRGB in [0, 1]) itself where it can be printed, else the nearest that can; and whether it cannot."""
+    """Find the nearest printable colour (sRGB in [0, 1]), itself where it is one; tell whether it is not."""
     nearest, beyond = nearest_in_palette(colors, printable())
     return np.where(beyond[:, None], nearest, colors), beyond

@@ -76,7 +76,7 @@ def print_logo(
 def write_worn(
     path: Path, bodies: Bodies, face_ids: Integer[np.ndarray, " logo"], colors: Float32[np.ndarray, "logo 3"], dpi: int
 ) -> None:
-    """One .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it."""
+    """Write one .glb of the first pose in its first outfit, with the logo's colours [L, 3], sRGB in [0, 1], on it."""
     layout = lay_out(bodies, face_ids)
     write_glb(path, bodies, bake(bodies, layout, dressed(bodies, face_ids, colors), dpi))
 
@@ -84,7 +84,7 @@ def write_worn(
 def _what_comes_out(
     colors: Float32[np.ndarray, "L 3"], palette: Float[np.ndarray, "P 3"] | None, profile: Profile | None
 ) -> tuple[Float32[np.ndarray, "L 3"], Bool[np.ndarray, " L"], Float32[np.ndarray, "L 3"] | None]:
-    """The colours that can come out, nearest to these; whether they are others; what to send, where a profile tells."""
+    """Find the nearest colours that come out, whether they are others, and what to send, where a profile tells."""
     if profile is None:
         near, beyond = nearest_printable(colors) if palette is None else nearest_in_palette(colors, palette)
         return near.astype(np.float32), beyond, None

@@ -46,7 +46,7 @@ class Borders:
 
 
 def seam_marks(layout: Layout, bodies: Bodies) -> list[Mark]:
-    """Marks of all seams, the two of a name one after the other."""
+    """List the marks of all seams, the two of a name one after the other."""
     borders = find_borders(layout, bodies)
     marks = []
     for number, seam in enumerate(_seams(borders)):
@@ -55,7 +55,7 @@ def seam_marks(layout: Layout, bodies: Bodies) -> list[Mark]:
 
 
 def find_borders(layout: Layout, bodies: Bodies) -> Borders:
-    """The edges at which a chart ends."""
+    """Find the edges at which a chart ends."""
     vertices = welded(bodies.vertices[0], SAME)[bodies.triangles[layout.triangles]]
     ends = np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2).reshape(-1, 2)
     lines = np.stack([layout.corners, np.roll(layout.corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
@@ -71,7 +71,7 @@ def find_borders(layout: Layout, bodies: Bodies) -> Borders:
 
 
 def _seams(borders: Borders) -> list[list[tuple[int, int]]]:
-    """Each seam as its edges in order, an edge being the two border edges that are sewn together."""
+    """Find each seam as its edges in order, an edge being the two border edges that are sewn together."""
     sides: dict[tuple[int, int], list[int]] = defaultdict(list)
     for number, (low, high) in enumerate(np.sort(borders.ends, axis=1).tolist()):
         sides[low, high].append(number)
@@ -84,7 +84,7 @@ def _seams(borders: Borders) -> list[list[tuple[int, int]]]:
 
 
 def _paths(borders: Borders, edges: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-    """The edges in unbroken lines, each from one end to the other (a ring from anywhere)."""
+    """Join the edges into unbroken lines, each from one end to the other (a ring from anywhere)."""
     at: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for edge in edges:
         for vertex in borders.ends[edge[0]].tolist():
@@ -128,7 +128,7 @@ def _marks(borders: Borders, seam: list[tuple[int, int]], letters: str) -> list[
 
 
 def _entry(borders: Borders, seam: list[tuple[int, int]], step: int) -> int:
-    """The vertex at which a seam comes to its edge of this number."""
+    """Find the vertex at which a seam comes to its edge of this number."""
     own = borders.ends[seam[step][0]].tolist()
     if step > 0:
         before = borders.ends[seam[step - 1][0]].tolist()
@@ -140,7 +140,7 @@ def _entry(borders: Borders, seam: list[tuple[int, int]], step: int) -> int:
 
 
 def _letters(number: int) -> str:
-    """A, B ... Z, AA, AB ..."""
+    """Name by letters: A, B ... Z, AA, AB ..."""
     letters = ""
     number += 1
     while number:

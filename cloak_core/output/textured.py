@@ -15,7 +15,7 @@ from cloak_core.scene.meshes.polygons import per_corner, polygon_loops
 
 
 def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
-    """Binary glTF of the first pose with the picture inside; vertices are split where texture coordinates are."""
+    """Write binary glTF of the first pose with the picture inside; vertices split where texture coordinates do."""
     import trimesh
 
     rows = np.concatenate([bodies.triangles.reshape(-1, 1).astype(np.float64), texture.uv.reshape(-1, 2)], axis=1)
@@ -42,7 +42,7 @@ def png(image: np.ndarray) -> bytes:
 
 
 def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str) -> None:
-    """OBJ of the first pose with its polygons in their order, and an MTL beside it.
+    """Write OBJ of the first pose with its polygons in their order, and an MTL beside it.
 
     The MTL names `picture`, a file in the same folder.
     """

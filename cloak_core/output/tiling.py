@@ -50,14 +50,14 @@ class Cloth:
     low: np.ndarray
 
     def inside(self, low: np.ndarray, high: np.ndarray) -> tuple[slice, slice]:
-        """The cells of a window."""
+        """Find the cells of a window."""
         first = np.floor((low - self.low) / CELL + 1e-6).astype(int).clip(0)
         last = np.ceil((high - self.low) / CELL - 1e-6).astype(int).clip(0)
         return slice(first[1], last[1]), slice(first[0], last[0])
 
 
 def tiles(layout: Layout, page: str, allowance: float = 0.0) -> list[Tile]:
-    """Every chart, with so much (metres) around it, cut into windows that fit a page, large charts first.
+    """Cut every chart, with so much (metres) around it, into windows that fit a page, large charts first.
 
     Together the windows show all of a chart; those that would show nothing, or only what others show, are left out,
     and each is no larger than what it shows.
@@ -83,7 +83,7 @@ def tiles(layout: Layout, page: str, allowance: float = 0.0) -> list[Tile]:
 
 
 def cloth_of(layout: Layout, chart: int, around: float) -> Cloth:
-    """Where a chart is, with so much (metres) around it."""
+    """Find where a chart is, with so much (metres) around it."""
     corners = layout.corners[layout.chart == chart]
     low, high = corners.reshape(-1, 2).min(axis=0) - around, corners.reshape(-1, 2).max(axis=0) + around
     columns, rows = np.ceil((high - low) / CELL - 1e-9).astype(int)
@@ -98,7 +98,7 @@ def cloth_of(layout: Layout, chart: int, around: float) -> Cloth:
 def _needed(
     cloth: Cloth, starts: Float[np.ndarray, "n 2"], room: Float[np.ndarray, " 2"]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Windows that begin there, without those whose cloth others show, each cut down to what it shows."""
+    """Cut windows that begin there down to the cloth they show; drop those whose cloth others show."""
     cut = []
     for low, high in zip(starts, starts + room, strict=True):
         rows, columns = cloth.inside(low, high)
@@ -121,7 +121,7 @@ def _needed(
 
 
 def pages(found: list[Tile], page: str) -> Iterator[list[tuple[Tile, float, float]]]:
-    """Tiles on pages, the tallest first, each on the first page with room for it.
+    """Place tiles on pages, the tallest first, each on the first page with room for it.
 
     Yields (tile, x, y of its lower left corner in metres from the page's). Parts of a chart keep their numbers.
     """
@@ -161,6 +161,6 @@ class Page:
 
 
 def neighbours(tile: Tile, found: list[Tile]) -> list[Tile]:
-    """The other parts of its chart whose windows overlap a tile's."""
+    """Find the other parts of its chart whose windows overlap a tile's."""
     apart = lambda other: any(other.low[a] >= tile.high[a] or tile.low[a] >= other.high[a] for a in (0, 1))
     return [other for other in found if other.chart == tile.chart and other != tile and not apart(other)]

@@ -69,7 +69,7 @@ def transfer_logo(
 
 
 def align(source: Bodies, target: Bodies) -> Bodies:
-    """The source's first pose, as high as the target, soles level with soles, the middles of the surfaces in line."""
+    """Move the source's first pose onto the target: as high, soles level, the surfaces' middles in line."""
     boxes, middles = [], []
     for bodies in (source, target):
         vectors, centroid = area_vectors(bodies, 0)
@@ -84,7 +84,7 @@ def align(source: Bodies, target: Bodies) -> Bodies:
 
 
 def logo_under(target: Bodies, source: Bodies, position: np.ndarray, reach: float) -> tuple[np.ndarray, Shares]:
-    """Target faces that lie on the logo [L'], and which logo faces lie under them."""
+    """Find the target faces that lie on the logo [L'], and which logo faces lie under them."""
     triangles, solid = solids(target), solids(source)
     logo = solid[position[source.triangle_face] >= 0]
     near, around = within(triangles, logo, reach), within(solid, logo, 3 * reach)
@@ -106,12 +106,12 @@ def logo_under(target: Bodies, source: Bodies, position: np.ndarray, reach: floa
 
 
 def solids(bodies: Bodies) -> Float[np.ndarray, "triangles 3 3"]:
-    """The triangles' corners in the first pose."""
+    """Collect the triangles' corners in the first pose."""
     return bodies.vertices[0][bodies.triangles].astype(np.float64)
 
 
 def sizes(bodies: Bodies) -> tuple[Float[np.ndarray, " triangles"], Float[np.ndarray, "triangles 3"]]:
-    """The triangles' areas and unit normals in the first pose."""
+    """Compute the triangles' areas and unit normals in the first pose."""
     vectors, _ = area_vectors(bodies, 0)
     area = np.linalg.norm(vectors, axis=1)
     return area, vectors / np.maximum(area, 1e-30)[:, None]
@@ -120,13 +120,13 @@ def sizes(bodies: Bodies) -> tuple[Float[np.ndarray, " triangles"], Float[np.nda
 def within(
     triangles: Float[np.ndarray, "t 3 3"], others: Float[np.ndarray, "n 3 3"], margin: float
 ) -> Bool[np.ndarray, " t"]:
-    """Which triangles touch the others' bounding box with a margin (metres) around it."""
+    """Tell which triangles touch the others' bounding box with a margin (metres) around it."""
     low, high = others.min(axis=(0, 1)) - margin, others.max(axis=(0, 1)) + margin
     return ((triangles.max(axis=1) > low) & (triangles.min(axis=1) < high)).all(axis=1)
 
 
 def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -> Float32[np.ndarray, "places 3"]:
-    """Means of the logo's colours over each of `count` target faces, by area."""
+    """Average the logo's colours over each of `count` target faces, by area."""
     row, face, weight = shares
     total = np.maximum(np.bincount(row, weights=weight, minlength=count), 1e-30)
     channels = [np.bincount(row, weights=weight * colors[face, c], minlength=count) / total for c in range(3)]
@@ -134,7 +134,7 @@ def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -
 
 
 def missed(source: Bodies, face_ids: np.ndarray, target: Bodies, reach: float) -> tuple[np.ndarray, float]:
-    """Logo faces without a surface of the target in reach that faces their way, and the others' largest distance."""
+    """Find logo faces without a surface of the target in reach facing their way, and the others' largest distance."""
     mine = np.flatnonzero(np.isin(source.triangle_face, face_ids))
     solid, triangles = solids(source)[mine], solids(target)
     near = within(triangles, solid, 2 * reach)

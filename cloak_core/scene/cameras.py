@@ -77,6 +77,6 @@ class Camera:
         return right, up, back
 
     def position(self, pivot: Vector) -> Vector:
-        """Where the camera stands, given the pivot in use."""
+        """Locate the camera, given the pivot in use."""
         back = self.axes[2]
         return tuple(p + self.distance * b for p, b in zip(pivot, back, strict=True))

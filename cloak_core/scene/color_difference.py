@@ -13,7 +13,7 @@ WHITE = TO_XYZ.sum(axis=1)
 
 
 def lab(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """CIELAB (L 0 to 100; white D65) of sRGB colours in [0, 1]."""
+    """Convert sRGB colours in [0, 1] to CIELAB (L 0 to 100; white D65)."""
     relative = to_linear(np.asarray(colors, np.float64)) @ TO_XYZ.T / WHITE
     bent = np.where(relative > (6 / 29) ** 3, np.cbrt(relative), relative * (29 / 6) ** 2 / 3 + 4 / 29)
     x, y, z = bent.T
@@ -21,7 +21,7 @@ def lab(colors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def de2000(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """CIEDE2000 between colours in CIELAB, k = 1. Symmetric; about 1 is just visible.
+    """Compute CIEDE2000 between colours in CIELAB, k = 1. Symmetric; about 1 is just visible.
 
     Sharma, Wu, Dalal, "The CIEDE2000 color-difference formula" (Color Research and Application 30, 2005), by the
     numbers of whose equations the steps go.
@@ -54,5 +54,5 @@ def _fading(chroma: np.ndarray) -> np.ndarray:
 
 
 def mean_difference(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> float:
-    """Mean CIEDE2000 between sRGB colours in [0, 1]."""
+    """Average CIEDE2000 between sRGB colours in [0, 1]."""
     return float(de2000(lab(one), lab(other)).mean())

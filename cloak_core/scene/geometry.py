@@ -17,27 +17,27 @@ PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3],
 
 
 def area_vectors(bodies: Bodies, pose: int) -> tuple[np.ndarray, np.ndarray]:
-    """Per triangle: the normal times the area [T, 3], and the centroid [T, 3]; float64."""
+    """Compute each triangle's normal times its area [T, 3], and its centroid [T, 3]; float64."""
     corners = bodies.vertices[pose][bodies.triangles].astype(np.float64)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     return np.cross(b - a, c - a) / 2, corners.mean(axis=1)
 
 
 def sum_by_face(bodies: Bodies, values: np.ndarray) -> np.ndarray:
-    """Sums of per-triangle values over each face."""
+    """Sum per-triangle values over each face."""
     total = np.zeros((bodies.face_count, *values.shape[1:]))
     np.add.at(total, bodies.triangle_face, values)
     return total
 
 
 def face_areas(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, " faces"]:
-    """Area of every face in square metres (the sum of its triangles'), float64."""
+    """Compute the area of every face in square metres (the sum of its triangles'), float64."""
     vectors, _ = area_vectors(bodies, pose)
     return sum_by_face(bodies, np.linalg.norm(vectors, axis=1))
 
 
 def face_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
-    """Unit normals, outwards where corners turn counter-clockwise; zero for a face without area."""
+    """Compute unit normals, outwards where corners turn counter-clockwise; zero for a face without area."""
     vectors, _ = area_vectors(bodies, pose)
     normal = sum_by_face(bodies, vectors)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -45,7 +45,7 @@ def face_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
 
 
 def vertex_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "vertices 3"]:
-    """Unit normals: the mean of the triangles around a vertex, by area; zero for a vertex without any."""
+    """Compute unit normals: the mean of the triangles around a vertex, by area; zero for a vertex without any."""
     vectors, _ = area_vectors(bodies, pose)
     total = np.zeros((bodies.vertex_count, 3))
     for corner in range(3):
@@ -54,7 +54,7 @@ def vertex_normals(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "vertices
 
 
 def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
-    """Centroids, weighted by area; of a face without area, the mean of its triangles' corners."""
+    """Compute centroids, weighted by area; of a face without area, the mean of its triangles' corners."""
     vectors, centroid = area_vectors(bodies, pose)
     area = np.linalg.norm(vectors, axis=1)
     flat = sum_by_face(bodies, area)[bodies.triangle_face] == 0
@@ -63,7 +63,7 @@ def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
 
 
 def is_closed(triangles: Integer[np.ndarray, "triangles 3"]) -> bool:
-    """Whether triangles form closed, consistently oriented surfaces: every edge is walked once in each direction.
+    """Tell whether triangles form closed, oriented surfaces: every edge is walked once in each direction.
 
     Such surfaces may drop their back faces, provided that they face outwards (`is_outward`). No triangles: False.
     """
@@ -79,7 +79,7 @@ def is_closed(triangles: Integer[np.ndarray, "triangles 3"]) -> bool:
 
 
 def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
-    """Of closed bodies, per pose: whether each connected surface encloses a positive volume: normals point outwards."""
+    """Tell per pose whether each connected surface of closed bodies encloses a positive volume (normals outwards)."""
     part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
     outward = np.zeros(bodies.pose_count, bool)
     for pose in range(bodies.pose_count):
@@ -88,8 +88,7 @@ def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
 
 
 def outward_parts(bodies: Bodies) -> Bool[np.ndarray, "poses triangles"]:
-    """Per pose: which triangles belong to connected surfaces that are closed and face outwards: nobody outside of them
-    sees their backs."""
+    """Tell per pose which triangles belong to closed surfaces that face outwards: nobody outside sees their backs."""
     part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
     outward = np.zeros((bodies.pose_count, bodies.triangle_count), bool)
     if not bodies.triangle_count:
@@ -107,14 +106,16 @@ def outward_parts(bodies: Bodies) -> Bool[np.ndarray, "poses triangles"]:
 
 
 def _volumes(bodies: Bodies, pose: int, part: Integer[np.ndarray, " triangles"]) -> np.ndarray:
-    """What each part of a body encloses, by the divergence theorem; means something where a part is closed. The origin
-    does not matter then, but one nearby rounds less."""
+    """Compute each part's enclosed volume, by the divergence theorem; meaningful where a part is closed.
+
+    The origin does not matter then, but one nearby rounds less.
+    """
     vectors, centroid = area_vectors(bodies, pose)
     return np.bincount(part, weights=(vectors * (centroid - centroid.mean(axis=0))).sum(axis=1) / 3)
 
 
 def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:
-    """A label per vertex: the lowest vertex that it is joined to by faces."""
+    """Label each vertex by the lowest vertex that it is joined to by faces."""
     label = np.arange(vertex_count)
     while True:
         lowest = label.copy()
@@ -129,8 +130,10 @@ def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: i
 def inner_edges(
     bodies: Bodies, face_ids: Integer[np.ndarray, " logo"]
 ) -> tuple[Integer[np.ndarray, "edges 2"], Float[np.ndarray, " edges"]]:
-    """Edges between two faces of a logo: pairs of positions in `face_ids` [E, 2], lower first, and lengths [E] in
-    metres in the first pose. Faces with two edges in common appear twice; an edge of three faces joins each two.
+    """Find the edges between two faces of a logo, and their lengths [E], metres, in the first pose.
+
+    Edges are pairs of positions in `face_ids` [E, 2], lower first. Faces with two edges in common appear twice; an edge
+    of three faces joins each two.
     """
     loop_total, loop_vertices, face = polygon_loops(bodies)
     position = np.full(bodies.face_count, -1, np.int64)

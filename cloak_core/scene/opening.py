@@ -12,9 +12,10 @@ from cloak_core.scene.selection import select, split_selection
 
 
 def load_scene(spec: str | Path) -> Bodies:
-    """Bodies of a scene folder, of an .npz, the embedded ones: "sample", "sample:train", "sample:unseen", likewise in
-    cloth "sample-clothed" and "sample-tight" (`scene.people.clothed`), or drawn from Anny on the spot:
-    "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
+    """Load bodies: a scene folder, an .npz, the embedded ones, or bodies drawn from Anny on the spot.
+
+    Embedded: "sample", "sample:train", "sample:unseen", likewise in cloth "sample-clothed" and "sample-tight"
+    (`scene.people.clothed`); drawn: "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
 
     `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`scene.selection`). Raises `InputError`.
     """

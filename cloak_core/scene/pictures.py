@@ -27,7 +27,7 @@ FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "GIF", "PPM", "TGA", "TIFF")
 
 @contextlib.contextmanager
 def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator[Image.Image]:
-    """A picture that is decoded inside the block; `data`: the file's content, where it is read already.
+    """Open a picture that is decoded inside the block; `data`: the file's content, where it is read already.
 
     InputError, also for what decoding it runs into: no regular file, larger than `MAX_FILE_BYTES`, more than
     `MAX_PIXELS`, damaged, or no picture.
@@ -51,7 +51,7 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
 def read_picture(
     path: Path, mode: str = "RGB", data: bytes | memoryview | None = None
 ) -> UInt8[np.ndarray, "h w channels"]:
-    """A picture's pixels in a mode of Pillow ("RGB": without its transparency; "RGBA"), row 0 at the top."""
+    """Read a picture's pixels in a mode of Pillow ("RGB": without its transparency; "RGBA"), row 0 at the top."""
     with open_picture(path, data) as picture:
         return np.array(picture.convert(mode))
 

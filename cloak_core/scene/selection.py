@@ -19,7 +19,7 @@ _SLICE = re.compile(r"(-?\d*):(-?\d*)(?::(-?\d*))?")
 
 
 def split_selection(spec: str) -> tuple[str, str | None]:
-    """What is meant and which part of it: ("bodies.npz", "0:4") from "bodies.npz[0:4]"; None where all is meant.
+    """Split a spec from its selection: ("bodies.npz", "0:4") from "bodies.npz[0:4]"; None where all is meant.
 
     A file that really is called so is taken by its name.
     """
@@ -33,7 +33,7 @@ def split_selection(spec: str) -> tuple[str, str | None]:
 
 
 def select(selection: str, names: Sequence[str], spec: str) -> list[int]:
-    """Indices that a selection picks among things called `names`.
+    """Find the indices that a selection picks among things called `names`.
 
     Each of its comma-separated choices is a number (negative ones count from the end), a slice A:B or A:B:STEP, or a
     name in which * and ? stand for anything. Raises `InputError` naming `spec` for what picks nothing or repeats.

@@ -28,7 +28,7 @@ CRF = "18"
 
 
 def require_av(path: Path) -> ModuleType:
-    """PyAV. InputError with the command that installs it where it is missing."""
+    """Import PyAV. InputError: it is missing, with the command that installs it."""
     if importlib.util.find_spec("av") is None:
         raise InputError(f"{path}: videos need the package av: pip install 'cloak-core[film]'")
     import av
@@ -37,7 +37,7 @@ def require_av(path: Path) -> ModuleType:
 
 
 def read_frames(path: Path, every: int = 1, most: int | None = None) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """Every `every`-th frame of a video, upright, RGB, at most so many. InputError: damaged, huge, or no video."""
+    """Read every `every`-th frame of a video, upright, RGB, at most so many. InputError: damaged, huge, or no video."""
     av, count = require_av(path), 0
     with open_regular(path, MAX_FILE_BYTES) as file:
         try:
@@ -75,7 +75,7 @@ def save_film(path: Path, frames: Iterable[Image.Image], fps: float) -> None:
 
 
 def check_film(path: Path) -> str:
-    """mp4, gif or folder; before the work begins. InputError as for `save_film`."""
+    """Tell the kind of film, mp4, gif or folder, before the work begins. InputError as for `save_film`."""
     suffix = path.suffix.lower()
     if suffix not in (".mp4", ".gif", ""):
         raise InputError(f"{path}: a film is a .mp4, a .gif, or a folder of PNGs (a name without a suffix)")

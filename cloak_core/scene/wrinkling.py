@@ -22,7 +22,7 @@ WAVES = 12
 
 
 def wrinkled(bodies: Bodies, faces: Integer[np.ndarray, " logo"], depth: float, draws: int, seed: int) -> Bodies:
-    """The bodies with `draws` poses for each of theirs, every one in folds of its own under `faces`.
+    """Make `draws` poses of each of the bodies' poses, every one in folds of its own under `faces`.
 
     A vertex there moves by at most 2 * `depth` metres outwards (cloth lies on skin) and by at most `depth` along each
     axis besides; vertices of other faces stay, so that nothing tears. Pose p becomes poses p * draws and those that
@@ -42,7 +42,7 @@ def wrinkled(bodies: Bodies, faces: Integer[np.ndarray, " logo"], depth: float, 
 
 
 def smooth_field(points: Float[np.ndarray, "N 3"], random: np.random.Generator) -> Float[np.ndarray, " N"]:
-    """A random function of space at some points, between -1 and 1: waves in all directions, one after the other."""
+    """Draw a random smooth function at some points, between -1 and 1: waves in all directions."""
     direction = random.standard_normal((WAVES, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     length = np.exp(random.uniform(*np.log(LENGTHS), WAVES))
@@ -53,7 +53,7 @@ def smooth_field(points: Float[np.ndarray, "N 3"], random: np.random.Generator) 
 
 
 def _inner_vertices(bodies: Bodies, faces: np.ndarray) -> Integer[np.ndarray, " N"]:
-    """Vertices all of whose polygons are among `faces`."""
+    """Find the vertices all of whose polygons are among `faces`."""
     loop_total, loop_vertices, face = polygon_loops(bodies)
     mine = np.isin(np.repeat(face, loop_total), faces)
     inside = np.zeros(bodies.vertex_count, bool)

@@ -50,7 +50,7 @@ class Entry:
 
 
 def read_entry(folder: Path, name: str) -> Entry:
-    """Entry NAME of a folder of them. InputError: there is none, or its files are damaged or of another version."""
+    """Read entry NAME of a folder. InputError: there is none, or its files are damaged or of another version."""
     if not _NAME.fullmatch(name) or not (folder / f"{name}.json").exists():
         raise InputError(f"zoo:{name}: no such entry (known: {', '.join(names(folder)) or 'none'}; cloak zoo list)")
     path = folder / f"{name}.npz"
@@ -69,7 +69,7 @@ def read_entry(folder: Path, name: str) -> Entry:
 
 
 def names(folder: Path) -> list[str]:
-    """Of the entries in a folder, sorted."""
+    """List the entries of a folder, sorted."""
     return sorted(path.stem for path in folder.glob("*.json") if path.with_suffix(".npz").exists())
 
 
@@ -117,7 +117,7 @@ def write_entry(
 
 
 def _kept(config: dict) -> dict:
-    """A run's configuration without folders, nor what only resuming asks for."""
+    """Strip a run's configuration of folders and of what only resuming asks for."""
     kept = {key: value for key, value in config.items() if key not in ("environment", "held_out")}
     kept["inputs"] = {key: without_folders(value) for key, value in config["inputs"].items()}
     kept["detectors"] = [_unplaced(detector) for detector in config["detectors"]]
@@ -138,7 +138,7 @@ def _unplaced(detector: dict) -> dict:
 
 
 def _evaluation(summary: dict) -> dict:
-    """Of the run's colours before they were rounded to 1/255: what the record keeps of it."""
+    """Choose what the record keeps of the evaluation, made before the colours were rounded to 1/255."""
     controls = ("logo", *summary["settings"]["controls"])
     rates = {
         without_folders(spec): {name: {key: told[name].get(key) for key in _SHOWN} for name in controls if name in told}
@@ -153,7 +153,7 @@ def _evaluation(summary: dict) -> dict:
 
 
 def _photographs(run: Path, config: dict) -> dict:
-    """Which photographs of people training saw, by name and licence, and what an evaluation on others found."""
+    """Record the photographs that training saw, by name and licence, and an evaluation on others."""
     record: dict = {}
     if config.get("people"):
         seen = config["people"]
@@ -172,12 +172,12 @@ def _photographs(run: Path, config: dict) -> dict:
 
 
 def success_on_people(record: dict) -> float | None:
-    """Mean success of an entry on people in photographs; None where nobody measured it."""
+    """Average an entry's success on people in photographs; None where nobody measured it."""
     rates = [told["logo"]["success"] for told in record.get("people", {}).get("detectors", {}).values()]
     return round(float(np.mean(rates)), 4) if rates else None
 
 
 def success(record: dict) -> float | None:
-    """Mean success of an entry over the detectors that its evaluation asked."""
+    """Average an entry's success over the detectors that its evaluation asked."""
     rates = [told["logo"]["success"] for told in record["evaluation"]["detectors"].values()]
     return round(float(np.mean(rates)), 4) if rates else None

@@ -17,17 +17,17 @@ _TEMPORARY: list[tempfile.TemporaryDirectory] = []
 
 
 def shelved() -> list[str]:
-    """Names of all entries."""
+    """List the names of all entries."""
     return names(SHELF)
 
 
 def entry(name: str) -> Entry:
-    """An entry by its name, with or without `zoo:`. InputError: there is none."""
+    """Read an entry by its name, with or without `zoo:`. InputError: there is none."""
     return read_entry(SHELF, name.removeprefix(MARK))
 
 
 def run_path(named: str | os.PathLike) -> Path:
-    """The path itself; of `zoo:NAME`, a run folder with that entry's colours, logo and record."""
+    """Give the path itself; for `zoo:NAME`, a run folder with that entry's colours, logo and record."""
     text = os.fspath(named)
     return _run_of(text.removeprefix(MARK)) if text.startswith(MARK) else Path(text)
 

@@ -73,15 +73,15 @@ class TrainSettings:
             raise InputError(f"--translation: {translation} px would move the body out of {size} px images")
 
     def changed(self, **changes: object) -> TrainSettings:
-        """The same with other values, by the names of the flags."""
+        """Copy with other values, by the names of the flags."""
         return settings_from_record(settings_record(self) | changes)
 
     def epoch_images(self, background_count: int) -> int:
-        """Images in one epoch: every background at every training angle, or in every ten degrees of a range."""
+        """Count the images in one epoch: every background at every training angle (or ten degrees of a range)."""
         return background_count * len(self.views.angles.starts)
 
     def total_steps(self, background_count: int) -> int:
-        """Updates of the whole run; the last one may hold fewer images than a batch."""
+        """Count the updates of the whole run; the last one may hold fewer images than a batch."""
         if self.run.steps is not None:
             return self.run.steps
         return max(1, math.ceil(self.run.epochs * self.epoch_images(background_count) / self.run.batch))
@@ -161,7 +161,7 @@ PRESETS: dict[str, dict[str, object]] = {
 
 
 def merge(*layers: Mapping[str, object]) -> dict[str, object]:
-    """Plain values of a preset (the one that the last layer names, else "best") and of layers upon it.
+    """Merge a preset (the one that the last layer names, else "best") and layers upon it, as plain values.
 
     Later ones win; `steps` replaces the `epochs` of earlier ones and the other way round. InputError: unknown preset.
     """
@@ -178,7 +178,7 @@ def merge(*layers: Mapping[str, object]) -> dict[str, object]:
 
 
 def make_settings(preset: object = "best", **changes: object) -> TrainSettings:
-    """Settings of a preset with changes by name, in the right types (7 becomes 7.0 where a number is meant).
+    """Make settings of a preset with changes by name, in the right types (7 becomes 7.0 where a number is meant).
 
     `steps` replaces the preset's `epochs` and the other way round. Unknown names, wrong types and bad values raise
     `InputError` naming the option.
@@ -187,12 +187,12 @@ def make_settings(preset: object = "best", **changes: object) -> TrainSettings:
 
 
 def settings_from_record(record: Mapping[str, object]) -> TrainSettings:
-    """Settings from plain values as JSON or TOML give them; names that are missing keep the default."""
+    """Make settings from plain values as JSON or TOML give them; names that are missing keep the default."""
     return TrainSettings(**components_from_record(record))
 
 
 def components_from_record(record: Mapping[str, object]) -> dict[str, object]:
-    """What `TrainSettings` takes, each value of the right type, but not checked whether they go together."""
+    """Make what `TrainSettings` takes, of the right types, but not checked whether they go together."""
     known = _kinds()
     unknown = sorted(set(record) - set(known))
     if unknown:
@@ -205,7 +205,7 @@ def components_from_record(record: Mapping[str, object]) -> dict[str, object]:
 
 
 def settings_record(settings: TrainSettings) -> dict[str, object]:
-    """Settings as flat plain values for JSON; `settings_from_record` reads them back."""
+    """Record settings as flat plain values for JSON; `settings_from_record` reads them back."""
     values = {"preset": settings.preset}
     for name in COMPONENTS:
         values |= vars(getattr(settings, name))
@@ -213,7 +213,7 @@ def settings_record(settings: TrainSettings) -> dict[str, object]:
 
 
 def check_settings(settings: object) -> None:
-    """InputError where a field is out of the bounds that its annotation has, or fields do not go together."""
+    """Check a component. InputError: a field out of its annotation's bounds, or fields that do not go together."""
     for name, kind in hints_of(type(settings)).items():
         value = getattr(settings, name)
         for bounds in getattr(kind, "__metadata__", ()):
@@ -225,12 +225,12 @@ def check_settings(settings: object) -> None:
 
 @cache
 def hints_of(component: type) -> dict[str, object]:
-    """What a dataclass declares, by the name of the field, with what stands in the annotation."""
+    """Read what a dataclass declares, by the name of the field, with what stands in the annotation."""
     return typing.get_type_hints(component, include_extras=True)
 
 
 @cache
 def _kinds() -> dict[str, tuple[str, object]]:
-    """By the name of each setting: the component it belongs to ("" for the preset), and its type."""
+    """Find each setting's component ("" for the preset) and its type, by its name."""
     own = {"preset": ("", Preset)}
     return own | {n: (name, kind) for name, cls in COMPONENTS.items() for n, kind in hints_of(cls).items()}

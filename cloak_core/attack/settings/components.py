@@ -59,7 +59,7 @@ class RunSettings:
     """Steps between copies of the colours in RUN/snapshots, for `cloak evaluate --over-time`; 0 keeps none."""
 
     def check(self) -> None:
-        """InputError: values that do not go together."""
+        """Check that values go together. InputError: they do not."""
         if (self.epochs is None) == (self.steps is None):
             raise InputError("--steps and --epochs: give one of them")
         if self.patience and not self.held_out:
@@ -92,12 +92,12 @@ class ViewSettings(RenderOptions):
     """Clothing of the body outside the logo: a random outfit per image, or the first."""
 
     def camera(self, azimuth: float, elevation: float, distance: float) -> Camera:
-        """The camera at a place, degrees and metres."""
+        """Make the camera at a place, degrees and metres."""
         place = {"azimuth": azimuth, "elevation": elevation, "distance": distance}
         return Camera(field_of_view=self.field_of_view, width=self.size, height=self.size, **place)
 
     def check(self) -> None:
-        """InputError: values that do not go together."""
+        """Check that values go together. InputError: they do not."""
         reach = 4 * self.elevation_jitter
         if not -90 <= self.elevation.low - reach <= self.elevation.high + reach <= 90:
             raise InputError("--elevation-jitter: would carry the camera over the pole")
@@ -183,7 +183,7 @@ class LossSettings:
     """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
 
     def check(self) -> None:
-        """InputError: values that do not go together."""
+        """Check that values go together. InputError: they do not."""
         if self.nps_weight and self.palette is None:
             raise InputError("--nps-weight: needs a --palette to measure against")
         if (self.ensemble == "weighted") != (self.detector_weights is not None):
@@ -218,7 +218,7 @@ class PatternSettings:
     """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
 
     def check(self) -> None:
-        """InputError: values that do not go together."""
+        """Check that values go together. InputError: they do not."""
         if (self.near is None) != (self.within is None):
             raise InputError("--near GARMENT and --within DE: one needs the other")
         if self.within_most is not None and self.near is None:
@@ -285,7 +285,7 @@ class OptimizerSettings:
     transfer`)."""
 
     def check(self) -> None:
-        """InputError: values that do not go together."""
+        """Check that values go together. InputError: they do not."""
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
         if self.sharpness and self.ascent == "momentum" and self.optimizer == "sgd" and not self.momentum:

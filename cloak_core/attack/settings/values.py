@@ -29,7 +29,7 @@ class Bounds:
     """Which of the bounds belong."""
 
     def __contains__(self, value: object) -> bool:
-        """Of None, too: what is not given is within any bounds."""
+        """Tell whether a number, or both ends of a range, lie within; None does."""
         numbers = () if value is None else (value.low, value.high) if isinstance(value, Range) else (value,)
         # NaN fails every comparison.
         above = all(number >= self.low if self.ends[0] == "[" else number > self.low for number in numbers)
@@ -181,7 +181,7 @@ class Weights(tuple[float, ...], Parsable):
 
 
 def _numbers(text: str, separator: str | None, whole: str | None = None) -> tuple[float, ...]:
-    """The finite numbers in a text (of `whole`, for the message)."""
+    """Read the finite numbers in a text (of `whole`, for the message)."""
     numbers = []
     for part in text.split(separator) if separator else [text]:
         try:
@@ -199,12 +199,12 @@ def _spelled(numbers: Iterable[float], separator: str) -> str:
 
 
 def option(name: str) -> str:
-    """A field's name as the command line spells it."""
+    """Write a field's name as the command line spells it."""
     return "--" + name.replace("_", "-")
 
 
 def from_plain(name: str, value: object, kind: object) -> object:
-    """What JSON, TOML or Python gives for a field, as the type it declares; InputError naming the option."""
+    """Convert what JSON, TOML or Python gives for a field to the type it declares. InputError names the option."""
     kind = unannotated(kind)
     kinds = typing.get_args(kind) if typing.get_origin(kind) in (types.UnionType, typing.Union) else (kind,)
     if value is None and types.NoneType in kinds:
@@ -230,7 +230,7 @@ def from_plain(name: str, value: object, kind: object) -> object:
 
 
 def unannotated(kind: object) -> object:
-    """The type inside an annotation."""
+    """Give the type inside an annotation."""
     return typing.get_args(kind)[0] if typing.get_origin(kind) is typing.Annotated else kind
 
 

@@ -19,14 +19,14 @@ class Section:
     options: dict[str, str] = field(default_factory=dict)
 
     def error(self, message: str) -> InputError:
-        """An InputError that says where in the .cfg the trouble is."""
+        """Make an InputError that says where in the .cfg the trouble is."""
         return InputError(f"{self.source}:{self.line}: [{self.kind}] {message}")
 
     def text(self, key: str, default: str) -> str:
         return self.options.get(key, default)
 
     def integer(self, key: str, default: int | None = None, low: int | None = None) -> int:
-        """An integer option, at least `low`; without a default the option must be there."""
+        """Read an integer option, at least `low`; without a default the option must be there."""
         if key not in self.options:
             if default is None:
                 raise self.error(f"lacks {key}=")
@@ -40,15 +40,15 @@ class Section:
         return self._number(key, self.options[key], float) if key in self.options else default
 
     def integers(self, key: str) -> list[int]:
-        """A comma-separated list of integers, empty where the option is absent."""
+        """Read a comma-separated list of integers, empty where the option is absent."""
         return [self._number(key, part, int) for part in self._parts(key)]
 
     def numbers(self, key: str) -> list[float]:
-        """A comma-separated list of numbers, empty where the option is absent."""
+        """Read a comma-separated list of numbers, empty where the option is absent."""
         return [self._number(key, part, float) for part in self._parts(key)]
 
     def refuse(self, *keys: str) -> None:
-        """Options that change the result and that we do not compute: refused rather than ignored."""
+        """Refuse options that change the result and are not computed here."""
         for key in keys:
             if self.options.get(key, "0") not in ("0", "0.0", "none"):
                 raise self.error(f"{key}={self.options[key]} is not supported")
@@ -86,5 +86,5 @@ def read_cfg(path: Path) -> list[Section]:
 
 
 def read_cfg_text(path: Path) -> str:
-    """A .cfg file's text; InputError where there is none or it is far too large for one (the weights, say)."""
+    """Read a .cfg file's text. InputError: no such file, or far too large for one (the weights, say)."""
     return read_text(path, MAX_BYTES, errors="replace")

@@ -54,7 +54,7 @@ class DarknetDetector(Detector):
 
 
 def load_darknet(request: Request) -> DarknetDetector:
-    """`darknet:CFG:WEIGHTS`; see `read_darknet`."""
+    """Load `darknet:CFG:WEIGHTS`; see `read_darknet`."""
     cfg, weights = (Path(part).expanduser() for part in request.parts)
     return read_darknet(cfg, weights, request)
 

@@ -37,21 +37,22 @@ class Head(nn.Module):
         return len(self.anchors) * (5 + self.classes)
 
     def forward(self, x: Tensor, earlier: dict[int, Tensor]) -> Tensor:
-        """The raw map passes through, so that losses can use logits; `activate` and `decode` interpret it."""
+        """Pass the raw map through, so that losses can use logits; `activate` and `decode` interpret it."""
         return x
 
     def split(self, raw: Float[Tensor, "B C h w"]) -> Float[Tensor, "B A D h w"]:
-        """The raw map by anchor: D = 5 + K."""
+        """Split the raw map by anchor: D = 5 + K."""
         b, _, h, w = raw.shape
         return raw.reshape(b, len(self.anchors), 5 + self.classes, h, w)
 
     def activate(self, raw: Float[Tensor, "B C h w"]) -> Float[Tensor, "B C h w"]:
-        """The map as Darknet's own layer leaves it: its activations applied, w and h still raw."""
+        """Apply the layer's activations as Darknet does; w and h stay raw."""
         xy, wh, objectness, classes = self._parts(raw)
         return torch.cat([xy, wh, objectness, classes], dim=2).reshape(raw.shape)
 
     def decode(self, raw: Float[Tensor, "B C h w"], input_size: tuple[int, int]) -> HeadBoxes:
-        """Boxes and probabilities of a raw map; `input_size` (height, width) is the network input it came from."""
+        """Decode boxes and probabilities of a raw map; `input_size` (height, width): the network input that it came
+        from."""
         raw = at_least_float32(raw)
         xy, wh, objectness, classes = self._parts(raw)
         h, w = raw.shape[-2:]
@@ -72,11 +73,11 @@ class Head(nn.Module):
         raise NotImplementedError
 
     def _sizes(self, wh: Tensor) -> Tensor:
-        """Width and height as multiples of the anchor."""
+        """Compute width and height as multiples of the anchor."""
         return wh.clamp(max=MAX_LOG_SIZE).exp()
 
     def _anchor_fractions(self, raw: Tensor, input_size: tuple[int, int]) -> Tensor:
-        """Anchors [A, 2] (width, height) as fractions of the network's input."""
+        """Compute anchors [A, 2] (width, height) as fractions of the network's input."""
         raise NotImplementedError
 
 

@@ -36,7 +36,10 @@ class Network(nn.Module):
     """
 
     def __init__(self, sections: list[Section], input_size: tuple[int, int] | None = None) -> None:
-        """`input_size` (height, width) replaces the cfg's. InputError names the cfg line of what cannot be built."""
+        """Build from a cfg's sections; `input_size` (height, width) replaces the cfg's.
+
+        InputError names the cfg line.
+        """
         super().__init__()
         net, self.sections = sections[0], sections[1:]
         size = input_size or (net.integer("height", low=1), net.integer("width", low=1))
@@ -71,7 +74,7 @@ class Network(nn.Module):
         return [layer for layer in self.layers if isinstance(layer, Head)]
 
     def forward(self, images: Tensor) -> list[Tensor]:
-        """Images [B, 3, H, W] in [0, 1], already at network size -> one raw map [B, A * (5 + K), h, w] per head.
+        """Run on images [B, 3, H, W] in [0, 1] at network size: a raw map [B, A * (5 + K), h, w] per head.
 
         H and W may differ from the cfg's, as long as they are multiples of the network's stride.
         """
@@ -95,7 +98,7 @@ class Network(nn.Module):
 def build_network(
     cfg_text: str, input_size: tuple[int, int] | None = None, seed: int = 0, source: str = "cfg"
 ) -> Network:
-    """A trainable network: unfolded batch norm, train mode, He-initialised weights from `seed`."""
+    """Build a trainable network: unfolded batch norm, train mode, He-initialised weights from `seed`."""
     network = Network(parse_cfg(cfg_text, source), input_size)
     generator = torch.Generator().manual_seed(seed)
     for layer in network.layers:
@@ -235,13 +238,13 @@ def _activation(section: Section, default: str) -> str:
 
 
 def _strides(section: Section) -> tuple[int, int]:
-    """(vertical, horizontal)."""
+    """Read both strides: (vertical, horizontal)."""
     stride = section.integer("stride", 1, low=1)
     return section.integer("stride_y", stride, low=1), section.integer("stride_x", stride, low=1)
 
 
 def _sources(section: Section, key: str, shapes: list[Shape]) -> list[int]:
-    """Absolute indices of the layers an option names; negative numbers count back from the layer itself."""
+    """Resolve absolute indices of the layers an option names; negative numbers count back from the layer itself."""
     given = section.integers(key)
     if not given:
         raise section.error(f"lacks {key}=")

@@ -21,7 +21,7 @@ sqrt(var) + 1e-6 on the CPU, which is what its golden outputs show."""
 
 
 def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
-    """(layer index, name, tensor) of everything a .weights file holds, in file order. Needs an unfolded network."""
+    """List (layer index, name, tensor) of all that a .weights file holds, in file order; the network is unfolded."""
     stored: list[tuple[int, str, Tensor]] = []
     for index, (section, layer) in enumerate(zip(network.sections, network.layers, strict=True)):
         if isinstance(layer, WeightedShortcut):
@@ -42,7 +42,7 @@ def stored_tensors(network: Network) -> list[tuple[int, str, Tensor]]:
 
 
 def check_size(network: Network, path: Path) -> tuple[int, int]:
-    """Bytes of the header, and the revision, of a file with as many floats as `network` (a meta one, too) asks for.
+    """Check that a file has as many floats as `network` (a meta one, too) asks for; give header bytes and revision.
 
     InputError when it is missing or holds others, as in `read_weights`.
     """
@@ -110,7 +110,7 @@ def write_darknet(cfg_text: str, network: Network, path: str | Path, seen: int =
 
 
 def _header(head: bytes) -> tuple[int, int]:
-    """Bytes of the header, and the revision, from a file's first 12.
+    """Read bytes of the header, and the revision, from a file's first 12.
 
     The header is major, minor, revision as int32; then `seen`, an int64 from version 0.2 on and an int32 before.
     """

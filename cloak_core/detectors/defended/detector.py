@@ -40,8 +40,10 @@ class DefendedDetector(Detector):
 
 
 def defend(inner: Detector, head: str) -> DefendedDetector:
-    """The detector behind the defence that `head` names, "jpeg=75"; frozen, on the detector's device, its tensors
-    shared. InputError: an unknown defence, a number out of bounds."""
+    """Put the defence that `head` names ("jpeg=75") before a detector; its tensors are shared.
+
+    InputError: an unknown defence, a number out of bounds.
+    """
     spec = f"{head}:{inner.spec}"
     name, value = read_head(head, spec)
     defended = DefendedDetector(inner, name, value, spec).to(inner.device)

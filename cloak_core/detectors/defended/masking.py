@@ -30,7 +30,7 @@ class Masking(Defence):
     partial_gradient = "the decision what is painted over is soft in the gradient alone"
 
     def evidence(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 H W"]:
-        """How sure it is of a patch at each pixel: masked above 0.5; differentiable."""
+        """Estimate how likely each pixel belongs to a patch: masked above 0.5; differentiable."""
         raise NotImplementedError
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
@@ -78,7 +78,7 @@ class SegmenterMask(Masking):
 
 
 def local_entropy(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 rows columns"]:
-    """Entropy in bits of each channel's histogram around each square of `BLOCK` pixels, mean over the channels.
+    """Compute entropy in bits of each channel's histogram around each square of `BLOCK` pixels, mean over the channels.
 
     A brightness counts for the two levels it lies between, so that it has a gradient.
     """
@@ -95,7 +95,7 @@ def local_entropy(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 1 rows c
 
 
 def surroundings(images: Float[Tensor, "B 3 H W"], mask: Float[Tensor, "B 1 H W"]) -> Float[Tensor, "B 3 H W"]:
-    """The mean of what is not masked around each pixel; of the whole image where nothing near is left."""
+    """Average what is not masked around each pixel; the whole image where nothing near is left."""
     kept = 1 - mask
     small, share = (F.avg_pool2d(part, BLOCK, ceil_mode=True) for part in (images * kept, kept))
     whole = small.mean((2, 3), keepdim=True) / share.mean((2, 3), keepdim=True).clamp(min=1e-6)

@@ -47,7 +47,7 @@ class PatchSegmenter(nn.Module):
 
 
 def load_segmenter(path: Path = WEIGHTS) -> PatchSegmenter:
-    """The trained network, in eval mode, without gradients of its own. InputError: no such file, or another's."""
+    """Load the trained network, in eval mode, without gradients of its own. InputError: no such file, or another's."""
     network = PatchSegmenter()
     try:
         network.load_state_dict(load(read_bytes(path)))

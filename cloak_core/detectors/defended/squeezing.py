@@ -13,7 +13,7 @@ from cloak_core.detectors.protocol import Detections, Detector
 
 
 def straight_through(images: Float[Tensor, "*shape"], value: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """`value`, its gradient passed on to `images` as if nothing had happened between them."""
+    """Give `value`, its gradient passed to `images` unchanged (straight-through estimator)."""
     return images + (value - images).detach()
 
 
@@ -27,11 +27,11 @@ class Defence(nn.Module):
         raise NotImplementedError
 
     def placed(self, images: Float[Tensor, "B 3 H W"]) -> tuple[Float[Tensor, "B 3 H W"], Float[Tensor, "B 3"] | None]:
-        """The images that the detector sees, and their windows (`filters.windowed`) where they were moved."""
+        """Give the images that the detector sees, and their windows (`filters.windowed`) where they were moved."""
         return self(images), None
 
     def detect(self, inner: Detector, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        """What the inner detector says of the images behind the defence; boxes in the pixels of the images given."""
+        """Ask the inner detector about the images behind the defence; boxes are in the pixels of the images given."""
         # A defence works on bytes of pictures, not on numbers of eight bits' precision.
         with torch.autocast(images.device.type, enabled=False):
             seen, windows = self.placed(images)
@@ -42,7 +42,7 @@ class Defence(nn.Module):
 def _restored(
     boxes: Float[Tensor, "B N 4"], windows: Float[Tensor, "B 3"], shape: torch.Size
 ) -> Float[Tensor, "B N 4"]:
-    """Boxes seen through windows, in the pixels of the images of this shape."""
+    """Map boxes seen through windows back to the pixels of the images of this shape."""
     size = boxes.new_tensor([shape[3], shape[2]] * 2)
     side, centre = windows[:, None, :1].to(boxes), windows[:, None, [1, 2, 1, 2]].to(boxes)
     return (side * (2 * boxes / size - 1) + centre + 1) * size / 2
@@ -92,9 +92,11 @@ class Median(Defence):
 
 
 def _median_of_nine(around: Float[Tensor, "B C h w"]) -> Float[Tensor, "B C h-2 w-2"]:
-    """The same by minima and maxima alone, eight times as fast: columns are sorted once for all pixels that share them,
-    and the median is that of the largest minimum, the median median and the smallest maximum (Smith, "Implementing
-    median filters in XC4000E FPGAs", Xcell 1996)."""
+    """Compute the 3 x 3 median by minima and maxima alone, eight times as fast.
+
+    Columns are sorted once for all pixels that share them; the median is that of the largest minimum, the median median
+    and the smallest maximum (Smith, "Implementing median filters in XC4000E FPGAs", Xcell 1996).
+    """
     rows = [around[:, :, y : around.shape[2] - 2 + y] for y in range(3)]
     low, high = torch.minimum(rows[0], rows[1]), torch.maximum(rows[0], rows[1])
     sorted_columns = torch.minimum(low, rows[2]), _median_of_three(*rows), torch.maximum(high, rows[2])

@@ -105,14 +105,14 @@ DEFENCES = {
 
 
 def written(name: str) -> str:
-    """How a defence is written before a detector: "jpeg=QUALITY:SPEC"."""
+    """Write a defence as it stands before a detector: "jpeg=QUALITY:SPEC"."""
     kind = DEFENCES[name]
     number = kind.value.split()[0].strip(",").upper()
     return f"{name}={number}:SPEC" if kind.usual is None else f"{name}[={number}]:SPEC"
 
 
 def split_defence(spec: str) -> tuple[str, str] | None:
-    """(head, the rest) of a spec that begins with a defence, "jpeg=75" and "builtin@224"; None of any other.
+    """Split a spec that begins with a defence into (head, rest), "jpeg=75" and "builtin@224"; None for any other.
 
     InputError: no detector behind it.
     """
@@ -143,5 +143,5 @@ def read_head(head: str, spec: str) -> tuple[str, float]:
 
 
 def list_defences() -> list[dict]:
-    """[{"defence", "spec", "what"}, ...]."""
+    """List the defences: [{"defence", "spec", "what"}, ...]."""
     return [{"defence": name, "spec": written(name), "what": kind.what} for name, kind in DEFENCES.items()]

@@ -18,7 +18,7 @@ MAX_DEPTH = 32
 
 
 def check_tensors(model: onnx.ModelProto, path: Path) -> None:
-    """InputError names a tensor with a negative extent, or of more numbers than any model taken here."""
+    """Check the tensors' shapes. InputError: a negative extent, or more numbers than any model taken here."""
     nodes = [*model.graph.node, *(node for function in model.functions for node in function.node)]
     for name, extents in _extents(model.graph, nodes, path, 0):
         if min(extents, default=0) < 0 or math.prod(extents) > MAX_BYTES:

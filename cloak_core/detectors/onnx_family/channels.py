@@ -49,7 +49,7 @@ def order_channels(graph: fx.GraphModule, image: Tensor) -> None:
 
 
 def interleave(x: Tensor, starts: Sequence[int], count: int) -> Tensor:
-    """Channels `start`, `start + 1`, ... of several starts, `count` of each, by turns."""
+    """Take `count` channels from each of several starts, by turns."""
     last = x.permute(0, 2, 3, 1)
     parts = torch.stack([last[..., start : start + count] for start in starts], dim=-1)
     return parts.flatten(-2).permute(0, 3, 1, 2)
@@ -64,7 +64,7 @@ def _rearranges(node: fx.Node, modules: dict[str, nn.Module]) -> bool:
 
 
 def _chain(end: fx.Node, modules: dict[str, nn.Module]) -> list[fx.Node]:
-    """From what is not rearranged any more to the end."""
+    """Collect the nodes of a chain, from its source to its end."""
     chain = [end]
     while _rearranges(chain[0], modules):
         chain.insert(0, chain[0].args[0])
@@ -72,7 +72,7 @@ def _chain(end: fx.Node, modules: dict[str, nn.Module]) -> list[fx.Node]:
 
 
 def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphModule) -> Tensor | None:
-    """Numbers of the channels that come out, in order; None where something else than channels is moved."""
+    """Find the order in which channels come out; None where something else than channels is moved."""
     source, end = chain[0].meta["shape"], chain[-1].meta["shape"]
     if source is None or end is None or len(source) != 4 or len(end) != 4 or source[2:] != end[2:]:
         return None
@@ -93,7 +93,7 @@ def _order(chain: list[fx.Node], modules: dict[str, nn.Module], graph: fx.GraphM
 
 
 def _constant(argument: object, graph: fx.GraphModule) -> object:
-    """A tensor of the graph's own, or what is no node at all."""
+    """Give a tensor of the graph's own, or an argument that is no node."""
     if not isinstance(argument, fx.Node):
         return argument
     owner, _, name = argument.target.rpartition(".")
@@ -116,7 +116,7 @@ def _replace(chain: list[fx.Node], order: Tensor, modules: dict[str, nn.Module],
 
 
 def _into_convolution(end: fx.Node, order: Tensor, channels: int, modules: dict[str, nn.Module]) -> bool:
-    """Whether all channels in another order go into one convolution alone, whose weights then take that order."""
+    """Reorder the weights of the one convolution that reads all channels; tell whether there is one."""
     if len(end.users) != 1 or len(order) != channels or len(order.unique()) != channels:
         return False
     (user,) = end.users
@@ -128,7 +128,7 @@ def _into_convolution(end: fx.Node, order: Tensor, channels: int, modules: dict[
 
 
 def _plainer(order: Tensor) -> tuple | None:
-    """A view where the channels' numbers have equal distances, runs by turns where they take turns."""
+    """Find a plain operation for an order: a strided view, or runs by turns; None for neither."""
     if len(order) < 2:
         return None
     steps = order.diff()

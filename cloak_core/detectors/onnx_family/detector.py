@@ -53,7 +53,7 @@ class OnnxDetector(Detector):
         return found.of_person(self.person, placement, self.first_class)
 
     def original(self) -> OnnxDetector | None:
-        """The file in onnxruntime; None for a black box, which is that already."""
+        """Load the file into onnxruntime; None for a black box, which runs there already."""
         if not self.differentiable:
             return None
         file = read_model(self.path)
@@ -66,12 +66,12 @@ class OnnxDetector(Detector):
         return made.freeze()
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
-        """What the network says of its own input, decoded."""
+        """Run the network on its own input and decode the outputs."""
         return self.decode(self.network(inputs), self.input_size)
 
 
 def load_onnx(request: Request) -> OnnxDetector:
-    """A detector from an ONNX file. The layout is one of LAYOUTS; without one it is told from the outputs if possible.
+    """Load an ONNX file; its layout is one of LAYOUTS, told from the outputs where it is not given.
 
     The file is converted to torch, and what came of it is compared with onnxruntime at the first loading; where that
     fails it stays a black box, and a line says why. Class names, input size and confidence come from the file's own
@@ -96,7 +96,7 @@ def load_onnx(request: Request) -> OnnxDetector:
 
 
 def _converted(file: ModelFile, size: tuple[int, int]) -> Converted:
-    """The file as a torch module."""
+    """Convert the file to a torch module."""
     if file.quantised:
         raise NotConvertible(f"it computes in integers ({', '.join(file.quantised)})")
     if file.suppresses:
@@ -114,7 +114,7 @@ def _fails(error: Exception) -> NotConvertible:
 
 
 def _assemble(request: Request, named: str, file: ModelFile, network: Converted | Session) -> OnnxDetector:
-    """A detector around a network: its layout, its person, its operating point."""
+    """Make a detector of a network: its layout, its person, its operating point."""
     size = file.input_size(request.input_size)
     outputs = _first_outputs(file, network, size)
     layout_name, decode = _layout(request, named, file, outputs, size)
@@ -139,7 +139,7 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
 
 @torch.no_grad()
 def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[int, int]) -> list[Tensor]:
-    """What it says of one sample image."""
+    """Run the network on one sample image."""
     try:
         return network(sample_images(size)[:1])
     except Exception as error:  # of onnx2torch's modules, or onnxruntime's own
@@ -151,7 +151,7 @@ def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[in
 def _layout(
     request: Request, named: str, file: ModelFile, outputs: list[Tensor], size: tuple[int, int]
 ) -> tuple[str, Decode]:
-    """The layout's name, and what decodes such outputs."""
+    """Find the layout's name, and what decodes such outputs."""
     labelled = dict(zip(file.output_names, outputs, strict=True))
     name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
     if not name and file.described.layout in LAYOUTS:
@@ -174,8 +174,10 @@ def _layout(
 
 
 def _compare(detector: OnnxDetector, file: ModelFile) -> None:
-    """NotConvertible where the converted network does not answer as onnxruntime does. Where only batches go wrong its
-    images are run one by one, and a line names the node."""
+    """Compare a converted network with onnxruntime. NotConvertible: they disagree.
+
+    Where only batches go wrong its images are run one by one, and a line names the node.
+    """
     size, decode, converted = detector.input_size, detector.decode, detector.network
     images = detector.pixels.apply(sample_images(size))
 
@@ -202,7 +204,7 @@ def _disagreement(parity: Parity) -> str:
 
 
 def _names(file: ModelFile, count: int) -> tuple[str, ...] | None:
-    """Names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
+    """Find names of its classes: the file's own, its description's, of a list beside it, or COCO's by their number."""
     for said in (file.names, file.described.names):
         if said and len(said) == count:
             return said
@@ -213,8 +215,7 @@ def _names(file: ModelFile, count: int) -> tuple[str, ...] | None:
 
 
 def _person(file: ModelFile, names: tuple[str, ...] | None, count: int, request: Request) -> int:
-    """The class that was asked for; else what the file's description says, and the only class of a file without
-    names."""
+    """Find the class asked for, else the described one, else the only class of a file without names."""
     said = file.described.person
     if request.person_class is None and said is not None and said < count:
         return said

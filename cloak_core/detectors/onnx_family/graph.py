@@ -22,7 +22,7 @@ class NotConvertible(Exception):
 
 
 def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
-    """The same network as a torch module, frozen, batch norm folded where it follows a convolution.
+    """Convert to a torch module, frozen, batch norm folded where it follows a convolution.
 
     NotConvertible names the operator, or the node, that has no translation.
     """
@@ -46,7 +46,7 @@ def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
 
 
 def _lift_constants(model: onnx.ModelProto) -> None:
-    """Constant nodes become weights, in place: translations look for kernels and biases among the weights alone."""
+    """Make Constant nodes weights, in place: onnx2torch looks for kernels and biases among the weights alone."""
     graph = model.graph
     for node in [n for n in graph.node if n.op_type == "Constant"]:
         value = next((a.t for a in node.attribute if a.name == "value"), None)

@@ -15,8 +15,10 @@ MOST_QUERIES = 1000
 
 
 def guess_layout(outputs: Mapping[str, Tensor], size: Size, class_count: int | None) -> str | None:
-    """The name of the layout, None where several fit or none. Outputs are those of one image; class_count: None where
-    the file does not say."""
+    """Guess the layout of one image's outputs; None where several fit or none.
+
+    class_count: None where the file does not say.
+    """
     shapes = [tuple(output.shape) for output in outputs.values()]
     if len(shapes) == 1:
         return _of_one(next(iter(outputs.values())), size, class_count)
@@ -37,7 +39,7 @@ def is_classifier(outputs: Mapping[str, Tensor], suppresses: str) -> bool:
 
 
 def what_it_may_be(outputs: Mapping[str, Tensor], suppresses: str) -> str:
-    """A clause on outputs whose layout cannot be told; `suppresses` names a node that suppresses boxes, "" for none."""
+    """Describe outputs of no known layout in a clause; `suppresses` names a node that suppresses boxes, "" for none."""
     shapes = [tuple(output.shape) for output in outputs.values()]
     if suppresses or any(len(shape) < 3 for shape in shapes):
         node = f" (node {suppresses})" if suppresses else ""
@@ -68,7 +70,7 @@ def _of_one(output: Tensor, size: Size, class_count: int | None) -> str | None:
 
 
 def _of_rows(output: Tensor, width: int, class_count: int) -> str | None:
-    """A row for each cell of the usual grids."""
+    """Guess from outputs with a row for each cell of the usual grids."""
     if width in (5, 4 + class_count):  # five: a single class
         return "yolov8"
     if width == 5 + class_count:

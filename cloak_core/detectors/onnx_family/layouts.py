@@ -65,24 +65,24 @@ class Layout:
     told_from: Callable[[Sequence[Tensor]], Decode] | None = None
 
     def decoder(self, outputs: Sequence[Tensor]) -> Decode:
-        """What decodes such outputs; these are of real images, and settle what exports of the layout differ in."""
+        """Make what decodes such outputs of real images, which settle what exports of the layout differ in."""
         return self.decode or self.told_from(outputs)
 
 
 def yolov5(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """[B, N, 5 + K]: centre and size in input pixels, objectness, classes."""
+    """Decode [B, N, 5 + K]: centre and size in input pixels, objectness, classes."""
     rows = outputs[0]
     return Decoded(corners(rows[..., :4]), rows[..., 5:], rows[..., 4])
 
 
 def yolov8(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """[B, 4 + K, N], or transposed: centre and size in input pixels, classes; no objectness."""
+    """Decode [B, 4 + K, N], or transposed: centre and size in input pixels, classes; no objectness."""
     rows = outputs[0] if outputs[0].shape[1] > outputs[0].shape[2] else outputs[0].transpose(1, 2)
     return Decoded(corners(rows[..., :4]), rows[..., 4:])
 
 
 def yolox(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """[B, N, 5 + K] as YOLOv5, but offsets in cells and log sizes, for strides 8, 16 and 32 in turn."""
+    """Decode [B, N, 5 + K] as YOLOv5's, but offsets in cells and log sizes, strides 8, 16 and 32 in turn."""
     rows = outputs[0]
     cell, stride = _grid(size, strides_of(rows.shape[1], size) or YOLO_STRIDES[0], rows)
     boxes = torch.cat([(rows[..., :2] + cell) * stride, rows[..., 2:4].exp() * stride], dim=-1)
@@ -90,19 +90,19 @@ def yolox(outputs: Sequence[Tensor], size: Size) -> Decoded:
 
 
 def detr(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Logits [B, Q, K + 1] (the last is "no object") and boxes [B, Q, 4], centre and size as fractions."""
+    """Decode logits [B, Q, K + 1] (the last is "no object") and boxes [B, Q, 4], centre and size as fractions."""
     logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
     return Decoded(corners(boxes * _pixels(size, boxes)), logits.softmax(dim=-1)[..., :-1])
 
 
 def rtdetr(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Logits [B, Q, K] of independent classes and boxes [B, Q, 4], centre and size as fractions."""
+    """Decode logits [B, Q, K] of independent classes and boxes [B, Q, 4], centre and size as fractions."""
     logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
     return Decoded(corners(boxes * _pixels(size, boxes)), logits.sigmoid())
 
 
 def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """[B, N, 6]: xyxy in input pixels, the best class's score, its number; YOLOv10 and later, before suppression."""
+    """Decode [B, N, 6]: xyxy in input pixels, the best class's score and number; YOLOv10 and later."""
     rows = outputs[0]
     number = rows[..., 5].detach().round().long()
     count = max(COCO_CLASSES, int(number.max()) + 1)
@@ -119,7 +119,7 @@ class NanoDet:
 
     @classmethod
     def told_from(cls, outputs: Sequence[Tensor]) -> NanoDet:
-        """As these outputs of real images have it."""
+        """Read from outputs of real images what exports differ in."""
         classes, _ = cls._split(outputs)
         return cls(logits=bool(classes.min() < 0) or bool(classes.max() > 1))
 
@@ -140,7 +140,10 @@ class NanoDet:
 
 
 def fastestdet(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """[B, 5 + K, h, w]: objectness, offsets, sizes, classes of one grid; a score is objectness^0.6 times class^0.4."""
+    """Decode [B, 5 + K, h, w]: objectness, offsets, sizes, classes of one grid.
+
+    A score is objectness^0.6 times class^0.4.
+    """
     grid = outputs[0]
     height, width = grid.shape[2:]
     rows = grid.flatten(2).transpose(1, 2)
@@ -167,7 +170,7 @@ class BoxesScores:
 
     @classmethod
     def told_from(cls, outputs: Sequence[Tensor]) -> BoxesScores:
-        """As these outputs of real images have it."""
+        """Read from outputs of real images what exports differ in."""
         boxes, scores = cls._split(outputs)
         logits = bool(scores.min() < 0) or bool(scores.max() > 1)
         exclusive = logits or bool(((scores.sum(-1) - 1).abs() < 1e-3).all())
@@ -253,23 +256,23 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def corners(boxes: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """Centre and size to corners."""
+    """Convert centre and size to corners."""
     half = boxes[..., 2:] / 2
     return torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
 
 
 def cells(size: Size, strides: Sequence[int]) -> int:
-    """How many cells the grids of these strides have together on an input (height, width)."""
+    """Count the cells of the grids of these strides together on an input (height, width)."""
     return sum(math.ceil(size[0] / s) * math.ceil(size[1] / s) for s in strides)
 
 
 def strides_of(count: int, size: Size) -> tuple[int, ...] | None:
-    """The usual strides whose grids have `count` cells together; None where no such do."""
+    """Find the usual strides whose grids have `count` cells together; None where no such do."""
     return next((strides for strides in YOLO_STRIDES if cells(size, strides) == count), None)
 
 
 def _grid(size: Size, strides: Sequence[int], like: Tensor) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 1"]]:
-    """Column and row of every cell, and its stride in pixels."""
+    """Compute the column and row of every cell, and its stride in pixels."""
     places, steps = [], []
     for stride in strides:
         height, width = math.ceil(size[0] / stride), math.ceil(size[1] / stride)
@@ -284,14 +287,16 @@ def _pixels(size: Size, like: Tensor) -> Tensor:
 
 
 def _parted(rows: Float[Tensor, "B N C"]) -> tuple[Tensor, Tensor]:
-    """Classes and distances of rows that hold both; eight distances a side, or more where COCO's classes leave more."""
+    """Split rows into classes and distances: eight distances a side, or more where COCO's classes leave more."""
     sides = 32 if rows.shape[-1] < COCO_CLASSES + 32 else rows.shape[-1] - COCO_CLASSES
     return rows[..., :-sides], rows[..., -sides:]
 
 
 def _gathered(outputs: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Classes and distances [B, N, C] of outputs for each stride, finest grid first; distances are multiples of 4 wide
-    and the same everywhere."""
+    """Gather classes and distances [B, N, C] from outputs for each stride, finest grid first.
+
+    Distances are multiples of 4 wide and the same everywhere.
+    """
     flat = [output.flatten(2).transpose(1, 2) if output.dim() == 4 else output for output in outputs]
     flat.sort(key=lambda output: -output.shape[1])
     widths = [flat[0].shape[-1], flat[1].shape[-1]]

@@ -61,14 +61,14 @@ class ModelFile:
     """Name of a node that suppresses boxes; "" for none."""
 
     def input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
-        """The size to run it at. InputError: it is fixed to another."""
+        """Choose the size to run it at. InputError: it is fixed to another."""
         if self.fixed_size and wanted not in (None, self.size):
             fixed, other = (f"{h}x{w}" for h, w in (self.size, wanted))
             raise InputError(f"{self.path}: its input is fixed to {fixed}, it cannot run at {other}")
         return wanted or self.size or (DEFAULT_SIDE, DEFAULT_SIDE)
 
     def session(self, threads: int) -> onnxruntime.InferenceSession:
-        """The model in onnxruntime. InputError with its words where it cannot run it."""
+        """Load the model into onnxruntime. InputError: it cannot run it, in its words."""
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
@@ -158,7 +158,7 @@ def _load_outside(model: onnx.ModelProto, path: Path) -> list[np.ndarray]:
 
 
 def _as_float32(model: onnx.ModelProto) -> None:
-    """Half precision to single, in place: torch has no half-precision convolutions worth having on a CPU."""
+    """Convert half precision to single, in place: torch has no fast half-precision convolutions on a CPU."""
     from onnx import TensorProto, numpy_helper
 
     graph, half = model.graph, TensorProto.FLOAT16
@@ -175,7 +175,7 @@ def _as_float32(model: onnx.ModelProto) -> None:
 
 
 def _said_names(said: dict[str, str]) -> tuple[str, ...] | None:
-    """Ultralytics writes a dictionary or list in Python's words."""
+    """Read the names as ultralytics writes them, a Python dictionary or list."""
     try:
         names = ast.literal_eval(said["names"])
     except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def as_input(images: Float[Tensor, "B 3 H W"], network: ModelFile | nn.Module) -> Tensor:
-    """Its axes as the network has them: exports of TensorFlow want channels last."""
+    """Order the axes as the network has them: exports of TensorFlow want channels last."""
     return images.permute(0, 2, 3, 1) if network.channels_last else images
 
 

@@ -58,7 +58,7 @@ class Parity:
 
 @lru_cache(4)
 def sample_images(size: tuple[int, int]) -> Float[Tensor, "B 3 H W"]:
-    """Procedural scenes, always the same ones."""
+    """Draw procedural scenes, always the same ones."""
     scenes = [draw_scene(np.random.default_rng([7, i]), *size) for i in range(IMAGES)]
     return torch.from_numpy(np.stack(scenes)).permute(0, 3, 1, 2).float() / 255
 
@@ -82,7 +82,7 @@ def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"
 
 
 def takes_batches(network: Callable[[Tensor], list[Tensor]], images: Float[Tensor, "B 3 H W"]) -> bool:
-    """Whether a black box answers two images at once as it does one by one."""
+    """Tell whether a black box answers two images at once as it does one by one."""
     try:
         together = network(images[:2])
     except Exception:  # onnxruntime's own
@@ -95,8 +95,7 @@ def takes_batches(network: Callable[[Tensor], list[Tensor]], images: Float[Tenso
 
 
 def remembered(key: str, find: Callable[[], Parity]) -> Parity:
-    """What was found for this content before, by these versions of the packages and of this room; else found now, and
-    remembered."""
+    """Look up what was found for this content and these versions before, else find it now and remember it."""
     versions = [f"{name} {version(name)}" for name in ("torch", "onnx", "onnx2torch", "onnxruntime")]
     versions.append(code_hash("detectors/onnx_family"))
     name = sha256_arrays(np.frombuffer("\n".join([key, *versions]).encode(), np.uint8))
@@ -115,7 +114,7 @@ def _row(decoded: Decoded, index: int) -> Decoded:
 
 
 def _apart(some: list[Decoded], others: list[Decoded]) -> tuple[float, float]:
-    """Largest difference of scores and of boxes; infinite where shapes differ or something is not finite."""
+    """Find the largest difference of scores and of boxes; infinite where shapes differ or a number is not finite."""
     scores = boxes = 0.0
     for a, b in zip(some, others, strict=True):
         if a.boxes.shape != b.boxes.shape or a.classes.shape != b.classes.shape:

@@ -16,7 +16,7 @@ from torch import Tensor, fx, nn
 
 
 def simplify(graph: fx.GraphModule) -> None:
-    """Rewrite the nodes of a graph for which there is something plainer."""
+    """Replace nodes of a graph by plainer ones, in place."""
     modules = dict(graph.named_modules())
     for node in list(graph.graph.nodes):
         if node.op != "call_module":
@@ -56,7 +56,7 @@ def _nothing(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer
 
 
 def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    """It keeps one tensor for the gradient where a sigmoid and a product keep three."""
+    """Replace x * sigmoid(x): silu keeps one tensor for the gradient instead of three."""
     if module.math_op_function not in (torch.mul, operator.mul) or len(node.args) != 2:
         return None
     for x, gate in (node.args, node.args[::-1]):
@@ -83,7 +83,7 @@ def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
 
 
 def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:
-    """Several (axis, start, end, step) at once; ends beyond the tensor are its end."""
+    """Slice by several (axis, start, end, step) at once; ends beyond the tensor are its end."""
     index = [slice(None)] * x.dim()
     for axis, start, end, step in slices:
         index[axis] = slice(start, end, step)
@@ -96,12 +96,12 @@ def _reshape(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer
 
 
 def reshape(x: Tensor, shape: tuple[int, ...]) -> Tensor:
-    """As ONNX has it: 0 keeps the extent that stands there."""
+    """Reshape as ONNX does: 0 keeps the extent that stands there."""
     return x.reshape([x.shape[i] if extent == 0 else extent for i, extent in enumerate(shape)])
 
 
 def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
-    """Every second channel, say, is a view, where a list of channels is a copy."""
+    """Replace a regular list of channels by a slice, which is a view and no copy."""
     index = _constant(node.args[1], graph)
     if index is None or index.ndim != 1 or len(index) < 2 or index.min() < 0:
         return None
@@ -112,7 +112,7 @@ def _gather(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
 
 
 def _constant(value: object, graph: fx.GraphModule) -> np.ndarray | None:
-    """What a node always is; None where it is computed. Of few numbers only: indices, not weights."""
+    """Give what a node always is; None where it is computed. Of integers only: indices, not weights."""
     if not isinstance(value, fx.Node) or value.op != "get_attr":
         return None
     owner, _, name = value.target.rpartition(".")

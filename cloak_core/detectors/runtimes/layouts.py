@@ -56,7 +56,7 @@ class SsdHead:
 
 
 def detection_rows(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Rows [1, 1, N, 7] after suppression: image (-1 ends them), class (from 1), score, corners as fractions."""
+    """Decode rows [1, 1, N, 7] after suppression: image (-1 ends them), class (from 1), score, corners as fractions."""
     rows = outputs[0].flatten(1, 2) if outputs[0].dim() == 4 else outputs[0]
     # Whatever stands behind the end is left over from another image.
     there = (rows[..., 0] >= 0).cummin(dim=1).values
@@ -65,14 +65,17 @@ def detection_rows(outputs: Sequence[Tensor], size: Size) -> Decoded:
 
 
 def boxes_labels(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Boxes [N, 5] after suppression (corners in pixels of the input, score) and their classes [N]."""
+    """Decode boxes [N, 5] after suppression (corners in pixels of the input, score) and their classes [N]."""
     boxes, labels = sorted((output.reshape(-1, output.shape[-1]) for output in outputs[:2]), key=lambda o: -o.shape[1])
     boxes = boxes.view(1, -1, 5)
     return Decoded(boxes[..., :4], _one_hot(labels.reshape(1, -1), boxes[..., 4]))
 
 
 def tflite_ssd(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """TFLite_Detection_PostProcess: boxes [1, N, 4] (top, left, bottom, right; fractions), classes, scores, count."""
+    """Decode TFLite_Detection_PostProcess: boxes [1, N, 4], classes, scores, count.
+
+    Boxes are top, left, bottom, right, as fractions.
+    """
     boxes, classes, scores, count = outputs[:4]
     there = torch.arange(scores.shape[1]) < count.reshape(-1, 1)
     places = boxes[..., [1, 0, 3, 2]] * boxes.new_tensor([size[1], size[0]] * 2)
@@ -80,7 +83,7 @@ def tflite_ssd(outputs: Sequence[Tensor], size: Size) -> Decoded:
 
 
 def mediapipe_pose(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """MediaPipe's pose detector: regressors [1, N, 12] and logits [1, N, 1]; only persons.
+    """Decode MediaPipe's pose detector: regressors [1, N, 12] and logits [1, N, 1]; only persons.
 
     Its own box is a square on the face, so the person's is made of two key points: the middle of the hips, and the end
     of a radius around the whole body; the box around a rectangle of that axis.
@@ -95,7 +98,7 @@ def mediapipe_pose(outputs: Sequence[Tensor], size: Size) -> Decoded:
 
 
 def _pose_anchors(size: Size) -> Float[Tensor, "N 2"]:
-    """Centres of MediaPipe's anchors, pixels: layers of one stride stand cell by cell."""
+    """Compute the centres of MediaPipe's anchors, pixels: layers of one stride stand cell by cell."""
     found = []
     for stride in dict.fromkeys(POSE_STRIDES):
         y, x = torch.meshgrid(torch.arange(size[0] // stride), torch.arange(size[1] // stride), indexing="ij")
@@ -105,7 +108,7 @@ def _pose_anchors(size: Size) -> Float[Tensor, "N 2"]:
 
 
 def _one_hot(numbers: Float[Tensor, "B N"], scores: Float[Tensor, "B N"]) -> Float[Tensor, "B N K"]:
-    """Each row's score in the place of its class; 91 places or more, so that images agree on how many there are."""
+    """Put each row's score in the place of its class; at least 91 places, so that images agree on their number."""
     index = numbers.round().long().clamp(min=0)
     count = max(91, int(index.max()) + 1 if index.numel() else 0)
     return F.one_hot(index, count) * scores[..., None]

@@ -31,25 +31,27 @@ class RuntimeDetector(OnnxDetector):
     """A network that another runtime runs on the CPU: scores and boxes, no gradients."""
 
     def original(self) -> None:
-        """It is that already."""
+        """Give nothing: it is the original."""
         return None
 
 
 def load_openvino(request: Request) -> RuntimeDetector:
-    """`openvino:FILE.xml[:LAYOUT]`: an OpenVINO IR as a black box; see `_load`."""
+    """Load `openvino:FILE.xml[:LAYOUT]`, an OpenVINO IR, as a black box; see `_load`."""
     return _load(request, openvino_file.PACKAGE, openvino_file.read_openvino)
 
 
 def load_tflite(request: Request) -> RuntimeDetector:
-    """`tflite:FILE.tflite[:LAYOUT]`: a TensorFlow Lite file as a black box; see `_load`."""
+    """Load `tflite:FILE.tflite[:LAYOUT]`, a TensorFlow Lite file, as a black box; see `_load`."""
     return _load(request, tflite_file.PACKAGE, tflite_file.read_tflite)
 
 
 def _load(
     request: Request, package: str, read: Callable[[Path, tuple[int, int] | None], RuntimeModel]
 ) -> RuntimeDetector:
-    """Layout, pixels, names and confidence are the spec's, else the file's, else those of a JSON file beside it, else
-    what the layout usually has. InputError names what is missing or ambiguous."""
+    """Load a file: layout, pixels, names and confidence as the spec says, else the file, else a JSON file beside it.
+
+    Else as the layout usually has them. InputError names what is missing or ambiguous.
+    """
     require(package, request.spec)
     name, named = (*request.parts, "")[:2]
     path = Path(name).expanduser()
@@ -76,7 +78,7 @@ def _load(
 
 @torch.no_grad()
 def _first_outputs(model: RuntimeModel, network: BlackBox) -> list[Tensor]:
-    """What it says of one sample image."""
+    """Run the network on one sample image."""
     try:
         return network(sample_images(model.size)[:1])
     except Exception as error:  # the runtime's own
@@ -86,7 +88,7 @@ def _first_outputs(model: RuntimeModel, network: BlackBox) -> list[Tensor]:
 def _layout(
     model: RuntimeModel, outputs: list[Tensor], request: Request, named: str | None
 ) -> tuple[str, Layout, Decode]:
-    """The layout, its name, and what decodes such outputs."""
+    """Find the layout, its name, and what decodes such outputs."""
     labelled = dict(zip(model.output_names, outputs, strict=True))
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())
     if is_classifier(labelled, ""):
@@ -112,7 +114,7 @@ def _layout(
 
 
 def _in_fractions(decode: Decode) -> Decode:
-    """The same of exports whose boxes are parts of the input's sides."""
+    """Decode exports whose boxes are parts of the input's sides."""
 
     def scaled(outputs: list[Tensor], size: Size) -> Decoded:
         found = decode(outputs, size)
@@ -122,7 +124,7 @@ def _in_fractions(decode: Decode) -> Decode:
 
 
 def _names(model: RuntimeModel, said: tuple[str, ...] | None, count: int | None, layout: str) -> tuple[str, ...] | None:
-    """Class names: the file's, of its description, of a list beside it, COCO's numbering of TFLite's SSD."""
+    """Find class names: the file's, its description's, those of a list beside it, COCO's of TFLite's SSD."""
     for names in (model.names, said):
         if names and (count is None or len(names) == count):
             return names
@@ -132,7 +134,7 @@ def _names(model: RuntimeModel, said: tuple[str, ...] | None, count: int | None,
 
 
 def _person(names: tuple[str, ...] | None, said: int | None, count: int | None, request: Request, path: Path) -> int:
-    """The class asked for, else the described one, else the only or first one of a file without names."""
+    """Find the class asked for, else the described one, else the only or first one of a file without names."""
     if request.person_class is None and said is not None:
         return said
     if request.person_class is None and names is None and count in (None, 1):

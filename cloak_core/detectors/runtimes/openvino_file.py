@@ -71,7 +71,7 @@ def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
 
 
 def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHead | None]:
-    """The network up to its DetectionOutput layer, and what that would do; as it is where it has none that is plain."""
+    """Cut the network before its DetectionOutput layer and read what that does; leave it where none is plain."""
     import openvino
     import openvino.opset13
 
@@ -94,7 +94,7 @@ def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHea
 
 
 def _said_names(network: openvino.Model) -> tuple[str, ...] | None:
-    """Class names as OpenVINO's Model API writes them, joined by spaces."""
+    """Read class names as OpenVINO's Model API writes them, joined by spaces."""
     place = ["model_info", "labels"]
     if not network.has_rt_info(place):
         return None
@@ -111,7 +111,7 @@ def _said_confidence(network: openvino.Model) -> float | None:
 
 
 def _words(error: Exception) -> str:
-    """The runtime's reason: its first lines name only its own sources."""
+    """Give the runtime's reason: its first lines name only its own sources."""
     lines = [
         line for line in str(error).splitlines() if line.strip() and not line.startswith(("Exception from", "Check"))
     ]

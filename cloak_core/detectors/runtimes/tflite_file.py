@@ -63,7 +63,7 @@ def read_tflite(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
 
 
 def _quantised(image: np.ndarray, given: Mapping) -> np.ndarray:
-    """Real numbers as the input's type, by its scale and zero point."""
+    """Convert real numbers to the input's type, by its scale and zero point."""
     if np.issubdtype(given["dtype"], np.floating):
         return image.astype(given["dtype"])
     scale, zero = given["quantization"]
@@ -79,7 +79,7 @@ def _real(values: np.ndarray, output: Mapping) -> np.ndarray:
 
 
 def _pixels(given: Mapping) -> PixelFormat | None:
-    """Of an input of integers the real numbers that its 256 values stand for; None where that is no usual range."""
+    """Find the pixel format that an input of integers stands for; None where it is no usual range."""
     if np.issubdtype(given["dtype"], np.floating):
         return None
     scale, zero = given["quantization"]
@@ -91,7 +91,7 @@ def _pixels(given: Mapping) -> PixelFormat | None:
 
 
 def _labels(data: bytes) -> tuple[str, ...] | None:
-    """Class names of a text file packed behind the network, as TFLite's metadata has them."""
+    """Read class names of a text file packed behind the network, as TFLite's metadata has them."""
     if not zipfile.is_zipfile(io.BytesIO(data)):
         return None
     with zipfile.ZipFile(io.BytesIO(data)) as packed:

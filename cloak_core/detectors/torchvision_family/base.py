@@ -22,7 +22,7 @@ class TorchvisionDetector(Detector):
         self.model = model.to(memory_format=self.memory_format)
 
     def prepare(self, images: Float[Tensor, "B 3 H W"]) -> tuple[ImageList, Placement]:
-        """The model's input (resized and normalised by its own transform), and where the images lie in it."""
+        """Resize and normalise by the model's own transform; say where the images lie in its input."""
         batch, _ = self.model.transform(list(images))
         batch.tensors = batch.tensors.contiguous(memory_format=self.memory_format)
         height, width = batch.image_sizes[0]

@@ -52,25 +52,25 @@ class DenseDetector(TorchvisionDetector):
         batch: ImageList,
         placement: Placement,
     ) -> Float[Tensor, "B n 4"]:
-        """Boxes of these anchors, in pixels of the images."""
+        """Compute boxes of these anchors, in pixels of the images."""
         deltas = outputs["bbox_regression"].gather(1, kept[..., None].expand(-1, -1, 4)).reshape(-1, 4)
         boxes = self._decode(deltas, anchors[kept.reshape(-1)])
         boxes = placement.restore(clip_boxes_to_image(boxes, batch.image_sizes[0]))
         return boxes.view(*kept.shape, 4)
 
     def raw(self, batch: ImageList) -> tuple[dict[str, Float[Tensor, "B A _"]], list[Tensor]]:
-        """What the heads say before any activation, at least float32, of every anchor; and the feature maps."""
+        """Run the heads: every anchor's values before any activation, at least float32, and the feature maps."""
         features = self.model.backbone(batch.tensors)
         levels = [features] if isinstance(features, Tensor) else list(features.values())
         return {key: at_least_float32(value) for key, value in self.model.head(levels).items()}, levels
 
     def _classes(self, outputs: dict[str, Tensor]) -> Float[Tensor, "B A K"]:
-        """Numbers that rank an anchor's classes: probabilities where they exclude each other, else logits."""
+        """Rank an anchor's classes: by probabilities where they exclude each other, else by logits."""
         logits = outputs["cls_logits"]
         return logits.softmax(dim=-1) if isinstance(self.model, SSD) else logits
 
     def _scores(self, ranks: Float[Tensor, "B A"], outputs: dict[str, Tensor]) -> Float[Tensor, "B A"]:
-        """From one class's numbers of `_classes` to its scores, as the model thresholds them."""
+        """Turn one class's numbers of `_classes` into its scores, as the model thresholds them."""
         if isinstance(self.model, SSD):
             return ranks
         if isinstance(self.model, FCOS):
@@ -84,14 +84,14 @@ class DenseDetector(TorchvisionDetector):
 
 
 def _anchors_per_level(levels: list[Tensor], anchors: int) -> list[int] | None:
-    """How many anchors each feature level has; None where levels differ in anchors per cell (SSD)."""
+    """Count the anchors of each feature level; None where levels differ in anchors per cell (SSD)."""
     cells = [level.shape[2] * level.shape[3] for level in levels]
     per_cell, rest = divmod(anchors, sum(cells))
     return None if rest else [count * per_cell for count in cells]
 
 
 def _levels(scores: Float[Tensor, "B A"], counts: list[int] | None):
-    """The scores of each level and the index of its first anchor."""
+    """Yield the scores of each level and the index of its first anchor."""
     start = 0
     for part in scores.split(counts or [scores.shape[1]], dim=1):
         yield part, start
@@ -99,7 +99,7 @@ def _levels(scores: Float[Tensor, "B A"], counts: list[int] | None):
 
 
 def _best_per_level(scores: Float[Tensor, "B A"], counts: list[int] | None) -> Int[Tensor, "B n"]:
-    """Anchors with the best scores of each feature level."""
+    """Choose the anchors with the best scores of each feature level."""
     return torch.cat([_best(part) + start for part, start in _levels(scores, counts)], dim=1)
 
 

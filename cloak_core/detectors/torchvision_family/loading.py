@@ -37,12 +37,12 @@ CLASS_WEIGHTS = (
 
 
 def model_names() -> list[str]:
-    """Every detection model of the installed torchvision."""
+    """List every detection model of the installed torchvision."""
     return models.list_models(module=detection)
 
 
 def load_torchvision(request: Request) -> Detector:
-    """A torchvision detection model as a frozen detector, batch norm folded unless told not to.
+    """Load a torchvision detection model, frozen, batch norm folded unless told not to.
 
     The checkpoint is a file, none for the official one in the torch cache (fetched there where that is allowed), or
     "random". An input size (one side) is the short side for the R-CNNs, RetinaNet and FCOS, the side of the square for
@@ -89,7 +89,7 @@ def write_torchvision(path: Path, name: str, model: nn.Module) -> None:
 
 
 def _read(name: str, path: Path, classes: int) -> tuple[nn.Module, int]:
-    """The model with a checkpoint's weights, and how many classes those have, `classes` or their own number."""
+    """Read a checkpoint into the model; count the classes of its weights, `classes` or their own number."""
     state = read_state_dict(path)
     model = _build(name, classes)
     count = _class_count(model, state, classes, path)

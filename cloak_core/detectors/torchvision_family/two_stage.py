@@ -62,26 +62,28 @@ class TwoStageDetector(TorchvisionDetector):
         scores: Float[Tensor, "n"],
         size: tuple[int, int],
     ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n"]]:
-        """Boxes in the network's input, and their scores, 0 for boxes that the model drops."""
+        """Compute boxes in the network's input, and their scores, 0 for boxes that the model drops."""
         boxes = clip_boxes_to_image(self.model.roi_heads.box_coder.decode_single(deltas, places), size)
         return boxes, scores * ((boxes[:, 2:] - boxes[:, :2]) >= MIN_SIDE).all(dim=-1)
 
     def features(self, batch: ImageList) -> dict[str, Float[Tensor, "B C _ _"]]:
-        """Feature maps by level."""
+        """Compute the feature maps by level."""
         found = self.model.backbone(batch.tensors)
         return {"0": found} if isinstance(found, Tensor) else found
 
     def of_anchors(
         self, features: dict[str, Float[Tensor, "B C _ _"]]
     ) -> tuple[list[Float[Tensor, "B _ _ _"]], list[Float[Tensor, "B _ _ _"]]]:
-        """What the first stage says of every anchor, by level: logits of an object, and where its box is from there."""
+        """Run the first stage on every anchor, by level: logits of an object, and offsets of its box."""
         return self.model.rpn.head(list(features.values()))
 
     def of_proposals(
         self, batch: ImageList, features: dict[str, Float[Tensor, "B C _ _"]], proposals: list[Float[Tensor, "_ 4"]]
     ) -> tuple[Float[Tensor, "n K"], Float[Tensor, "n K 4"]]:
-        """What the second stage says of proposals, those of all images in a row: logits of the classes, the background
-        first, and for each class where its box is from there."""
+        """Run the second stage on proposals, those of all images in a row.
+
+        Logits of the classes, the background first, and for each class the offsets of its box.
+        """
         head = self.model.roi_heads
         pooled = head.box_roi_pool(features, proposals, batch.image_sizes)
         logits, deltas = head.box_predictor(head.box_head(pooled))
@@ -94,8 +96,10 @@ class TwoStageDetector(TorchvisionDetector):
         logits: list[Float[Tensor, "B _ _ _"]],
         deltas: list[Float[Tensor, "B _ _ _"]],
     ) -> tuple[list[Float[Tensor, "_ 4"]], list[Float[Tensor, "_"]]]:
-        """Per image, from `of_anchors`, the proposals (constants, as in the model), best first, and their objectness
-        (differentiable)."""
+        """Choose each image's proposals from `of_anchors`, best first, with their differentiable objectness.
+
+        The proposals are constants, as in the model.
+        """
         rpn = self.model.rpn
         anchors = rpn.anchor_generator(batch, list(features.values()))
         counts = [level[0].numel() for level in logits]
@@ -112,7 +116,7 @@ class TwoStageDetector(TorchvisionDetector):
 
     @torch.no_grad()
     def _keep(self, boxes: Float[Tensor, "A 4"], scores: Float[Tensor, "A"], counts: list[int]) -> Int[Tensor, "n"]:
-        """Indices of the anchors that become proposals: the best per level, after suppression within levels."""
+        """Choose the anchors that become proposals: the best per level, after suppression within levels."""
         rpn = self.model.rpn
         picked, levels, offset = [], [], 0
         for level, part in enumerate(scores.split(counts)):

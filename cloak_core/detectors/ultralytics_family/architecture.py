@@ -36,7 +36,7 @@ _SCALED = re.compile(r"(?P<family>.*\d)(?P<scale>[nsmlx])(?P<rest>-[a-z0-9-]+)?\
 
 
 def read_architecture(where: str) -> dict:
-    """A user's .yaml, or one that the package has, by its name: yolov8n.yaml, yolo26s.yaml, rtdetr-l.yaml.
+    """Read a user's .yaml, or one that the package has, by name: yolov8n.yaml, yolo26s.yaml, rtdetr-l.yaml.
 
     InputError: no such file or name, not YAML.
     """
@@ -71,7 +71,7 @@ def _shipped(where: str) -> Path:
 
 
 def build(architecture: dict, where: str) -> nn.Module:
-    """The network of a description, its weights random but always the same, in eval mode.
+    """Build the network of a description, in eval mode, its weights random but always the same.
 
     InputError: a description that is none, asks for what is refused, or cannot be built.
     """
@@ -94,13 +94,13 @@ def build(architecture: dict, where: str) -> nn.Module:
 
 
 def fuse(model: nn.Module) -> None:
-    """Batch norm into convolutions, and branches that run side by side into one, in place, as the package does it."""
+    """Fold batch norm into convolutions and join parallel branches, in place, as the package does it."""
     with library():
         model.fuse(verbose=False)
 
 
 def check(architecture: dict, tasks: ModuleType, where: str) -> str:
-    """The name of a description's head, looked through as the module says; InputError where something is refused."""
+    """Check a description, and give the name of its head. InputError: something is refused."""
     layers = _layers(architecture, where)
     for _, repeats, name, arguments in layers:
         if not _is_layer(name, tasks):
@@ -125,7 +125,7 @@ def check(architecture: dict, tasks: ModuleType, where: str) -> str:
 
 
 def _renamed(architecture: dict) -> dict:
-    """The description with the one layer renamed that early YOLOv9 files call otherwise."""
+    """Rename the one layer that early YOLOv9 files call otherwise."""
     backbone = architecture.get("backbone")
     if not isinstance(backbone, list) or not backbone or "Silence" not in backbone[0]:
         return architecture
@@ -151,7 +151,7 @@ def _is_layer(name: object, tasks: ModuleType) -> bool:
 
 
 def _plain(value: object, depth: int = 0) -> bool:
-    """Numbers, words, and lists and dictionaries of these, none of them large."""
+    """Tell whether a value is numbers, words, and lists and dictionaries of these, none of them large."""
     if isinstance(value, dict):
         value = [*value.values(), *map(str, value)]
     if isinstance(value, list | tuple):

@@ -51,7 +51,10 @@ class Checkpoint:
 
 
 def read_checkpoint(path: Path) -> Checkpoint:
-    """InputError: what `read_torch_pickle` refuses, a file without a model of the two kinds, numbers not finite."""
+    """Read a checkpoint.
+
+    InputError: what `read_torch_pickle` refuses, no model of the two kinds, numbers not finite.
+    """
     content = read_torch_pickle(path)
     with open_regular(path, MAX_BYTES) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
@@ -98,7 +101,7 @@ def _understood(content: object, path: Path, digest: str) -> Checkpoint:
 
 
 def _model(content: object, path: Path) -> Record:
-    """The model in a checkpoint: its averaged one where it has one, as those who run it take it."""
+    """Find the model in a checkpoint: its averaged one where it has one, as those who run it take it."""
     found = content
     if isinstance(content, dict):
         found = content.get("ema") or content.get("model")
@@ -114,7 +117,7 @@ def _model(content: object, path: Path) -> Record:
 
 
 def _original(model: Record, architecture: dict, path: Path) -> bool:
-    """Whether it is of the original YOLOv5. InputError: of neither kind, or nothing that detects."""
+    """Tell whether it is of the original YOLOv5. InputError: of neither kind, or nothing that detects."""
     module, name = type(model).__module__, type(model).__name__
     if module.startswith("ultralytics."):
         return False
@@ -128,7 +131,7 @@ def _original(model: Record, architecture: dict, path: Path) -> bool:
 
 
 def _collect(record: Record, name: str, modules: dict[str, Record], path: Path) -> None:
-    """All modules below one, by their names."""
+    """Collect all modules below one, by their names."""
     modules[name] = record
     if name.count(".") > MAX_DEPTH or len(modules) > MAX_MODULES:
         raise InputError(f"{path}: modules inside modules without end")
@@ -167,7 +170,7 @@ def _tensor(value: np.ndarray, key: str, path: Path) -> Tensor:
 
 
 def _names(names: object) -> tuple[str, ...] | None:
-    """Class names in order, from a list or a dictionary; None where each is but its number."""
+    """List class names in order, from a list or a dictionary; None where each is but its number."""
     if isinstance(names, dict):
         names = [names.get(index) for index in range(len(names))]
     if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):

@@ -48,14 +48,15 @@ class UltralyticsDetector(Detector):
         return found.of_person(self.person, placement)
 
     def answer(self, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
-        """What the network says of its own input."""
+        """Run the network on its own input and decode the outputs."""
         output, head = self.network(inputs), self.network.model[-1]
         return head.decode(output) if isinstance(head, DenseHead | AnchorHead) else queries(output[1], inputs)
 
 
 def load_ultralytics(request: Request) -> UltralyticsDetector:
-    """A detector from a .pt file of ultralytics or of the original YOLOv5, or from a .yaml: the user's own, or one that
-    ultralytics has, by its name; then its weights are random, the same each time.
+    """Load a .pt file of ultralytics or of the original YOLOv5, or a .yaml.
+
+    A .yaml is the user's own, or one that ultralytics has, by its name; its weights are random, the same each time.
 
     Nothing is fetched and no code of a file is run. Batch norm is folded unless told not to. InputError: a file that is
     none of these or wants to run code, a missing package, a network that does not detect, an impossible input size.
@@ -85,7 +86,7 @@ def load_ultralytics(request: Request) -> UltralyticsDetector:
 
 
 def _network(architecture: dict, checkpoint: Checkpoint | None, where: str) -> nn.Module:
-    """ultralytics' own network, the file's weights in it, its head replaced by one that leaves nothing out."""
+    """Build ultralytics' network, the file's weights in it, its head replaced by one that leaves nothing out."""
     network = build(architecture, where)
     if checkpoint is None:
         settle_batch_norm(network)
@@ -100,7 +101,7 @@ def _network(architecture: dict, checkpoint: Checkpoint | None, where: str) -> n
 
 
 def _original(checkpoint: Checkpoint) -> nn.Module:
-    """The body of a YOLOv5 network, which ultralytics builds as well, under an anchor head of ours."""
+    """Build the body of a YOLOv5 network, which ultralytics builds as well, under an anchor head of ours."""
     architecture = copy.deepcopy(checkpoint.architecture)
     source, repeats, name, _ = architecture["head"][-1]
     architecture["head"][-1] = [source, repeats, name, ["nc"]]
@@ -117,7 +118,7 @@ def _original(checkpoint: Checkpoint) -> nn.Module:
 
 
 def _as_in_the_file(network: nn.Module, checkpoint: Checkpoint) -> None:
-    """What weights do not say: the small number that batch norm divides by, and that nothing else was there.
+    """Take over what weights do not say: batch norm's epsilon; check that activations are the file's.
 
     InputError: another activation or pooling in the file than in the network built, as early versions had.
     """
@@ -138,13 +139,13 @@ def _as_in_the_file(network: nn.Module, checkpoint: Checkpoint) -> None:
 
 
 def _names(checkpoint: Checkpoint | None, architecture: dict) -> tuple[str, ...] | None:
-    """The file's class names; without them COCO's for 80, and the only one of a network for poses."""
+    """Find the file's class names; without them COCO's for 80, and the only one of a network for poses."""
     usual = {len(COCO): COCO, 1: ("person",) if "Pose" in architecture["head"][-1][2] else None}
     return (checkpoint and checkpoint.names) or usual.get(int(architecture["nc"]))
 
 
 def _size(request: Request, checkpoint: Checkpoint | None, stride: int) -> tuple[int, int]:
-    """(height, width) of the network's input. InputError: not a multiple of its coarsest stride."""
+    """Choose (height, width) of the network's input. InputError: not a multiple of its coarsest stride."""
     if request.input_size is None:
         trained = (checkpoint and checkpoint.image_size) or (IMAGE_SIZE, IMAGE_SIZE)
         return math.ceil(trained[0] / stride) * stride, math.ceil(trained[1] / stride) * stride

@@ -40,7 +40,7 @@ class DenseHead(nn.Module):
         """The package's own, which has the same weights; in a tuple, so that it is no part of this one."""
 
     def forward(self, features: list[Tensor]) -> Maps:
-        """Feature maps [B, C, h, w], one a stride -> what every branch says of each: boxes, classes."""
+        """Run every branch on feature maps [B, C, h, w], one a stride: boxes, classes."""
         return [
             (box(x), kind(x))
             for boxes, classes in self.branches
@@ -48,7 +48,7 @@ class DenseHead(nn.Module):
         ]
 
     def decode(self, maps: Maps) -> Decoded:
-        """Boxes in pixels of the network's input, classes [B, N, K]."""
+        """Decode boxes in pixels of the network's input, and classes [B, N, K]."""
         corner = []
         for (box, _), stride in zip(maps, self.strides * len(self.branches), strict=True):
             sides = distances(box)
@@ -71,8 +71,10 @@ class AnchorHead(nn.Module):
         classes: int,
         place: tuple[list[int], int],
     ) -> None:
-        """anchors: width and height in pixels. channels: of each feature map. place: which layers feed it, and which
-        it is."""
+        """Make the head; anchors: width and height in pixels; channels: of each feature map.
+
+        place: which layers feed it, and which it is.
+        """
         super().__init__()
         (self.f, self.i), self.type = place, "AnchorHead"
         self.strides = [float(stride) for stride in strides]
@@ -80,11 +82,11 @@ class AnchorHead(nn.Module):
         self.register_buffer("anchors", anchors)
 
     def forward(self, features: list[Tensor]) -> list[Float[Tensor, "B _ _ _"]]:
-        """Feature maps [B, C, h, w], one a stride -> [B, A * (4 + 1 + classes), h, w]."""
+        """Run on feature maps [B, C, h, w], one a stride: [B, A * (4 + 1 + classes), h, w]."""
         return [conv(x) for x, conv in zip(features, self.m, strict=True)]
 
     def decode(self, maps: list[Float[Tensor, "B _ _ _"]]) -> Decoded:
-        """Boxes in pixels of the network's input, classes, objectness."""
+        """Decode boxes in pixels of the network's input, classes and objectness."""
         found = []
         for x, stride, anchors in zip(maps, self.strides, self.anchors, strict=True):
             raw = at_least_float32(x).unflatten(1, (len(anchors), -1)).permute(0, 1, 3, 4, 2).sigmoid()
@@ -96,20 +98,22 @@ class AnchorHead(nn.Module):
 
 
 def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
-    """What RT-DETR's decoder says before its best are chosen: boxes [1, B, Q, 4] (centre and size as fractions of the
-    input), logits [1, B, Q, K] and more."""
+    """Decode RT-DETR's decoder before its best are chosen.
+
+    raw: boxes [1, B, Q, 4] (centre and size as fractions of the input), logits [1, B, Q, K] and more.
+    """
     boxes, logits = (at_least_float32(part[-1]) for part in raw[:2])
     pixels = torch.tensor([inputs.shape[3], inputs.shape[2]] * 2, dtype=boxes.dtype, device=boxes.device)
     return Decoded(corners(boxes) * pixels, logits.sigmoid())
 
 
 def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
-    """A map as one row for each of its cells, at least float32."""
+    """Flatten a map to one row for each of its cells, at least float32."""
     return at_least_float32(x).flatten(2).transpose(1, 2)
 
 
 def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
-    """Column and row of every cell of a feature map."""
+    """Compute column and row of every cell of a feature map."""
     at_least = torch.promote_types(x.dtype, torch.float32)
     down, across = (torch.arange(n, device=x.device, dtype=at_least) for n in x.shape[-2:])
     rows, columns = torch.meshgrid(down, across, indexing="ij")
@@ -117,8 +121,10 @@ def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
 
 
 def distances(box: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n 4"]:
-    """Of every cell to the four sides of its box, in cells: the mean of a distribution over 0, 1, 2 ..., or the one
-    number given."""
+    """Compute distances from every cell to the four sides of its box, in cells.
+
+    The mean of a distribution over 0, 1, 2 ..., or the one number given.
+    """
     sides = rows(box).unflatten(-1, (4, -1))
     if sides.shape[-1] == 1:
         return sides.squeeze(-1)

@@ -28,7 +28,7 @@ _kept: list[tempfile.TemporaryDirectory] = []
 
 @contextlib.contextmanager
 def library() -> Iterator[ModuleType]:
-    """`ultralytics.nn.tasks`, to build networks with inside this context.
+    """Import `ultralytics.nn.tasks`, to build networks with inside this context.
 
     The switches stay in the environment, and its settings lie in our cache, never among the user's own. What importing
     it changes otherwise is put back: the environment, PIL.Image.open, torch.save, OpenCV's threads, how numpy and
@@ -62,7 +62,7 @@ def _settings_folder() -> str:
 
 @contextlib.contextmanager
 def _unchanged() -> Iterator[None]:
-    """What the package patches for the whole process is afterwards as it was before."""
+    """Put back what the package patches for the whole process."""
     import cv2
 
     environment, threads = dict(os.environ), cv2.getNumThreads()

@@ -18,7 +18,10 @@ SIDE, SCALES = 128, (2, 4, 8, 16, 32, 64, 128)
 
 
 def settle_batch_norm(model: nn.Module) -> None:
-    """In place, the same on every machine: worked out in float64, for threads change sums in float32."""
+    """Set batch norm from noise images, in place, the same on every machine.
+
+    Worked out in float64, for threads change sums in float32.
+    """
     generator = torch.Generator().manual_seed(SEED)
     hooks = [m.register_forward_pre_hook(_settle) for m in model.modules() if isinstance(m, nn.BatchNorm2d)]
     with torch.no_grad():

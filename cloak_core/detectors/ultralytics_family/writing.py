@@ -31,7 +31,7 @@ def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
 
 
 def _as_the_package_has_it(network: nn.Module) -> dict[str, Tensor]:
-    """Parameters by the names that they have in files."""
+    """List the parameters by the names that they have in files."""
     own, last = network.model[-1], f"model.{len(network.model) - 1}."
     if not isinstance(own, DenseHead):
         return dict(network.named_parameters())

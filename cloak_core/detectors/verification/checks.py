@@ -62,7 +62,7 @@ class Subject:
         return self.images.shape[2], self.images.shape[3]
 
     def batches(self) -> Iterator[Float[Tensor, "b 3 H W"]]:
-        """All images, four at a time; the last batch is filled up with the first images."""
+        """Yield all images, four at a time; the last batch is filled up with the first images."""
         whole = torch.cat([self.images, self.images[: -len(self.images) % BATCH]])
         for batch in whole.split(BATCH):
             yield (batch if batch.is_floating_point() else batch.float() / 255).to(self.detector.device)
@@ -73,7 +73,7 @@ class Subject:
 
 @torch.no_grad()
 def shapes(subject: Subject) -> Finding:
-    """For one image and for several: boxes [B, N, 4], scores [B, N], float32, the optional parts alike, all finite."""
+    """Check shapes for one image and for several: boxes [B, N, 4], scores [B, N], float32, all finite."""
     wrong = []
     for images in (next(subject.batches())[:1], next(subject.batches())):
         found = subject.detector(images)
@@ -93,7 +93,7 @@ def shapes(subject: Subject) -> Finding:
 
 @torch.no_grad()
 def ranges(subject: Subject) -> Finding:
-    """Every probability lies in [0, 1]."""
+    """Check that every probability lies in [0, 1]."""
     found, said, passed = subject.detector(next(subject.batches())), [], True
     for name in ("scores", "objectness", "proposal_scores", "other"):
         values = getattr(found, name)
@@ -111,7 +111,7 @@ def ranges(subject: Subject) -> Finding:
 
 @torch.no_grad()
 def sane_boxes(subject: Subject) -> Finding:
-    """Boxes that matter have their corners in order and reach into the image."""
+    """Check that boxes that matter have their corners in order and reach into the image."""
     found, (height, width) = subject.detector(next(subject.batches())), subject.size
     boxes = found.boxes[found.scores > CLEAR]
     swapped = int(((boxes[:, 2] < boxes[:, 0]) | (boxes[:, 3] < boxes[:, 1])).sum())
@@ -123,7 +123,7 @@ def sane_boxes(subject: Subject) -> Finding:
 
 @torch.no_grad()
 def repeatable(subject: Subject) -> Finding:
-    """Asked twice, it says the same to the last bit."""
+    """Check that two calls say the same to the last bit."""
     images = next(subject.batches())
     first, second = subject.detector(images), subject.detector(images)
     same = all(a is b is None or torch.equal(a, b) for a, b in zip(first, second, strict=True))
@@ -132,7 +132,7 @@ def repeatable(subject: Subject) -> Finding:
 
 @torch.no_grad()
 def batch_invariance(subject: Subject) -> Finding:
-    """An image is answered alike alone and among others, wherever it stands among them."""
+    """Check that an image is answered alike alone and among others, wherever it stands among them."""
     images = next(subject.batches())
     alone = [subject.detector(image) for image in images.split(1)]
     worst = Apart(0.0, 0.0)
@@ -144,7 +144,7 @@ def batch_invariance(subject: Subject) -> Finding:
 
 
 def extremes(subject: Subject) -> Finding:
-    """Black, white and noise: finite answers, and finite gradients."""
+    """Check black, white and noise: finite answers, and finite gradients."""
     height, width = subject.size
     noise = torch.rand(1, 3, height, width, generator=torch.Generator().manual_seed(0))
     wrong = []
@@ -161,8 +161,10 @@ def extremes(subject: Subject) -> Finding:
 
 
 def gradient(subject: Subject) -> Finding:
-    """As steep as a finite difference, roughly so at least; only finite where a detector says that it holds something
-    fixed on purpose."""
+    """Compare the gradient with a finite difference.
+
+    Only its being finite is judged where a detector says that it holds something fixed on purpose.
+    """
     if not subject.detector.differentiable:
         return Finding(None, "a black box has none", {"gradient_error": None})
     error = gradient_error(subject.scores, next(subject.batches())[:1])
@@ -176,7 +178,7 @@ def gradient(subject: Subject) -> Finding:
 
 
 def descent(subject: Subject) -> Finding:
-    """Down the gradient the best person scores fall, averaged over the images.
+    """Check that the best person scores fall down the gradient, averaged over the images.
 
     Each of a few steps looks along the sign of the gradient at several widths and keeps each image's lowest score:
     detectors are rough, and one image may sit on an edge. Their logits' mean must fall; images that stay are told.
@@ -211,7 +213,7 @@ def _uphill(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Float[Tenso
 
 @torch.no_grad()
 def parity(subject: Subject) -> Finding:
-    """One by one and four at a time it says what its original says of each image."""
+    """Compare with the original, one by one and four images at a time."""
     if subject.original is None:
         nothing = {"parity_scores": None, "parity_boxes_px": None}
         return Finding(None, "there is no other runtime to compare it with", nothing)
@@ -227,7 +229,7 @@ def parity(subject: Subject) -> Finding:
 
 
 def speed(subject: Subject) -> Finding:
-    """Beside the original on the same threads, in turns; told, not judged: machines are busy."""
+    """Time it beside the original on the same threads, in turns; told, not judged: machines are busy."""
     images, ways = next(subject.batches()), {"forward": lambda: _forward(subject.detector, images)}
     if subject.detector.differentiable:
         ways["gradient"] = lambda: _uphill(subject.detector, images)
@@ -246,7 +248,7 @@ def speed(subject: Subject) -> Finding:
 
 
 def _in_turns(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Median seconds of each; the first turn warms up."""
+    """Measure the median seconds of each; the first turn warms up."""
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for turn in range(repeats + 1):
         for name, work in ways.items():
@@ -265,7 +267,7 @@ def _forward(detector: Detector, images: Tensor) -> Tensor:
 
 
 def row(found: Detections, index: int) -> Detections:
-    """What was said of one of several images."""
+    """Take the detections of one of several images."""
     return Detections(*(None if part is None else part[index : index + 1] for part in found))
 
 

@@ -33,8 +33,11 @@ class Apart(NamedTuple):
 
 
 def apart(some: Detections, others: Detections, size: tuple[int, int]) -> Apart:
-    """Of one image each, (height, width) `size`: row by row where that agrees, else every clear row and the one most
-    like it on the other side. Persons first, then what else is told; infinite where one side alone tells of it."""
+    """Measure how far two answers to one image of (height, width) `size` are apart.
+
+    Row by row where that agrees, else every clear row and the one most like it on the other side. Persons first, then
+    other classes; infinite where one side alone tells of these.
+    """
     persons = _rows_apart(*(_rows(found.boxes, found.scores, size) for found in (some, others)))
     if some.other is None or others.other is None:
         return persons if some.other is others.other else Apart(math.inf, math.inf)
@@ -60,7 +63,7 @@ def _rows(
     size: tuple[int, int],
     number: Int[Tensor, "1 N"] | None = None,
 ) -> Float[Tensor, "N C"]:
-    """Boxes, score and, where there is one, the class's number where it is clear; one image's."""
+    """Stack one image's boxes, score and, where there is one, the class's number where it is clear."""
     most = torch.tensor([size[1], size[0]] * 2, device=boxes.device)
     clipped = torch.minimum(boxes[0].detach().double().clamp(min=0), most)
     columns = [clipped, scores[0, :, None].detach().double()]
@@ -71,7 +74,7 @@ def _rows(
 
 
 def _nearest(rows: Float[Tensor, "N C"], others: Float[Tensor, "M C"]) -> Apart:
-    """Each of these against the most alike of the others."""
+    """Compare each row with the most alike of the others."""
     limits = torch.tensor(([BOXES_PX] * 4 + [SCORES] * 2)[: rows.shape[1]], dtype=rows.dtype)
     index = [(((row - others).abs() / limits).amax(dim=1)).argmin() for row in rows]
     return _worst((rows - others[torch.stack(index)]).abs())

@@ -70,8 +70,11 @@ def verify(detector: Detector, images: Images | None = None, original: Detector 
 
 
 def original_of(detector: Detector) -> Detector | None:
-    """The same network in the runtime that its file was made for; else, where a family changes what it loads (batch
-    norm folded, memory laid out anew), as it was trained; None where neither is to be had."""
+    """Load the same network in the runtime that its file was made for, else as it was trained.
+
+    The latter where a family changes what it loads (batch norm folded, memory laid out anew); None where neither is to
+    be had.
+    """
     own = detector.original()
     family = FAMILIES.get(detector.spec.partition(":")[0].partition("@")[0])
     if own is not None or family is None or not family.changes_networks:
@@ -80,25 +83,27 @@ def original_of(detector: Detector) -> Detector | None:
 
 
 def natural_size(detector: Detector) -> tuple[int, int]:
-    """(height, width) of the images that it takes without resizing them, as far as it says."""
+    """Give (height, width) of the images that it takes without resizing them, as far as it says."""
     size = detector.source.get("input_size")
     return tuple(size) if size else (SIDE, SIDE)
 
 
 def usual_images(size: tuple[int, int], count: int = BATCH) -> Float[Tensor, "B 3 H W"]:
-    """Procedural scenes, always the same ones."""
+    """Draw procedural scenes, always the same ones."""
     scenes = [draw_scene(np.random.default_rng([7, i]), *size) for i in range(count)]
     return torch.from_numpy(np.stack(scenes)).permute(0, 3, 1, 2).float() / 255
 
 
 def framed(picture: Float[Tensor, "3 H W"], size: tuple[int, int]) -> Float[Tensor, "3 h w"]:
-    """A picture of any size as an image of this one, its aspect ratio kept."""
+    """Fit a picture of any size into an image of this one, its aspect ratio kept."""
     return fit(picture[None], size, letterbox=True)[0][0]
 
 
 def _in_turn(checks: Mapping[str, Callable[[Subject], Finding]], subject: Subject) -> dict[str, Finding]:
-    """What each check finds. After the first one that the detector answers with an error, or with answers of no
-    possible shape, the rest would only meet the same cause again, and are not asked."""
+    """Run each check; after the first that the detector answers with an error or a wrong shape, skip the rest.
+
+    They would only meet the same cause again.
+    """
     findings: dict[str, Finding] = {}
     cause = ""
     for name, check in checks.items():

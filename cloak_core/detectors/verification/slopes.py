@@ -18,13 +18,13 @@ STEPS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 
 
 def sureness(scores: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:
-    """One number for how surely something is found, whose slope does not vanish where scores do."""
+    """Measure how surely something is found, by one number whose slope does not vanish where scores do."""
     flat = scores.flatten()
     return flat.clamp(min=1e-30).log().topk(min(SURE, len(flat))).values.sum()
 
 
 def gradient_of(scores: Callable[[Tensor], Tensor], images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-    """Of the sureness of `scores(images)`; zero where nothing leads from the scores to the pixels."""
+    """Compute the gradient of the sureness of `scores(images)`; zero where no path leads to the pixels."""
     pixels = images.clone().requires_grad_()
     with torch.enable_grad():
         total = sureness(scores(pixels))
@@ -35,9 +35,11 @@ def gradient_of(scores: Callable[[Tensor], Tensor], images: Float[Tensor, "B 3 H
 
 
 def gradient_error(scores: Callable[[Tensor], Tensor], image: Float[Tensor, "1 3 H W"]) -> float | None:
-    """How far the slope along the gradient is from a finite difference, relative: at the first of several step widths
-    where the two agree well, else at the best, because networks are rough and float32 is coarse. None where there is
-    no finite gradient, or none but zero."""
+    """Compare the slope along the gradient with finite differences: the relative error.
+
+    At the first of several step widths where the two agree well, else at the best, because networks are rough and
+    float32 is coarse. None where there is no finite gradient, or none but zero.
+    """
     gradient = gradient_of(scores, image)
     length = float(gradient.norm())
     if not np.isfinite(length) or length == 0:

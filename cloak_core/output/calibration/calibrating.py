@@ -16,8 +16,9 @@ from cloak_core.output.calibration.photograph import read_photograph
 
 
 def profile_of(measured: Sequence[Path], out: Path) -> Profile:
-    """The profile of photographs of the chart and of CSVs of patches (all together), or of one ICC profile; written to
-    `out`. `figures` say what it is worth: mean CIEDE2000 between what was sent and seen, and between what the profile
+    """Make the profile of photographs and CSVs of patches (all together), or of one ICC profile; write it to `out`.
+
+    `figures` say what it is worth: mean CIEDE2000 between what was sent and seen, and between what the profile
     foretells and was seen of patches that its fit was not shown (none are needed for ICC: 0).
     """
     if out.suffix != ".npz":

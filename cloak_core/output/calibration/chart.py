@@ -25,7 +25,7 @@ MARKS = np.array([[0.022, 0.038], [0.188, 0.038], [0.188, 0.282], [0.022, 0.282]
 
 
 def patch_colors() -> Float[np.ndarray, "352 3"]:
-    """sRGB in [0, 1] of the patches as they are sent to the printer, row by row from the upper left one.
+    """List the patches' colours as they are sent, sRGB in [0, 1], row by row from the upper left one.
 
     In mixed order, so that light that falls off over the sheet looks like no colour.
     """
@@ -38,17 +38,17 @@ def patch_colors() -> Float[np.ndarray, "352 3"]:
 
 
 def patch_centres() -> Float[np.ndarray, "352 2"]:
-    """Metres from the sheet's lower left corner, in the order of `patch_colors`."""
+    """Locate the patches, metres from the sheet's lower left corner, in the order of `patch_colors`."""
     return _lattice((np.arange(COLUMNS) + 0.5) / COLUMNS, 1 - (np.arange(ROWS) + 0.5) / ROWS)
 
 
 def paper_spots() -> Float[np.ndarray, "315 2"]:
-    """Where there is bare paper between four patches, metres."""
+    """Locate the bare paper between each four patches, metres."""
     return _lattice(np.arange(1, COLUMNS) / COLUMNS, 1 - np.arange(1, ROWS) / ROWS)
 
 
 def patch_size() -> Float[np.ndarray, " 2"]:
-    """Width and height of a patch, metres."""
+    """Give width and height of a patch, metres."""
     return np.subtract(HIGH, LOW) / (COLUMNS, ROWS) * FILLED
 
 
@@ -87,7 +87,7 @@ def write_chart(path: Path, dpi: int = 300) -> None:
 
 
 def chart_table() -> str:
-    """What each patch sends, as CSV; measured values go into the empty columns."""
+    """Write what each patch sends, as CSV; measured values go into the empty columns."""
     lines = ["row,column,sent_r,sent_g,sent_b,seen_r,seen_g,seen_b"]
     for number, color in enumerate(np.round(patch_colors() * 255).astype(int).tolist()):
         row, column = divmod(number, COLUMNS)

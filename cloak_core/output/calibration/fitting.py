@@ -22,7 +22,7 @@ FOLDS = 5
 
 
 def fit_profile(sent: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 3"]) -> Profile:
-    """The profile that these patches, sRGB in [0, 1], were seen through.
+    """Fit the profile that these patches, sRGB in [0, 1], were seen through.
 
     A table of STEPS^3 colours whose trilinear values come near to what was seen and whose second differences are small
     (least squares). How much smoothness counts is chosen by patches left out in turn, and their mean CIEDE2000 is the
@@ -48,7 +48,7 @@ def fit_profile(sent: Float[np.ndarray, "n 3"], seen: Float[np.ndarray, "n 3"]) 
 
 
 def interpolation(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n entries"]:
-    """How much each of the table's entries counts for each colour, as `Profile` interpolates."""
+    """Compute how much each of the table's entries counts for each colour, as `Profile` interpolates."""
     place = sent.clip(0, 1) * (STEPS - 1)
     low = np.minimum(place.astype(np.int64), STEPS - 2)
     weights = np.zeros((len(sent), STEPS**3))
@@ -63,7 +63,7 @@ def _entry(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 
 
 def _bends() -> Float[np.ndarray, "entries entries"]:
-    """The quadratic form of the table's second differences along each channel."""
+    """Build the quadratic form of the table's second differences along each channel."""
     second = np.diff(np.eye(STEPS), n=2, axis=0)
     one, form = np.eye(STEPS), second.T @ second
     return np.kron(np.kron(form, one), one) + np.kron(np.kron(one, form), one) + np.kron(np.kron(one, one), form)

@@ -26,9 +26,11 @@ ICC_STEPS = 17
 
 
 def read_patches(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Colours sent and seen, sRGB in [0, 1], of a CSV with the columns sent_r, sent_g, sent_b (0 to 255) and either
-    seen_r, seen_g, seen_b (0 to 255) or L, a, b (CIELAB under D50, as instruments give it). Lines without a measured
-    value are left out. InputError names the line."""
+    """Read colours sent and seen, sRGB in [0, 1], from a CSV. InputError names the line.
+
+    Its columns are sent_r, sent_g, sent_b (0 to 255) and either seen_r, seen_g, seen_b (0 to 255) or L, a, b (CIELAB
+    under D50, as instruments give it). Lines without a measured value are left out.
+    """
     reader = csv.DictReader(io.StringIO(read_text(path, MAX_BYTES)))
     names = [name.strip() for name in reader.fieldnames or ()]
     reader.fieldnames = names
@@ -58,7 +60,7 @@ def _number(text: str | None, low: float, high: float) -> float:
 
 
 def from_lab(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """sRGB in [0, 1] of CIELAB under D50; what sRGB cannot show is cut off."""
+    """Convert CIELAB under D50 to sRGB in [0, 1]; what sRGB cannot show is cut off."""
     y = (values[:, 0] + 16) / 116
     bent = np.stack([y + values[:, 1] / 500, y, y - values[:, 2] / 200], axis=1)
     relative = np.where(bent > 6 / 29, bent**3, 3 * (6 / 29) ** 2 * (bent - 4 / 29))
@@ -67,7 +69,7 @@ def from_lab(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def read_icc(path: Path) -> Profile:
-    """What an ICC profile of a printer says of it, for a sheet that is sent in sRGB.
+    """Read what an ICC profile of a printer says of it, for a sheet that is sent in sRGB.
 
     A profile for red, green and blue: these numbers go to the printer as they are. One for four inks: they are turned
     into inks first (relative colorimetric both ways, as for paper that the camera takes for white).

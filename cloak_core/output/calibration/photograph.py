@@ -31,7 +31,7 @@ CORE = 9 / 24
 
 
 def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
-    """The patches' colours as photographed, sRGB in [0, 1], in the chart's order. InputError: no chart to be found."""
+    """Read the patches' colours as photographed, sRGB in [0, 1], in the chart's order. InputError: no chart."""
     from PIL import ImageOps
 
     with open_picture(path) as picture:
@@ -49,7 +49,7 @@ def read_photograph(path: Path) -> Float[np.ndarray, "352 3"]:
 
 
 def _light(paper: Float[np.ndarray, " spots"]) -> Float[np.ndarray, " patches"]:
-    """How bright the light is on each patch, over its mean: a smooth surface (quadratic in log) through the paper."""
+    """Fit the light on each patch, over its mean: a smooth surface (quadratic in log) through the paper."""
     known, wanted = (_powers(spots) for spots in (paper_spots(), patch_centres()))
     fitted = np.linalg.lstsq(known, np.log(np.maximum(paper, 1e-3)), rcond=None)[0]
     light = np.exp(wanted @ fitted)
@@ -62,7 +62,7 @@ def _powers(spots: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 6"]:
 
 
 def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.ndarray, "3 3"]:
-    """The map from the sheet's metres to the picture's pixels, whichever way up it lies."""
+    """Find the map from the sheet's metres to the picture's pixels, whichever way up it lies."""
     marks = _marks(pixels.mean(axis=2))
     if len(marks) < 4:
         raise InputError(f"{path}: {len(marks)} of the chart's four marks are to be seen")
@@ -87,7 +87,7 @@ def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.nda
 
 
 def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
-    """(x, y) in pixels of what may be marks, the best first: a dark ring about a dark square of the same centre."""
+    """Find what may be marks, (x, y) in pixels, the best first: a dark ring about a dark square of the same centre."""
     step = max(1, -(-max(grey.shape) // MOST_PIXELS))
     height, width = (extent // step * step for extent in grey.shape)
     small = grey[:height, :width].reshape(height // step, step, width // step, step).mean(axis=(1, 3))
@@ -111,7 +111,7 @@ def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
 
 
 def _homography(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, "3 3"] | None:
-    """The projective map that takes four points to four others; None where no three may lie on a line but do."""
+    """Find the projective map from four points to four others; None where three lie on a line."""
     rows = []
     for (x, y), (u, v) in zip(start, end, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
@@ -129,7 +129,7 @@ def _projected(way: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]) 
 def _means(
     pixels: Float[np.ndarray, "h w 3"], way: np.ndarray, centres: Float[np.ndarray, "n 2"], extent: np.ndarray
 ) -> Float[np.ndarray, "n 3"]:
-    """The mean colour of each rectangle about these places of the sheet."""
+    """Average the colour of each rectangle about these places of the sheet."""
     steps = np.linspace(-0.5, 0.5, 11)
     offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * extent
     places = _projected(way, (centres[:, None] + offsets).reshape(-1, 2))
@@ -137,7 +137,7 @@ def _means(
 
 
 def _pixels_at(pixels: Float[np.ndarray, "h w 3"], places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    """The pixels nearest to these places (x, y), at the picture's edge where they leave it."""
+    """Take the pixels nearest to these places (x, y), at the picture's edge where they leave it."""
     height, width = pixels.shape[:2]
     x, y = np.nan_to_num(places).round().astype(np.int64).T
     return pixels[y.clip(0, height - 1), x.clip(0, width - 1)].astype(np.float64)

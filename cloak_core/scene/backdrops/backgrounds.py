@@ -66,7 +66,10 @@ class Backgrounds:
         return len(self.names)
 
     def image(self, index: int, size: tuple[int, int] = (416, 416)) -> UInt8[Tensor, "3 H W"]:
-        """Image `index` (negative counts from the end) at `size` (height, width). Shared memory: do not write to it."""
+        """Give image `index` (negative counts from the end) at `size` (height, width).
+
+        Shared memory: do not write to it.
+        """
         key = (self._indices[index], *size)
         image = self._cache.get(key)
         if image is None:
@@ -75,14 +78,14 @@ class Backgrounds:
         return image
 
     def batch(self, indices: Sequence[int] | Tensor, height: int = 416, width: int = 416) -> Float[Tensor, "B 3 H W"]:
-        """The images at `indices` as float32 in [0, 1], channels-last in memory."""
+        """Stack the images at `indices` as float32 in [0, 1], channels-last in memory."""
         images = torch.empty(len(indices), height, width, 3).permute(0, 3, 1, 2)
         for image, index in zip(images, indices, strict=True):
             image.copy_(self.image(int(index), (height, width)))
         return images.div_(255)
 
     def subset(self, indices: Sequence[int] | range) -> Backgrounds:
-        """The images at `indices`, in that order."""
+        """Take the images at `indices`, in that order."""
         part = copy.copy(self)
         part.names = tuple(self.names[i] for i in indices)
         part.pictures = tuple(self.pictures[i] for i in indices)
@@ -90,19 +93,21 @@ class Backgrounds:
         return part
 
     def identities(self) -> list[str]:
-        """What tells an image from every other, however it is stored: its pixels' SHA-256, or a drawn one's name."""
+        """List what tells an image from every other: its pixels' SHA-256, or a drawn one's name."""
         return [picture.pixels for picture in self.pictures]
 
     def split(self, every: int = 2, offset: int = 0) -> Backgrounds:
-        """Image `offset` and every `every`-th after it: `split(2, 0)` the first, third, ..., `split(2, 1)` the rest."""
+        """Take image `offset` and every `every`-th after it: `split(2, 0)` the first, third ..., `split(2, 1)` the
+        rest."""
         return self.subset(range(offset, len(self), every))
 
 
 def load_backgrounds(
     spec: str | Path, size: tuple[int, int] = (416, 416), memory_bytes: int = MEMORY_BYTES
 ) -> Backgrounds:
-    """Backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`; `SPEC[0::2]` takes some
-    of them (`scene.selection`).
+    """Load backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
+
+    `SPEC[0::2]` takes some of them (`scene.selection`).
 
     A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
     at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.
@@ -185,7 +190,7 @@ def _try_read(
 def _read(
     path: Path, height: int, width: int, decoded: DecodedImages, picture: Picture | None = None
 ) -> tuple[UInt8[np.ndarray, "H W 3"], Picture]:
-    """The file upright, resized so that it just covers height x width, and centre-cropped; and what picture it is.
+    """Read a file upright, resized to cover height x width and centre-cropped; and what picture it is.
 
     From among the decoded ones where it is there; a file whose picture is known already is not read for that.
     """
@@ -207,7 +212,7 @@ def _read(
 
 
 def _decode(path: Path, data: bytes) -> Image.Image:
-    """The whole picture, upright: a JPEG file and what was saved of it without loss give the same pixels."""
+    """Decode the whole picture, upright: a JPEG file and a lossless copy of it give the same pixels."""
     with open_picture(path, data) as image:
         return _rgb(ImageOps.exif_transpose(image))
 

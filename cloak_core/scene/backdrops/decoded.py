@@ -44,7 +44,7 @@ class DecodedImages:
         self._decoder = sha256_record(decoder)[:8]
 
     def get(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
-        """The image, mapped from its file; None where there is none, or a damaged one."""
+        """Map the image from its file; None where there is none, or a damaged one."""
         data = self._files.get(f"{key}-{height}x{width}-{self._decoder}")
         return None if data is None or len(data) != height * width * 3 else data.reshape(height, width, 3)
 
@@ -54,7 +54,7 @@ class DecodedImages:
         self._files.put(f"{key}-{height}x{width}-{self._decoder}", np.ascontiguousarray(image).tobytes())
 
     def picture(self, key: str) -> Picture | None:
-        """What the picture with this key is; None where that is not known yet."""
+        """Tell what the picture with this key is; None where that is not known yet."""
         data = self._pictures.get(f"{key}-{self._decoder}")
         pixels, comma, look = ("" if data is None else data.tobytes().decode("ascii", "replace")).partition(",")
         return Picture(pixels, look, key) if comma else None

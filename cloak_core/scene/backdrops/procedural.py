@@ -19,7 +19,7 @@ Rng = np.random.Generator
 
 
 def draw_scene(rng: Rng, height: int, width: int) -> UInt8[np.ndarray, "H W 3"]:
-    """One scene as sRGB bytes."""
+    """Draw one scene as sRGB bytes."""
     canvas = Canvas(rng, height, width)
     kinds = (_landscape, _wood, _street, _room, _wall, _hall, _still_life)
     kinds[rng.integers(len(kinds))](rng, canvas)
@@ -47,7 +47,7 @@ def _sky(rng: Rng, canvas: Canvas) -> Color:
 
 
 def _ridges(rng: Rng, canvas: Canvas, haze: Color) -> None:
-    """Hills or mountains, paler the farther they are."""
+    """Draw hills or mountains, paler the farther they are."""
     draw = ImageDraw.Draw(canvas.image)
     near = random_color(rng, (0.2, 0.65), (0.1, 0.6), (0.1, 0.5))
     count = int(rng.integers(1, 5))
@@ -71,7 +71,7 @@ def _tree(rng: Rng, canvas: Canvas, x: float, z: float, leaves: Image.Image) -> 
 
 
 def _landscape(rng: Rng, canvas: Canvas) -> None:
-    """Meadow, desert, beach, snow or water under the sky."""
+    """Draw a meadow, desert, beach, snow or water under the sky."""
     haze = _sky(rng, canvas)
     if rng.random() < 0.7:
         _ridges(rng, canvas, haze)
@@ -94,7 +94,7 @@ def _landscape(rng: Rng, canvas: Canvas) -> None:
 
 
 def _wood(rng: Rng, canvas: Canvas) -> None:
-    """Leaves all around, trunks from far to near."""
+    """Draw leaves all around, trunks from far to near."""
     hue = (0.16, 0.42) if rng.random() < 0.75 else (0.02, 0.16)
     leaves = tiles.foliage(rng, canvas.height // 2, canvas.width // 2, hue)
     canvas.image.paste(leaves.resize((canvas.width, canvas.height), Image.Resampling.BILINEAR))
@@ -119,7 +119,7 @@ def _wood(rng: Rng, canvas: Canvas) -> None:
 
 
 def _street(rng: Rng, canvas: Canvas) -> None:
-    """A road between facades, with lamps, signs, parked boxes of cars and trees."""
+    """Draw a road between facades, with lamps, signs, parked boxes of cars and trees."""
     _sky(rng, canvas)
     canvas.ground(tiles.grid(rng, random_color(rng, saturation=(0, 0.2), value=(0.3, 0.8)), 8, 8, False), 3)
     half = rng.uniform(2, 5)
@@ -156,7 +156,7 @@ def _street(rng: Rng, canvas: Canvas) -> None:
 
 
 def _surface(rng: Rng) -> Image.Image:
-    """Something a wall is covered with."""
+    """Choose something that a wall is covered with."""
     kind = rng.integers(5)
     color = random_color(rng, saturation=(0, 0.45), value=(0.3, 1))
     if kind == 0:
@@ -179,7 +179,7 @@ def _floor(rng: Rng) -> Image.Image:
 
 
 def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
-    """Something that stands about: post, sign, lamp, bin, plant, cabinet, stack of boxes."""
+    """Draw something that stands about: post, sign, lamp, bin, plant, cabinet, stack of boxes."""
     kind = rng.integers(6)
     skin = tiles.rough(rng, random_color(rng, saturation=(0, 0.9)), (32, 64), 0.15)
     if kind == 0:
@@ -213,7 +213,7 @@ def _thing(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
 
 
 def _room(rng: Rng, canvas: Canvas) -> None:
-    """A room seen from within: walls with windows, doors and pictures, and furniture."""
+    """Draw a room seen from within: walls with windows, doors and pictures, and furniture."""
     half, height, back = rng.uniform(1.5, 4), rng.uniform(2.3, 3.6), rng.uniform(3, 9)
     canvas.ground(_floor(rng), rng.uniform(0.8, 3))
     white = tiles.rough(rng, random_color(rng, saturation=(0, 0.15), value=(0.6, 1)), contrast=0.05)
@@ -241,7 +241,7 @@ def _room(rng: Rng, canvas: Canvas) -> None:
 
 
 def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> None:
-    """Windows, doors, pictures and shelves on a wall that faces the camera."""
+    """Draw windows, doors, pictures and shelves on a wall that faces the camera."""
     x = span[0] + rng.uniform(0.1, 0.8)
     while x < span[1] - 0.5:
         kind, wide = rng.integers(5), rng.uniform(0.4, 1.4)
@@ -263,7 +263,7 @@ def _hang(rng: Rng, canvas: Canvas, span: Span, height: Number, z: float) -> Non
 
 
 def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
-    """A table, a sofa, a chair or a cupboard, as boxes."""
+    """Draw a table, a sofa, a chair or a cupboard, as boxes."""
     cover = tiles.rough(rng, random_color(rng, saturation=(0, 0.8)), (48, 48), 0.12)
     kind = rng.integers(3)
     wide, deep = rng.uniform(0.4, 2), rng.uniform(0.4, 0.9)
@@ -289,7 +289,7 @@ def _furniture(rng: Rng, canvas: Canvas, x: float, z: float) -> None:
 
 
 def _wall(rng: Rng, canvas: Canvas) -> None:
-    """One wall, straight ahead, with a strip of floor before it."""
+    """Draw one wall, straight ahead, with a strip of floor before it."""
     z = rng.uniform(2, 7)
     half, height = 0.75 * canvas.width / canvas.focal * z, rng.uniform(3, 9)
     canvas.image.paste(random_color(rng, saturation=(0, 0.3), value=(0.6, 1)), (0, 0, canvas.width, canvas.height))
@@ -306,7 +306,7 @@ def _wall(rng: Rng, canvas: Canvas) -> None:
 
 
 def _hall(rng: Rng, canvas: Canvas) -> None:
-    """A corridor, arcade or store: columns or racks on both sides that run into the distance."""
+    """Draw a corridor, arcade or store: columns or racks on both sides that run into the distance."""
     canvas.ground(_floor(rng), rng.uniform(1, 3))
     height = rng.uniform(2.6, 7)
     canvas.ground(_surface(rng), rng.uniform(2, 5), rng.uniform(0.4, 0.9), ceiling=height)
@@ -326,7 +326,7 @@ def _hall(rng: Rng, canvas: Canvas) -> None:
 
 
 def _still_life(rng: Rng, canvas: Canvas) -> None:
-    """Near things on a table or against a wall: boxes, discs, bottles, cloth."""
+    """Draw near things on a table or against a wall: boxes, discs, bottles, cloth."""
     back = _surface(rng).resize((canvas.width, canvas.height), Image.Resampling.BILINEAR)
     canvas.image.paste(back)
     draw = ImageDraw.Draw(canvas.image)
@@ -355,7 +355,7 @@ def _still_life(rng: Rng, canvas: Canvas) -> None:
 
 
 def _photograph(rng: Rng, image: Image.Image) -> UInt8[np.ndarray, "H W 3"]:
-    """Exposure, tint, a shadow's fall-off, softness and grain."""
+    """Add exposure, tint, a shadow's fall-off, softness and grain."""
     if rng.random() < 0.5:
         image = image.transpose(Image.Transpose.FLIP_LEFT_RIGHT)
     if rng.random() < 0.35:

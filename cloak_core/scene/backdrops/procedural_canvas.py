@@ -25,12 +25,12 @@ class Canvas:
         self.eye = rng.uniform(0.9, 2.2)
 
     def project(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-        """Pixel positions of points ahead of the camera."""
+        """Project points ahead of the camera to pixels."""
         scale = self.focal / np.maximum(points[:, 2], NEAR)
         return np.stack([self.width / 2 + scale * points[:, 0], self.horizon + scale * (self.eye - points[:, 1])], 1)
 
     def quad(self, corners: Sequence[Sequence[Number]], tile: Image.Image, light: Number = 1.0) -> None:
-        """A picture on a quad; corners top left, top right, bottom right, bottom left."""
+        """Draw a picture on a quad; corners top left, top right, bottom right, bottom left."""
         target = self.project(np.asarray(corners, np.float64))
         low = np.clip(np.floor(target.min(0)), 0, (self.width, self.height)).astype(int)
         high = np.clip(np.ceil(target.max(0)), 0, (self.width, self.height)).astype(int)
@@ -51,7 +51,7 @@ class Canvas:
         self.image.paste(warped, (int(low[0]), int(low[1])), mask)
 
     def ground(self, tile: Image.Image, metres: Number, light: Number = 1.0, ceiling: Number | None = None) -> None:
-        """An endless floor (or a ceiling at that height) covered with a repeating picture `metres` wide."""
+        """Draw an endless floor (or a ceiling at that height) covered with a repeating picture `metres` wide."""
         drop = self.eye if ceiling is None else self.eye - ceiling
         rows = np.arange(self.height, dtype=np.float32)
         rows = rows[rows > self.horizon] if drop > 0 else rows[rows < self.horizon]
@@ -70,23 +70,23 @@ class Canvas:
         self.image.paste(band, (0, int(rows[0])))
 
     def panel(self, across: Span, up: Span, z: Number, tile: Image.Image, light: Number = 1.0) -> None:
-        """A picture that faces the camera, from left to right and from low to high."""
+        """Draw a picture that faces the camera, from left to right and from low to high."""
         (left, right), (low, high) = across, up
         self.quad(((left, high, z), (right, high, z), (right, low, z), (left, low, z)), tile, light)
 
     def side(self, x: Number, ahead: Span, up: Span, tile: Image.Image, light: Number = 1.0) -> None:
-        """A picture along the way ahead, from near to far and from low to high, seen from the middle."""
+        """Draw a picture along the way ahead, from near to far and from low to high, seen from the middle."""
         first, last = ahead if x < 0 else ahead[::-1]
         self.quad(((x, up[1], first), (x, up[1], last), (x, up[0], last), (x, up[0], first)), tile, light)
 
     def upright(self, x: Number, z: Number, width: Number, height: Number, tile: Image.Image) -> None:
-        """A picture standing on the ground, facing the camera."""
+        """Draw a picture standing on the ground, facing the camera."""
         self.panel((x - width / 2, x + width / 2), (0, height), z, tile)
 
     def box(
         self, x: Number, z: Number, size: tuple[Number, Number, Number], tile: Image.Image, base: Number = 0.0
     ) -> None:
-        """A box of (width, height, depth) whose front is at z and stands `base` above the ground."""
+        """Draw a box of (width, height, depth) whose front is at z and stands `base` above the ground."""
         left, right, top, back = x - size[0] / 2, x + size[0] / 2, base + size[1], z + size[2]
         if top < self.eye:
             self.quad(((left, top, back), (right, top, back), (right, top, z), (left, top, z)), tile, 1.15)
@@ -99,7 +99,7 @@ class Canvas:
     def blob(
         self, x: Number, y: Number, z: Number, radius: Number, tile: Image.Image, rng: np.random.Generator
     ) -> None:
-        """A ragged round patch of a picture, such as the crown of a tree."""
+        """Draw a ragged round patch of a picture, such as the crown of a tree."""
         centre = self.project(np.array([[x, y, z]]))[0]
         r = radius * self.focal / max(z, NEAR)
         angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
@@ -117,7 +117,7 @@ def _lit(tile: Image.Image, light: Number) -> Image.Image:
 
 
 def _homography(target: Float[np.ndarray, "4 2"], source: Float[np.ndarray, "4 2"]) -> list[float] | None:
-    """Pillow's eight coefficients that carry target pixels to source pixels; None for a degenerate quad."""
+    """Solve for Pillow's eight coefficients from target to source pixels; None for a degenerate quad."""
     rows = []
     for (x, y), (u, v) in zip(target, source, strict=True):
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]

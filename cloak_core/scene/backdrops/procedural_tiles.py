@@ -18,13 +18,13 @@ Range = tuple[float | int, float | int]
 def random_color(
     rng: np.random.Generator, hue: Range = (0, 1), saturation: Range = (0.05, 0.6), value: Range = (0.2, 0.95)
 ) -> Color:
-    """An 8-bit colour with hue, saturation and value drawn uniformly (hue wraps around at 1)."""
+    """Draw an 8-bit colour with hue, saturation and value drawn uniformly (hue wraps around at 1)."""
     red, green, blue = colorsys.hsv_to_rgb(rng.uniform(*hue) % 1, rng.uniform(*saturation), rng.uniform(*value))
     return int(red * 255), int(green * 255), int(blue * 255)
 
 
 def shade(color: Color, factor: float) -> Color:
-    """The colour times `factor`, clipped."""
+    """Multiply the colour by `factor`, clipped."""
     return tuple(int(min(255, max(0, c * factor))) for c in color)
 
 
@@ -43,7 +43,7 @@ def fractal(
 
 
 def blend(field: Float[np.ndarray, "H W"], dark: Color, light: Color) -> Image.Image:
-    """The field, clipped to [-1, 1], as an image from `dark` to `light`."""
+    """Turn the field, clipped to [-1, 1], into an image from `dark` to `light`."""
     t = (field.clip(-1, 1)[..., None] + 1) / 2
     pixels = np.asarray(dark, np.float32) * (1 - t) + np.asarray(light, np.float32) * t
     return Image.fromarray(pixels.astype(np.uint8))
@@ -52,13 +52,13 @@ def blend(field: Float[np.ndarray, "H W"], dark: Color, light: Color) -> Image.I
 def rough(
     rng: np.random.Generator, color: Color, size: tuple[int, int] = (96, 96), contrast: float = 0.25
 ) -> Image.Image:
-    """Plaster, concrete, soil, grass: one colour with noise; `size` is (width, height)."""
+    """Draw plaster, concrete, soil, grass: one colour with noise; `size` is (width, height)."""
     field = fractal(rng, size[1], size[0], cells=rng.uniform(3, size[0] / 4), octaves=3, falloff=rng.uniform(0.5, 1.1))
     return blend(field * rng.uniform(0.3, 0.8), shade(color, 1 - contrast), shade(color, 1 + contrast))
 
 
 def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset: bool) -> Image.Image:
-    """Bricks (`offset`), tiles or planks: cells of slightly different colour with joints between them."""
+    """Draw bricks (`offset`), tiles or planks: cells of slightly different colour with joints between them."""
     cell = max(4, 160 // max(rows, columns))
     width, height = columns * cell * (2 if offset else 1), rows * cell
     image = Image.new("RGB", (width, height), shade(color, rng.uniform(0.5, 1.3)))
@@ -74,7 +74,7 @@ def grid(rng: np.random.Generator, color: Color, rows: int, columns: int, offset
 
 
 def checker(rng: np.random.Generator) -> Image.Image:
-    """A floor of two colours."""
+    """Draw a floor of two colours."""
     one = random_color(rng, saturation=(0, 0.5))
     two = shade(one, rng.uniform(0.4, 0.8)) if rng.random() < 0.6 else random_color(rng)
     cells = rng.integers(2, 7)
@@ -84,7 +84,7 @@ def checker(rng: np.random.Generator) -> Image.Image:
 
 
 def stripes(rng: np.random.Generator, upright: bool = True) -> Image.Image:
-    """Wallpaper, curtains, cladding: bands of two colours, soft or hard."""
+    """Draw wallpaper, curtains, cladding: bands of two colours, soft or hard."""
     one = random_color(rng, saturation=(0, 0.5))
     two = shade(one, rng.uniform(0.5, 0.95))
     phase = np.linspace(0, 2 * np.pi * rng.integers(4, 25), 192, dtype=np.float32) + rng.normal(0, 0.4, 192)
@@ -94,14 +94,14 @@ def stripes(rng: np.random.Generator, upright: bool = True) -> Image.Image:
 
 
 def foliage(rng: np.random.Generator, height: int, width: int, hue: Range = (0.16, 0.42)) -> Image.Image:
-    """Leaves: clumps in light and shadow, with speckle as fine as the pixels."""
+    """Draw leaves: clumps in light and shadow, with speckle as fine as the pixels."""
     field = fractal(rng, height, width, cells=rng.uniform(3, 9), octaves=5, falloff=rng.uniform(0.65, 0.95))
     dark, light = random_color(rng, hue, (0.3, 0.8), (0.05, 0.25)), random_color(rng, hue, (0.25, 0.8), (0.4, 0.85))
     return blend(field * 0.6 + rng.uniform(-0.3, 0.2), dark, light)
 
 
 def window(rng: np.random.Generator, width: int = 60, height: int = 80) -> Image.Image:
-    """A framed window: panes with sky, dark room or garden behind."""
+    """Draw a framed window: panes with sky, dark room or garden behind."""
     frame = random_color(rng, saturation=(0, 0.3), value=(0.2, 1))
     kind = rng.integers(3)
     if kind == 0:
@@ -122,7 +122,7 @@ def window(rng: np.random.Generator, width: int = 60, height: int = 80) -> Image
 
 
 def door(rng: np.random.Generator, width: int = 48, height: int = 104) -> Image.Image:
-    """A door with panels and a knob."""
+    """Draw a door with panels and a knob."""
     color = random_color(rng, saturation=(0, 0.6), value=(0.15, 0.95))
     image = rough(rng, color, (width, height), 0.1)
     draw = ImageDraw.Draw(image)
@@ -136,7 +136,7 @@ def door(rng: np.random.Generator, width: int = 48, height: int = 104) -> Image.
 
 
 def poster(rng: np.random.Generator) -> Image.Image:
-    """A picture on the wall: blocks, discs and lines of any colour in a frame."""
+    """Draw a picture on the wall: blocks, discs and lines of any colour in a frame."""
     width, height = (int(v) for v in rng.integers(50, 120, 2))
     image = rough(rng, random_color(rng, saturation=(0, 0.9)), (width, height))
     draw = ImageDraw.Draw(image)
@@ -151,7 +151,7 @@ def poster(rng: np.random.Generator) -> Image.Image:
 
 
 def shelf(rng: np.random.Generator) -> Image.Image:
-    """Shelves of books, boxes and bottles."""
+    """Draw shelves of books, boxes and bottles."""
     image = Image.new("RGB", (120, 128), random_color(rng, (0.03, 0.12), (0.2, 0.6), (0.1, 0.6)))
     draw = ImageDraw.Draw(image)
     saturation = rng.uniform(0.1, 0.9)
@@ -169,7 +169,7 @@ def shelf(rng: np.random.Generator) -> Image.Image:
 
 
 def facade(rng: np.random.Generator, rows: int, columns: int) -> Image.Image:
-    """The face of a building: rows of one kind of window, perhaps a shop front at the bottom."""
+    """Draw the face of a building: rows of one kind of window, perhaps a shop front at the bottom."""
     color = random_color(rng, saturation=(0, 0.45), value=(0.25, 0.95))
     cell_w, cell_h = (int(v) for v in rng.integers(16, 30, 2))
     wall = rough(rng, color, (columns * cell_w, rows * cell_h), 0.12)
@@ -187,7 +187,7 @@ def facade(rng: np.random.Generator, rows: int, columns: int) -> Image.Image:
 
 
 def vertical_gradient(top: Color, bottom: Color, height: int, width: int) -> Image.Image:
-    """From `top` to `bottom`."""
+    """Blend from `top` to `bottom`."""
     t = np.linspace(0, 1, height, dtype=np.float32)[:, None]
     column = np.asarray(top, np.float32) * (1 - t) + np.asarray(bottom, np.float32) * t
     return Image.fromarray(np.repeat(column[:, None].astype(np.uint8), width, 1))

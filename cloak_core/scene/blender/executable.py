@@ -17,7 +17,7 @@ IN_BACKGROUND = ("-b", "--factory-startup", "-P")
 
 
 def find_blender() -> list[str] | None:
-    """A command line that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+    """Find a command that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
     named = os.environ.get("CLOAK_BLENDER")
     if named and Path(named).name.startswith("blender"):
         return [named, *IN_BACKGROUND]
@@ -29,7 +29,7 @@ def find_blender() -> list[str] | None:
 
 
 def find_bpy() -> str | None:
-    """A Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
+    """Find a Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
     named = os.environ.get("CLOAK_BLENDER")
     places = [named] if named and not Path(named).name.startswith("blender") else []
     places += [sys.executable] if importlib.util.find_spec("bpy") else []
@@ -38,7 +38,7 @@ def find_bpy() -> str | None:
 
 
 def bpy_version(python: str) -> str:
-    """Blender's version in such a Python, such as "4.2.0"."""
+    """Read Blender's version in such a Python, such as "4.2.0"."""
     script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
     said = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
     return said.strip().splitlines()[-1]

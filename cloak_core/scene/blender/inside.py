@@ -53,7 +53,7 @@ def open_file(path: str) -> None:
 
 
 def scene_arrays(frames: int) -> dict[str, np.ndarray]:
-    """Poses [P, V, 3], polygons, their colours and pictures."""
+    """Read poses [P, V, 3], polygons, their colours and pictures."""
     scene = bpy.context.scene
     objects = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get()]
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
@@ -83,8 +83,10 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
 
 
 def first_simulated(objects: list[bpy.types.Object]) -> int | None:
-    """The frame from which on every frame must be played, as how something lies may follow from the frames before; None
-    where nothing is simulated."""
+    """Find the frame from which on every frame must be played; None where nothing is simulated.
+
+    How something lies may follow from the frames before.
+    """
     modifiers = [modifier for obj in objects for modifier in obj.modifiers]
     starts = [m.point_cache.frame_start for m in modifiers if m.type in ("CLOTH", "SOFT_BODY")]
     starts += [bpy.context.scene.frame_start for m in modifiers if m.type == "NODES"]
@@ -92,7 +94,7 @@ def first_simulated(objects: list[bpy.types.Object]) -> int | None:
 
 
 def mesh_arrays(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> dict[str, np.ndarray]:
-    """One object as it is evaluated now."""
+    """Read one object as it is evaluated now."""
     evaluated = obj.evaluated_get(graph)
     mesh = evaluated.to_mesh()
     vertices = read(mesh.vertices, "co", np.float32, 3).astype(np.float64)
@@ -140,7 +142,7 @@ PICTURES: dict[str, np.ndarray] = {}
 
 
 def look(material: bpy.types.Material) -> tuple[tuple[float, ...], int]:
-    """A material's base colour, scene-linear, and the number of its picture (-1: none)."""
+    """Find a material's base colour, scene-linear, and the number of its picture (-1: none)."""
     for node in material.node_tree.nodes if material.node_tree else ():
         source = node.inputs.get("Base Color") or node.inputs.get("Color")
         if node.type not in ("BSDF_PRINCIPLED", "BSDF_DIFFUSE", "EMISSION") or source is None:
@@ -167,7 +169,7 @@ def picture_number(image: bpy.types.Image) -> int:
 
 
 def join(parts: list[dict]) -> dict[str, np.ndarray]:
-    """All objects as one mesh."""
+    """Join all objects into one mesh."""
     starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
     joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     loops = [part["loop_vertices"] + start for part, start in zip(parts, starts, strict=False)]

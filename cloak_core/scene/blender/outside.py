@@ -20,7 +20,7 @@ SCRIPT = Path(__file__).with_name("inside.py")
 
 
 def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
-    """All visible meshes of a file as one, at its first frame, or in `frames` > 0 moments evenly over its animation.
+    """Read all visible meshes of a file as one, at its first frame or at `frames` > 0 moments of its animation.
 
     Raises `InputError` where there is no Blender, where it cannot read the file, and for the frame whose topology
     differs from the first one's.
@@ -47,7 +47,7 @@ def read_through_blender(path: Path, frames: int = 0) -> MeshFile:
 
 
 def mesh_of(path: Path, arrays: dict[str, np.ndarray]) -> MeshFile:
-    """What the script wrote, with its pictures as one."""
+    """Build the mesh that the script wrote, with its pictures as one."""
     pictures = [arrays[f"picture_{n}"] for n in range(sum(key.startswith("picture_") for key in arrays) - 1)]
     loop_total, corner_uv, picture_of = (arrays[key].astype(float) for key in ("loop_total", "corner_uv", "picture_of"))
     loop_total, picture_of = loop_total.astype(np.int64), picture_of.astype(np.int64)

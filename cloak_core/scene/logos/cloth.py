@@ -11,7 +11,7 @@ from cloak_core.scene.logos.logo import Logo
 
 
 def cloth_coordinates(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-    """Metres right and down on the cloth, as seen from outside.
+    """Map points to metres right and down on the cloth, as seen from outside.
 
     Clothes are cut from flat panels: front and back are projected along z, the sides along x.
     """
@@ -22,7 +22,7 @@ def cloth_coordinates(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarra
 
 
 def tile_of_face(bodies: Bodies, logo: Logo, tile: float, cell: float) -> Int64[np.ndarray, " L"]:
-    """The square of a repeating cloth, numbered from 0, under each face's centre, in the first pose.
+    """Number the square of a repeating cloth under each face's centre, from 0, in the first pose.
 
     tile: width and height of what repeats, metres; cell: of a square, metres, rounded so that a whole number fits.
     """

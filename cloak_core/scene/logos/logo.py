@@ -50,7 +50,7 @@ class Logo:
 
 
 def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
-    """A logo of these faces (any order). Raises `InputError` for none, duplicates, or ids that the body lacks."""
+    """Make a logo of these faces (any order). InputError: none, duplicates, or ids that the body lacks."""
     given = np.asarray(face_ids)
     if given.ndim != 1 or not given.size or given.dtype.kind not in "iu":
         raise InputError(f"a logo is a row of face ids, not {given.dtype} of shape {given.shape}")
@@ -65,7 +65,7 @@ def make_logo(bodies: Bodies, face_ids: np.ndarray | Sequence[int]) -> Logo:
 
 
 def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: str | None = None) -> Logo:
-    """The logo of a face list (.npy, from Blender or `cloak logo`), or of named regions: `region="chest+thighs"`.
+    """Load the logo of a face list (.npy, from Blender or `cloak logo`), or of named regions: `region="chest+thighs"`.
 
     A path that is no face list's (.npy or .idx) and at which nothing lies names regions, too, as `--logo` takes both.
     Raises `InputError`: the list belongs to another body or is damaged, the body has no such region.
@@ -83,19 +83,19 @@ def load_logo(bodies: Bodies, path: str | os.PathLike | None = None, *, region: 
 
 
 def area_share(bodies: Bodies, ids: Integer[np.ndarray, " logo"]) -> float:
-    """The faces' share of the body's area, 0 to 1, in the first pose."""
+    """Compute the faces' share of the body's area, 0 to 1, in the first pose."""
     areas = face_areas(bodies)
     return float(areas[ids].sum() / areas.sum())
 
 
 def front_faces(bodies: Bodies) -> Bool[np.ndarray, " faces"]:
-    """The scene's region "front", or where it has none the faces that lean forward in the first pose."""
+    """Take the scene's region "front", or where it has none the faces that lean forward in the first pose."""
     named = bodies.regions.get("front")
     return named if named is not None else face_normals(bodies)[:, 2] > 0.1
 
 
 def select_region(bodies: Bodies, expression: str) -> Int64[np.ndarray, " logo"]:
-    """Face ids of named regions, such as "chest+thighs" or "shirt-front+trousers" (this module's head has the rules).
+    """Select the faces of named regions, such as "chest+thighs" (this module's head has the rules).
 
     Raises `InputError` naming the known regions for an unknown one, and for a result without faces.
     """
@@ -106,7 +106,7 @@ def select_region(bodies: Bodies, expression: str) -> Int64[np.ndarray, " logo"]
 
 
 def region_mask(bodies: Bodies, term: str) -> Bool[np.ndarray, " faces"]:
-    """One term of a region expression."""
+    """Select the faces of one term of a region expression."""
     name, dash, facet = term.rpartition("-")
     if term in bodies.regions or not dash or facet not in FACETS:
         name, facet = term, "front" if term in FRONT_BY_DEFAULT else "all"
@@ -120,8 +120,10 @@ def region_mask(bodies: Bodies, term: str) -> Bool[np.ndarray, " faces"]:
 
 
 def select_box(bodies: Bodies, box: Sequence[float | int], facing: Facing = "any") -> Int64[np.ndarray, " logo"]:
-    """Face ids whose centre lies in a box (x0, x1, y0, y1, z0, z1; metres, first pose) and whose normal points the
-    way `facing` says (within 90 degrees; left and right are the body's own)."""
+    """Select faces whose centre lies in a box and whose normal points the way `facing` says.
+
+    box: x0, x1, y0, y1, z0, z1, metres, first pose. Within 90 degrees; left and right are the body's own.
+    """
     limits: Float[np.ndarray, "3 2"] = np.asarray(box, float).reshape(3, 2)
     centres = face_centres(bodies)
     chosen = ((centres >= limits[:, 0]) & (centres <= limits[:, 1])).all(axis=1)

@@ -24,7 +24,7 @@ _HEX = re.compile(r"#([0-9a-fA-F]{6})\b")
 
 
 def read_palette(path: str | os.PathLike) -> Float[np.ndarray, "P 3"]:
-    """The colours of a palette file, sRGB in [0, 1], float64. InputError names the file and line."""
+    """Read the colours of a palette file, sRGB in [0, 1], float64. InputError names the file and line."""
     path = Path(path)
     lines = read_text(path, MAX_BYTES).removeprefix("\ufeff").splitlines()
     gimp = bool(lines) and lines[0].strip() == "GIMP Palette"
@@ -43,7 +43,7 @@ def read_palette(path: str | os.PathLike) -> Float[np.ndarray, "P 3"]:
 def nearest_in_palette(
     colors: Float[np.ndarray, "n 3"], palette: Float[np.ndarray, "P 3"]
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Each colour's nearest of the palette, and whether it is farther than `TOLERANCE` from it."""
+    """Find each colour's nearest of the palette; tell whether it is farther than `TOLERANCE` from it."""
     square = (palette**2).sum(axis=1)
     nearest = np.empty((len(colors), 3))
     for start in range(0, len(colors), 256):

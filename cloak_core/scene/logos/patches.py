@@ -14,7 +14,7 @@ from cloak_core.scene.meshes.polygons import polygon_loops
 
 
 def patch_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, " L"]:
-    """The patch, numbered from 0, of each of the logo's faces; `size` in metres along the surface, first pose.
+    """Cut the logo into patches: the number, from 0, of each face's patch; `size` in metres along the surface.
 
     Patches are what lies nearest to centres at least `size` apart, by the way over faces that share a corner. Each is
     joined by edges and has at least the area of a disc of that diameter, but where a whole piece of the logo has less.
@@ -27,18 +27,18 @@ def patch_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, 
 
 
 def patch_widths(patch: Int64[np.ndarray, " L"], areas: Float[np.ndarray, " L"]) -> Float[np.ndarray, " P"]:
-    """The diameter of the disc that has each patch's area, metres."""
+    """Compute the diameter of the disc that has each patch's area, metres."""
     return np.sqrt(np.bincount(patch, areas) * 4 / np.pi)
 
 
 def patches_of_color(colors: Float[np.ndarray, "L 3"], logo: Logo) -> Int64[np.ndarray, " L"]:
-    """Patches as the eye sees them: faces of one colour that edges join."""
+    """Find patches as the eye sees them: faces of one colour that edges join."""
     same = (colors[logo.edges[:, 0]] == colors[logo.edges[:, 1]]).all(axis=1)
     return _joined(logo.edges[same], len(logo))
 
 
 def _joined(edges: np.ndarray, count: int) -> Int64[np.ndarray, " L"]:
-    """A number for each piece that these edges join."""
+    """Number each piece that these edges join."""
     return connected_components(_matrix(edges, np.ones(len(edges)), count), directed=False)[1].astype(np.int64)
 
 
@@ -47,7 +47,7 @@ def _matrix(pairs: np.ndarray, values: np.ndarray, count: int) -> csr_matrix:
 
 
 def _ways(bodies: Bodies, logo: Logo) -> csr_matrix:
-    """Metres between the centres of faces that share a corner: by edges alone, ways would zigzag and come out long."""
+    """Measure metres between the centres of faces that share a corner: by edges alone, ways would zigzag."""
     loop_total, loop_vertices, face = polygon_loops(bodies)
     position = np.full(bodies.face_count, -1, np.int64)
     position[logo.face_ids] = np.arange(len(logo))
@@ -64,7 +64,7 @@ def _ways(bodies: Bodies, logo: Logo) -> csr_matrix:
 
 
 def _spread(ways: csr_matrix, size: float) -> Int64[np.ndarray, " P"]:
-    """Faces at least `size` apart, none farther than that from the nearest; always the same ones for a logo."""
+    """Choose faces at least `size` apart, none farther than that from the nearest; always the same ones for a logo."""
     order = np.random.default_rng(0).permutation(ways.shape[0])
     is_near, chosen = np.zeros(ways.shape[0], bool), []
     for face in order:
@@ -75,7 +75,7 @@ def _spread(ways: csr_matrix, size: float) -> Int64[np.ndarray, " P"]:
 
 
 def _merged(patch: np.ndarray, area: Float[np.ndarray, " L"], logo: Logo, least: float) -> Int64[np.ndarray, " L"]:
-    """Patches under `least` square metres joined to the neighbour with which they share the longest border."""
+    """Join patches under `least` square metres to the neighbour with which they share the longest border."""
     areas = np.bincount(patch, area)
     borders: list[dict[int, float]] = [{} for _ in areas]
     for one, other, length in zip(*patch[logo.edges].T.tolist(), logo.edge_lengths.tolist(), strict=True):

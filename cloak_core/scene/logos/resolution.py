@@ -36,7 +36,7 @@ class Resolution:
 
 
 def projected_areas(bodies: Bodies, camera: Camera, pose: int = 0) -> Float[np.ndarray, " faces"]:
-    """Screen area of every face in square pixels, as if nothing hid it; parts that look away count nothing."""
+    """Compute the screen area of every face in square pixels, as if nothing hid it; backs count nothing."""
     points = bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((points.min(axis=0) + points.max(axis=0)) / 2)
     right, up, back = (np.array(axis) for axis in camera.axes)
@@ -75,7 +75,7 @@ def resolution(
 
 
 def hint(median: float, under_fine: float, level: int, camera: Camera) -> str:
-    """Plain words about a picture with these areas."""
+    """Describe a picture with these areas in plain words."""
     where = f"at distance {camera.distance:g}, {camera.width} x {camera.height} pixels"
     if under_fine > 0.5:
         return f"most faces are under {FINE:g} px² {where}: level 1 gains nothing, a coarser mesh would do"

@@ -41,7 +41,7 @@ class Stamp:
 def project_text(
     bodies: Bodies, text: str, height: float | None = None, center: tuple[float, float] | None = None
 ) -> Int64[np.ndarray, " logo"]:
-    """Face ids under a line of text in bold sans serif, readable from the front.
+    """Select the faces under a line of text in bold sans serif, readable from the front.
 
     height: of the inked letters, metres; center: (x, y), metres. By default the text fits between collar and waistband,
     centred on the trunk. Raises `InputError` for text without ink or of more than 32 characters, and where no face's
@@ -58,7 +58,7 @@ def project_text(
 def project_mask(
     bodies: Bodies, mask: str | Path, height: float | None = None, center: tuple[float, float] | None = None
 ) -> Int64[np.ndarray, " logo"]:
-    """Face ids under the ink of a picture file; height and center as for `project_text`, of the inked part.
+    """Select the faces under a picture's ink; height and center as for `project_text`, of the inked part.
 
     Of a picture with transparency the opaque pixels are ink, whatever their colour; of any other, the dark ones (luma
     below one half). Raises `InputError` for a file that is no picture, that has no ink, or whose ink falls on no face.
@@ -70,7 +70,7 @@ def project_mask(
 
 
 def draw_text(text: str) -> Bool[np.ndarray, "height width"]:
-    """A line of text as ink, in the bold font that comes with matplotlib."""
+    """Draw a line of text as ink, in the bold font that comes with matplotlib."""
     import matplotlib
     from PIL import Image, ImageDraw, ImageFont
 
@@ -98,7 +98,7 @@ def cropped(ink: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "h w"]:
 def front_stamp(
     bodies: Bodies, ink: Bool[np.ndarray, "h w"], height: float | None, center: tuple[float, float] | None
 ) -> Stamp:
-    """Where a stamp goes: as told, else on the trunk, as large as fits it."""
+    """Place a stamp: as told, else on the trunk, as large as fits it."""
     low, high = bodies.vertices[0].min(axis=0), bodies.vertices[0].max(axis=0)
     tall = float(high[1] - low[1])
     if height is None:
@@ -115,7 +115,7 @@ def front_stamp(
 
 
 def covered_faces(bodies: Bodies, stamp: Stamp, what: str) -> Int64[np.ndarray, " logo"]:
-    """Ids of the faces whose centre is seen from the front and lies on ink."""
+    """Select the faces whose centre is seen from the front and lies on ink."""
     centres = face_centres(bodies)
     rows, columns = stamp.ink.shape
     u = np.floor(((centres[:, 0] - stamp.center[0]) / stamp.width + 0.5) * columns).astype(np.int64)
@@ -135,7 +135,7 @@ def covered_faces(bodies: Bodies, stamp: Stamp, what: str) -> Int64[np.ndarray, 
 def seen_from_front(
     bodies: Bodies, ids: Int64[np.ndarray, " logo"], centres: Float[np.ndarray, "logo 3"]
 ) -> Bool[np.ndarray, " logo"]:
-    """Which faces' centres have no triangle of another face in front of them (towards +z), first pose."""
+    """Tell which faces' centres have no triangle of another face in front of them (towards +z), first pose."""
     corners = bodies.vertices[0][bodies.triangles].astype(np.float64)
     low, high = corners.min(axis=1), corners.max(axis=1)
     if not len(ids):
@@ -153,7 +153,7 @@ def seen_from_front(
 
 
 def in_front(points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "m 3 3"]) -> Bool[np.ndarray, "n m"]:
-    """Whether a triangle covers a point in the xy plane and lies nearer to +z there."""
+    """Tell whether a triangle covers a point in the xy plane and lies nearer to +z there."""
     a, b, c = (triangles[:, corner] for corner in range(3))
     x, y = points[:, None, 0], points[:, None, 1]
     side = lambda p, q: (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])

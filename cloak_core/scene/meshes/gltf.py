@@ -72,7 +72,7 @@ class Moment:
 
 
 def local_matrix(node: dict, moved: dict[str, np.ndarray]) -> np.ndarray:
-    """A node's transform [4, 4] against its parent, with what the animation sets of it."""
+    """Compute a node's transform [4, 4] against its parent, with what the animation sets of it."""
     if "matrix" in node and not moved.keys() & {"translation", "rotation", "scale"}:
         return np.array(node["matrix"], float).reshape(4, 4).T
     value = lambda name, default: np.asarray(moved.get(name, node.get(name, default)), float)
@@ -121,7 +121,7 @@ class Part:
             self.skin = (skin["joints"], matrices)
 
     def posed(self, moment: Moment) -> np.ndarray:
-        """Vertices [V, 3] of this part in the scene's axes."""
+        """Pose this part: vertices [V, 3] in the scene's axes."""
         weights = np.asarray(moment.morphs.get(self.node, self.rest_weights), float)
         positions = self.positions.astype(float)
         if self.morphs.shape[1] and len(weights):
@@ -162,7 +162,7 @@ class Primitive:
         self.look(record.get("material"))
 
     def read(self, name: str) -> np.ndarray | None:
-        """Values of an attribute for each vertex; None where there are none."""
+        """Read an attribute's values for each vertex; None where there are none."""
         return self.document.geometry(self.attributes[name]) if name in self.attributes else None
 
     def look(self, index: int | None) -> None:
@@ -186,21 +186,21 @@ class Primitive:
             self.colors = np.zeros(self.triangles.shape) + (GREY if index is None else factor)
 
     def corner_uv(self) -> np.ndarray:
-        """Texture coordinates of the triangles' corners [3 T, 2], v up (glTF counts it downwards)."""
+        """Give texture coordinates of the triangles' corners [3 T, 2], v up (glTF counts it downwards)."""
         if self.uv is None:
             return np.zeros((self.triangles.size, 2))
         return self.uv[self.triangles.reshape(-1)].astype(float) * [1, -1] + [0, 1]
 
 
 def transformed(uv: np.ndarray, transform: dict) -> np.ndarray:
-    """Texture coordinates under KHR_texture_transform."""
+    """Apply KHR_texture_transform to texture coordinates."""
     angle = float(transform.get("rotation", 0))
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return uv * np.array(transform.get("scale", (1, 1))) @ turn.T + np.array(transform.get("offset", (0, 0)))
 
 
 def mesh_of(document: Document, parts: list[Part], poses: np.ndarray) -> MeshFile:
-    """All parts as one mesh."""
+    """Join all parts into one mesh."""
     offsets = np.cumsum([0] + [len(part.positions) for part in parts])
     triangles = np.concatenate([part.triangles + offset for part, offset in zip(parts, offsets, strict=False)])
     loop_total = np.full(len(triangles), 3, np.int64)

@@ -9,7 +9,10 @@ from cloak_core.scene.meshes.gltf_document import Document
 
 
 def sample_animation(document: Document, time: float) -> dict[int, dict[str, np.ndarray]]:
-    """Node -> what the first animation sets of it at `time` seconds: translation, rotation, scale, weights."""
+    """Sample the first animation at `time` seconds: what it sets of each node.
+
+    Node -> translation, rotation, scale, weights.
+    """
     animation = document.list("animations")[0]
     moved: dict[int, dict[str, np.ndarray]] = {}
     for channel in animation["channels"]:
@@ -27,7 +30,7 @@ def sample_animation(document: Document, time: float) -> dict[int, dict[str, np.
 
 
 def interpolate(times: np.ndarray, values: np.ndarray, time: float, kind: str, spherical: bool) -> np.ndarray:
-    """One channel at one time; values [keys, 1 or 3, n] (cubic splines store in-tangent, value, out-tangent)."""
+    """Interpolate one channel; values [keys, 1 or 3, n] (cubic splines store in-tangent, value, out-tangent)."""
     middle = values.shape[1] // 2
     key = int(np.searchsorted(times, time, side="right")) - 1
     if key < 0 or key >= len(times) - 1:

@@ -57,7 +57,7 @@ class Document:
         return read_bytes(beside, MAX_FILE_BYTES)
 
     def view(self, index: int) -> tuple[memoryview, dict]:
-        """Bytes of a buffer view, and its record."""
+        """Give the bytes of a buffer view, and its record."""
         record = self.list("bufferViews")[index]
         number = record["buffer"]
         if number not in self.buffers:
@@ -70,7 +70,7 @@ class Document:
         return data[start : start + length], record
 
     def geometry(self, index: int) -> np.ndarray:
-        """Values of an accessor that become part of the mesh: a small file may say the same many times over."""
+        """Read an accessor that becomes part of the mesh, within a bound: a small file may repeat itself many times."""
         values = self.accessor(index)
         self._values += values.size
         if self._values > MAX_VALUES:
@@ -78,7 +78,7 @@ class Document:
         return values
 
     def accessor(self, index: int) -> np.ndarray:
-        """Values of an accessor, [count, ...]; normalised integers as floats."""
+        """Read the values of an accessor, [count, ...]; normalised integers as floats."""
         record = self.list("accessors")[index]
         dtype, shape, count = np.dtype(COMPONENTS[record["componentType"]]), WIDTHS[record["type"]], record["count"]
         if "bufferView" in record:
@@ -107,7 +107,7 @@ class Document:
         return np.ascontiguousarray(rows).view(dtype).reshape(count, *shape)
 
     def mesh_nodes(self) -> list[int]:
-        """Nodes of the default scene that carry a mesh, depth first."""
+        """List the nodes of the default scene that carry a mesh, depth first."""
         nodes, found, visited = self.list("nodes"), [], set()
         scenes = self.list("scenes")
         roots = scenes[self.json.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
@@ -125,7 +125,7 @@ class Document:
         return found
 
     def frame_times(self, frames: int) -> list[float | None]:
-        """Moments of the first animation in seconds; None is the resting pose."""
+        """Choose moments of the first animation in seconds; None is the resting pose."""
         if not frames:
             return [None]
         animations = self.list("animations")
@@ -136,7 +136,7 @@ class Document:
         return np.linspace(float(first), float(last), frames).tolist()
 
     def picture(self, texture: int) -> np.ndarray | None:
-        """Pixels [H, W, 3] uint8 of a texture, row 0 at v = 0 of glTF (the top); None where it cannot be read."""
+        """Read a texture's pixels [H, W, 3] uint8, row 0 at the top (glTF's v = 0); None where it cannot be read."""
         source = self.list("textures")[texture].get("source")
         if source is None:
             return None
@@ -161,7 +161,7 @@ class Document:
 
 
 def glb_chunks(data: bytes) -> dict[bytes, memoryview]:
-    """The JSON and the binary chunk of a binary glTF file, the first of each kind."""
+    """Find the JSON and the binary chunk of a binary glTF file, the first of each kind."""
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2 or length > len(data):
         raise ValueError("it is truncated" if version == 2 else f"version {version}")

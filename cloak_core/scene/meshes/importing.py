@@ -31,7 +31,7 @@ HEIGHTS = (0.1, 20.0)
 def import_bodies(
     paths: Sequence[str | Path], name: str = "scene", scale: float | None = None, frames: int = 0
 ) -> Bodies:
-    """Bodies from mesh files of one topology, a pose per file (all its poses, of a .npz).
+    """Import bodies from mesh files of one topology, a pose per file (all its poses, of a .npz).
 
     Files are in metres, y up, facing +z (Blender's OBJ default); `scale` multiplies coordinates, and given one,
     heights are not questioned. Of animated files `frames` moments are taken (0: the resting pose). Polygons are
@@ -67,7 +67,7 @@ def import_bodies(
 
 
 def read_bodies(path: Path, first: Bodies | None = None, frames: int = 0) -> Bodies:
-    """One file. `first` is the scene's first file, whose triangles are taken over where the polygons are the same."""
+    """Read one file; `first` is the scene's first file, whose triangles are kept where polygons are the same."""
     suffix = path.suffix.lower()
     if suffix == ".npz" or path.is_dir():
         return read_scene(path)
@@ -98,7 +98,7 @@ def check_mesh(path: Path, mesh: MeshFile) -> None:
 
 
 def bodies_of(mesh: MeshFile, name: str, first: Bodies | None) -> Bodies:
-    """A mesh as bodies."""
+    """Make bodies of a mesh."""
     topology = topology_hash(mesh.poses.shape[1], mesh.loop_total, mesh.loop_vertices)
     shared = {}
     if first is not None and first.topology == topology:
@@ -137,7 +137,7 @@ def check_heights(path: Path, vertices: np.ndarray) -> None:
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names as given, with a number behind those that come again."""
+    """Make names unique, with a number behind those that come again."""
     seen: dict[str, int] = {}
     unique = []
     for name in names:

@@ -31,25 +31,25 @@ class MeshFile:
 
 
 def to_srgb(linear: np.ndarray) -> np.ndarray:
-    """Display-referred sRGB in [0, 1] of scene-linear colours, which are clipped to [0, 1]."""
+    """Convert scene-linear colours to display-referred sRGB in [0, 1]; they are clipped."""
     linear = np.clip(np.asarray(linear, np.float64), 0, 1)
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def to_linear(srgb: np.ndarray) -> np.ndarray:
-    """Scene-linear colours of display-referred sRGB in [0, 1]."""
+    """Convert display-referred sRGB in [0, 1] to scene-linear colours."""
     srgb = np.asarray(srgb, np.float64)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def mean_of_corners(values: np.ndarray, loop_total: np.ndarray, loop: np.ndarray) -> np.ndarray:
-    """Per-vertex values [V, ...] averaged over each polygon's corners [F, ...]."""
+    """Average per-vertex values [V, ...] over each polygon's corners [F, ...]."""
     starts = np.cumsum(loop_total) - loop_total
     return np.add.reduceat(values[loop], starts, axis=0) / loop_total.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def file_beside(path: Path, name: str) -> Path | None:
-    """A file that another one names, if it lies in that one's own folder or below; else None."""
+    """Find a file that another one names, if it lies in that one's folder or below; else None."""
     folder = path.resolve().parent
     try:
         beside = (folder / name.replace("\\", "/")).resolve()

@@ -76,7 +76,7 @@ class ObjLines:
 
 
 def resolve(word: str, count: int) -> int:
-    """An index counted from 0; the file's count from 1, or backwards from the latest."""
+    """Count an index from 0; the file counts from 1, or backwards from the latest."""
     index = int(word)
     if index == 0 or not -count <= index < 1 << 31:
         raise ValueError(f"index {index} with {count} before it")
@@ -138,7 +138,7 @@ def mesh_of(lines: ObjLines) -> MeshFile:
 
 
 def in_pictures(lines: ObjLines, mesh: MeshFile, loop_uv: np.ndarray) -> MeshFile:
-    """The mesh with its materials' pictures, as one."""
+    """Give the mesh its materials' pictures, as one."""
     path = lines.path
     pictures: dict[str, np.ndarray] = {}
     for name in dict.fromkeys(lines.face_material):
@@ -161,7 +161,7 @@ MAP_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-clamp": 1, "-imfchan":
 
 
 def read_mtl(obj: Path, name: str) -> dict[str, Material]:
-    """Materials by name, from a file that lies in the OBJ's own folder or below; else none."""
+    """Read materials by name, from a file that lies in the OBJ's own folder or below; else none."""
     path = file_beside(obj, name)
     if path is None:
         return {}

@@ -24,7 +24,7 @@ def with_pictures(
     picture_of: Integer[np.ndarray, " faces"],
     corner_uv: Float[np.ndarray, "corners 2"],
 ) -> MeshFile:
-    """The mesh with one picture: the only one of all faces, or all of them and the plain colours put together.
+    """Give the mesh one picture: the only one of all faces, or all of them and the plain colours put together.
 
     picture_of: the picture of each face, -1 where it is plain; corner_uv: NaN where a corner has no coordinates.
     InputError: a face that has a picture, but no coordinates.
@@ -49,7 +49,7 @@ def put_together(
     corner_uv: Float[np.ndarray, "corners 2"],
     loop_total: Integer[np.ndarray, " faces"],
 ) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "corners 2"]]:
-    """Several pictures, and squares of plain colours, as one; and every corner's texture coordinates in it.
+    """Put several pictures and squares of plain colours together; locate every corner's coordinates in it.
 
     picture_of: the picture of each face, -1 where it is plain; plain: the faces' colours where they are. A face that
     reaches over a picture's border, where it would repeat, is held at the border.
@@ -80,8 +80,10 @@ def put_together(
 def color_squares(
     colors: Float[np.ndarray, "n 3"], width: int
 ) -> tuple[UInt8[np.ndarray, "h w 3"], Float[np.ndarray, "n 2"]]:
-    """A picture of that width with a square of `CELL` pixels for every different colour (sRGB in [0, 1]), and the
-    middle (x, y) of each colour's square in pixels."""
+    """Draw a square of `CELL` pixels for every different colour (sRGB in [0, 1]); locate each colour's square.
+
+    A picture of that width, and the middle (x, y) of the squares in pixels.
+    """
     palette, cell = np.unique(to_bytes(colors), axis=0, return_inverse=True)
     across = max(width // CELL, 1)
     at = np.arange(len(palette))
@@ -93,5 +95,5 @@ def color_squares(
 
 
 def to_bytes(colors: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
-    """8-bit sRGB of colours in [0, 1]; what lies outside is clipped."""
+    """Convert colours in [0, 1] to 8-bit sRGB; what lies outside is clipped."""
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)

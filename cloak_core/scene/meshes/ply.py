@@ -54,12 +54,12 @@ def read_ply(path: Path) -> MeshFile:
 
 
 def typed(order: str | None, kind: str) -> str:
-    """numpy's name of a type; all numbers of an ASCII file become 64-bit floats."""
+    """Name a type as numpy does; all numbers of an ASCII file become 64-bit floats."""
     return order + TYPES[kind] if order else "f8"
 
 
 def read_header(data: bytes) -> tuple[str, list[Element], int]:
-    """(byte order, elements, where the values begin)."""
+    """Read the header: (byte order, elements, where the values begin)."""
     end = data.find(b"end_header")
     start = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or not start:
@@ -100,12 +100,12 @@ class Reader:
         return values
 
     def take_list(self, prop: Property) -> np.ndarray:
-        """A list's values in one row, or the one value that is no list."""
+        """Take a list's values in one row, or the one value that is no list."""
         length = 1 if prop.count_kind is None else int(self.take(prop.count_kind, 1)[0])
         return self.take(prop.kind, length)
 
     def element(self, element: Element) -> Values:
-        """Property name -> values [count], or (lengths [count], all values) of a list."""
+        """Read an element: property name -> values [count], or (lengths [count], all values) of a list."""
         values = self.even_rows(element)
         if values is None:
             rows = [[self.take_list(prop) for prop in element.properties] for _ in range(element.count)]
@@ -118,7 +118,7 @@ class Reader:
         return found
 
     def even_rows(self, element: Element) -> dict[str, tuple[np.ndarray, np.ndarray]] | None:
-        """All rows at once, where every list is as long as the first row's; else None, and nothing is taken."""
+        """Read all rows at once, where every list is as long as the first row's; else None, and nothing is taken."""
         start, fields, lengths = self.at, [], {}
         for prop in element.properties:
             lengths[prop.name] = len(self.take_list(prop)) if element.count else 1

@@ -19,12 +19,12 @@ Corners = Integer[np.ndarray, " corners"]
 
 
 def loop_starts(loop_total: Integer[np.ndarray, " faces"]) -> Integer[np.ndarray, " faces"]:
-    """Index of each polygon's first corner."""
+    """Find the index of each polygon's first corner."""
     return np.cumsum(loop_total, dtype=np.int64) - loop_total
 
 
 def next_corner(loop_total: Integer[np.ndarray, " faces"]) -> Corners:
-    """For every corner, the index of the following corner of its polygon (the last one's is the first)."""
+    """Find the corner that follows every corner in its polygon (the last one's is the first)."""
     following = np.arange(1, int(loop_total.sum(dtype=np.int64)) + 1, dtype=np.int64)
     starts = loop_starts(loop_total)
     following[starts + loop_total - 1] = starts
@@ -32,7 +32,7 @@ def next_corner(loop_total: Integer[np.ndarray, " faces"]) -> Corners:
 
 
 def polygon_loops(bodies: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(loop_total [N], loop_vertices [C], face [N]): the polygons, or where a scene has no loops its triangles.
+    """List the polygons as (loop_total [N], loop_vertices [C], face [N]); a scene without loops has triangles.
 
     `face` is the polygon id that each of the N loops belongs to.
     """
@@ -44,7 +44,7 @@ def polygon_loops(bodies: Bodies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def per_corner(bodies: Bodies, values: Integer[np.ndarray, "triangles 3"]) -> Corners:
-    """For every polygon corner [C] what `values` say of the triangles' corners there.
+    """Find for every polygon corner [C] what `values` say of the triangles' corners there.
 
     A corner is named by its polygon and vertex; a vertex twice in one polygon takes its first corner's value.
     """
@@ -88,7 +88,7 @@ def triangulate(
 
 
 def split_quads(quads: Float[np.ndarray, "quads 4 3"]) -> Integer[np.ndarray, "quads 2 3"]:
-    """Corner numbers of the two triangles of each quad."""
+    """Split each quad: the corner numbers of its two triangles."""
     ways = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
     diagonals = quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]
     normal = np.cross(*diagonals)
@@ -103,7 +103,7 @@ def split_quads(quads: Float[np.ndarray, "quads 4 3"]) -> Integer[np.ndarray, "q
 
 
 def clip_ears(polygon: Float[np.ndarray, "corners 3"]) -> Integer[np.ndarray, "triangles 3"]:
-    """Corner numbers of n - 2 triangles that fill a polygon, concave or not, seen along its normal."""
+    """Triangulate a polygon, concave or not, along its normal, by ear clipping: corner numbers of n - 2 triangles."""
     flat = flatten(polygon)
     left = list(range(len(polygon)))
     triangles = []
@@ -125,7 +125,7 @@ def clip_ears(polygon: Float[np.ndarray, "corners 3"]) -> Integer[np.ndarray, "t
 
 
 def flatten(polygon: Float[np.ndarray, "corners 3"]) -> Float[np.ndarray, "corners 2"]:
-    """A polygon's corners in the plane across its area vector (Newell's normal), turning counter-clockwise."""
+    """Project a polygon into the plane across its area vector (Newell's normal), turning counter-clockwise."""
     centred = polygon - polygon.mean(axis=0)
     normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
     drop = int(np.abs(normal).argmax())
@@ -139,7 +139,7 @@ def cross2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def any_inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> bool:
-    """Whether one of the points lies in the counter-clockwise triangle a b c or on its border, its corners apart."""
+    """Tell whether a point lies in the counter-clockwise triangle a b c or on its border, its corners apart."""
     other = ~((points == a).all(axis=1) | (points == b).all(axis=1) | (points == c).all(axis=1))
     points = points[other]
     sides = [cross2(end - start, points - start) >= 0 for start, end in ((a, b), (b, c), (c, a))]

@@ -36,7 +36,7 @@ def subdivide(bodies: Bodies, levels: int = 1) -> tuple[Bodies, np.ndarray]:
 
 
 def split_once(bodies: Bodies) -> tuple[Bodies, np.ndarray]:
-    """One level of `subdivide`."""
+    """Do one level of `subdivide`."""
     loop_total, loop_vertices, face = polygon_loops(bodies)
     loop_total = loop_total.astype(np.int64)
     all_triangles = bool((loop_total == 3).all())
@@ -77,7 +77,7 @@ class Midpoints:
 
 
 def split_values(values: np.ndarray, midpoints: Midpoints) -> np.ndarray:
-    """Values [N, ...] of the old points, then of the edges' midpoints, then of the polygons' centres; float32."""
+    """Compute values [N, ...] of old points, then of edges' midpoints, then of polygons' centres; float32."""
     exact = values.astype(np.float64)
     parts = [exact, exact[midpoints.edges].mean(axis=1)]
     if midpoints.loop_total is not None:
@@ -87,7 +87,7 @@ def split_values(values: np.ndarray, midpoints: Midpoints) -> np.ndarray:
 
 
 def edges_of(loop_total: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Undirected edges [E, 2] and for each corner the edge that leaves it [C]."""
+    """List undirected edges [E, 2], and for each corner the edge that leaves it [C]."""
     ends = np.stack([loop, loop[next_corner(loop_total)]], axis=1).astype(np.int64)
     ends.sort(axis=1)
     # One number per edge: sorting these is several times faster than sorting rows.
@@ -99,7 +99,7 @@ def edges_of(loop_total: np.ndarray, loop: np.ndarray) -> tuple[np.ndarray, np.n
 def split_polygons(
     loop_total: np.ndarray, loop: np.ndarray, point_count: int
 ) -> tuple[np.ndarray, np.ndarray, Midpoints]:
-    """n quads per polygon, one at each corner: (corner, next midpoint, centre, previous midpoint)."""
+    """Split a polygon into n quads, one a corner: (corner, next midpoint, centre, previous midpoint)."""
     edges, edge = edges_of(loop_total, loop)
     face = np.repeat(np.arange(len(loop_total)), loop_total)
     previous = np.empty(len(loop), np.int64)
@@ -113,7 +113,7 @@ def split_polygons(
 def split_triangles(
     loop_total: np.ndarray, loop: np.ndarray, point_count: int
 ) -> tuple[np.ndarray, np.ndarray, Midpoints]:
-    """Four triangles per triangle: one at each corner and the middle one."""
+    """Split each triangle into four: one at each corner and the middle one."""
     edges, edge = edges_of(loop_total, loop)
     a, b, c = loop.reshape(-1, 3).T.astype(np.int64)
     ab, bc, ca = point_count + edge.reshape(-1, 3).T

@@ -25,7 +25,7 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 def read_textures(paths: Sequence[str | Path]) -> dict[str, UInt8[np.ndarray, "h w 3"]]:
-    """Pictures by name (the files' stems), from files and from folders of them. Raises `InputError`."""
+    """Read pictures by name (the files' stems), from files and from folders of them. InputError."""
     files: list[Path] = []
     for path in map(Path, paths):
         inside = sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES) if path.is_dir() else [path]
@@ -42,7 +42,7 @@ def read_textures(paths: Sequence[str | Path]) -> dict[str, UInt8[np.ndarray, "h
 
 
 def dress_in_textures(bodies: Bodies, textures: dict[str, UInt8[np.ndarray, "h w 3"]]) -> Bodies:
-    """The same bodies with one outfit per texture, instead of the outfits they had."""
+    """Dress the bodies in one outfit per texture, instead of the outfits they had."""
     if bodies.uv is None:
         name = next(iter(textures))
         raise InputError(f"texture '{name}': scene '{bodies.name}' has no texture coordinates (UVs) to put it on")
@@ -57,7 +57,7 @@ def dress_in_textures(bodies: Bodies, textures: dict[str, UInt8[np.ndarray, "h w
 
 
 def texture_means(bodies: Bodies, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "faces 3"]:
-    """Mean colour of a picture over each face, sRGB in [0, 1], from four points of each of its triangles."""
+    """Average a picture over each face, sRGB in [0, 1], from four points of each of its triangles."""
     assert bodies.uv is not None and bodies.triangle_uv is not None
     places = np.einsum("pk,tkc->tpc", PLACES, bodies.uv[bodies.triangle_uv].astype(np.float64)) % 1
     height, width = image.shape[:2]
@@ -69,8 +69,11 @@ def texture_means(bodies: Bodies, image: UInt8[np.ndarray, "h w 3"]) -> Float32[
 
 
 def with_uv_of(bodies: Bodies, path: str | Path) -> Bodies:
-    """The same bodies with the texture coordinates of a file: an OBJ with the same vertices and polygons, whatever
-    their order and cut, or an .npz with `vt` [U, 2] and `ft` [T, 3], the triangles in this mesh's order."""
+    """Give the bodies the texture coordinates of a file.
+
+    An OBJ with the same vertices and polygons, whatever their order and cut, or an .npz with `vt` [U, 2] and `ft` [T,
+    3], the triangles in this mesh's order.
+    """
     path = Path(path)
     if path.suffix.lower() == ".npz":
         return with_uv_arrays(bodies, read_npz(path), path)
@@ -96,7 +99,7 @@ def with_uv_of(bodies: Bodies, path: str | Path) -> Bodies:
 
 
 def with_uv_arrays(bodies: Bodies, arrays: dict[str, np.ndarray], path: Path) -> Bodies:
-    """The same bodies with texture coordinates `vt` and their triangles `ft`, as SMPL-X files have them."""
+    """Give the bodies texture coordinates `vt` and their triangles `ft`, as SMPL-X files have them."""
     if not {"vt", "ft"} <= arrays.keys():
         raise InputError(f"{path}: it has no texture coordinates (arrays vt and ft)")
     try:
@@ -108,7 +111,7 @@ def with_uv_arrays(bodies: Bodies, arrays: dict[str, np.ndarray], path: Path) ->
 def polygon_corners(
     loop_total: Integer[np.ndarray, " faces"], loop: Integer[np.ndarray, " c"], loop_uv: Integer[np.ndarray, " c"]
 ) -> list[list[tuple[int, int]]]:
-    """Per polygon its corners as (vertex, texture coordinate)."""
+    """List each polygon's corners as (vertex, texture coordinate)."""
     pairs = list(zip(loop.tolist(), loop_uv.tolist(), strict=True))
     ends = np.cumsum(loop_total).tolist()
     return [pairs[end - count : end] for end, count in zip(ends, loop_total.tolist(), strict=True)]

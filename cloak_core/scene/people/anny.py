@@ -79,7 +79,7 @@ def anny_bodies(count: int, seed: int = 0, poses: str | Path = "natural", name: 
 
 
 def read_anny_poses(path: Path) -> Float[np.ndarray, "poses bones 4 4"]:
-    """Poses in Anny's own terms (bones' turns, "local-bone"): .npy, or .npz with `pose_parameters` [P, 104, 4, 4]."""
+    """Read poses in Anny's own terms (bones' turns, "local-bone"): .npy, or .npz: `pose_parameters` [P, 104, 4, 4]."""
     if not path.is_file():
         raise InputError(f"--poses {path}: neither a file nor one of {', '.join(POSES)}")
     if path.suffix.lower() == ".npz":
@@ -101,7 +101,7 @@ def read_anny_poses(path: Path) -> Float[np.ndarray, "poses bones 4 4"]:
 
 
 def stand(vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "vertices 3"]:
-    """The body moved so that its lowest point is at y = 0 and its middle at x = z = 0."""
+    """Move the body so that its lowest point is at y = 0 and its middle at x = z = 0."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return vertices - [(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]
 
@@ -134,7 +134,7 @@ class AnnySource:
         self.bone_parents = [-1 if p is None else int(p) for p in self.model.bone_parents]
 
     def figure(self, shape: Mapping[str, float]) -> tuple[Float[np.ndarray, "vertices 3"], Skeleton]:
-        """One adult at rest, in metres, y up: vertices and skeleton. `shape`: Anny's phenotypes, 0 to 1."""
+        """Make one adult at rest, in metres, y up: vertices and skeleton. `shape`: Anny's phenotypes, 0 to 1."""
         with self._torch.no_grad():
             rest = self.model(phenotype_kwargs=dict(shape))
         vertices = rest["rest_vertices"][0].double().numpy()[self.kept] @ TO_Y_UP.T
@@ -142,7 +142,7 @@ class AnnySource:
         return vertices, Skeleton(self.bone_names, self.bone_parents, joints)
 
     def posed(self, shape: Mapping[str, float], pose: Float[np.ndarray, "bones 4 4"]) -> Float[np.ndarray, "v 3"]:
-        """One adult in a pose given in Anny's own terms."""
+        """Make one adult in a pose given in Anny's own terms."""
         if len(pose) != len(self.bone_names):
             raise InputError(f"poses of {len(pose)} bones, but Anny has {len(self.bone_names)}")
         parameters = self._torch.from_numpy(pose)[None].to(self.model.template_vertices.dtype)

@@ -31,7 +31,7 @@ SCENES = ("sample-clothed", "sample-tight")
 
 
 def clothed_bodies(split: str = "all", tight: bool = False) -> Bodies:
-    """The clothed people: looped cycles "train", other people, motions and folds "unseen", or "all".
+    """Load the clothed people: looped cycles "train", other people, motions and folds "unseen", or "all".
 
     One topology: the skin that is not hidden, then the shirt, then the trousers, which are also regions; so are chest,
     belly, back, arms (sleeves), thighs and shins on the garments, and head, hands, feet and forearms. A pose is called
@@ -68,7 +68,7 @@ def _clothed(split: str, tight: bool) -> Bodies:
 
 
 def _poses(data: dict[str, np.ndarray], clip: int, tight: bool) -> Float64[np.ndarray, "frames V 3"]:
-    """Positions of all vertices through one cycle, metres."""
+    """Compute the positions of all vertices through one cycle, metres."""
     skin = skin_of(data, clip)
     cut_from = skin[:, data["cut_from"]]
     bare = int(data["skin_vertices"])
@@ -82,7 +82,7 @@ def _poses(data: dict[str, np.ndarray], clip: int, tight: bool) -> Float64[np.nd
 
 
 def skin_of(data: dict[str, np.ndarray], clip: int) -> Float64[np.ndarray, "frames R 3"]:
-    """Linear blend skinning of all stored skin vertices, hidden ones too: those that stay seen come first."""
+    """Skin all stored skin vertices (linear blend), hidden ones too: those that stay seen come first."""
     person = int(data["clip_person"][clip])
     steps = np.cumsum(data["rest_steps"][person], axis=0, dtype=np.uint16)
     rest = data["rest_origin"][person] + steps * data["rest_step"][person].astype(np.float64)
@@ -100,14 +100,14 @@ def skin_of(data: dict[str, np.ndarray], clip: int) -> Float64[np.ndarray, "fram
 
 
 def cloth_steps(stored: np.ndarray) -> np.ndarray:
-    """[frames, G, 3] int16 from what is stored: differences along the vertices, then along the frames, modulo 2^16."""
+    """Decode [frames, G, 3] int16: differences along the vertices, then along the frames, modulo 2^16."""
     return np.cumsum(np.cumsum(stored, axis=0, dtype=np.int16), axis=1, dtype=np.int16)
 
 
 def tight_offsets(
     data: dict[str, np.ndarray], cut_from: Float64[np.ndarray, "frames G 3"]
 ) -> Float[np.ndarray, "f G 3"]:
-    """From the skin along the garments' own normals, by `TIGHT`."""
+    """Move from the skin along the garments' own normals, by `TIGHT`."""
     bare, owner = int(data["skin_vertices"]), data["owner"]
     quads = data["quads"].astype(np.int64)[owner > 0] - bare
     thickness = np.zeros(cut_from.shape[1])
@@ -123,7 +123,7 @@ def tight_offsets(
 
 
 def _outfits(owner: np.ndarray, source: np.ndarray) -> np.ndarray:
-    """The samples' outfits [K, F, 3]: arms and ankles that look out of the garments are bare."""
+    """Take the samples' outfits [K, F, 3]: arms and ankles that look out of the garments are bare."""
     samples, _ = load_samples()
     first = {name: int(np.flatnonzero(mask)[0]) for name, mask in samples.regions.items()}
     worn = source.copy()

@@ -9,7 +9,7 @@ from cloak_core.scene.people.skeleton import Arm, Leg, Pose
 
 
 def walking(step: Number, left_first: bool = True, swing: Number = 24.0, **changes: object) -> Pose:
-    """A double-support or mid-stance moment of walking; `step` is the leading thigh's angle, `swing` the arms'."""
+    """Make a double-support or mid-stance moment of walking; `step`: the leading thigh's angle, `swing`: the arms'."""
     lead = Leg(hip=step, abduction=1.5, outward=5, knee=4, heel_up=-0.55 * step)
     trail = Leg(hip=-0.72 * step, abduction=1.5, outward=6, knee=0.5 * step + 3, heel_up=1.15 * step)
     back = Arm(shoulder=-0.85 * swing, abduction=12, inward=10, elbow=10, pronation=22)
@@ -26,7 +26,7 @@ def running(
     lean: Number = 7.0,
     **changes: object,
 ) -> Pose:
-    """A push-off moment of running: one knee comes up, the other leg pushes, the arms counter it."""
+    """Make a push-off moment of running: one knee comes up, the other leg pushes, the arms counter it."""
     lead = Leg(hip=knee_up, abduction=1, outward=2, knee=folded, heel_up=12)
     trail = Leg(hip=-16, abduction=1, outward=4, knee=22, heel_up=42)
     back = Arm(shoulder=-drive * 1.2, abduction=25, inward=-8, elbow=88, pronation=8, curl=42)
@@ -36,14 +36,14 @@ def running(
 
 
 def stride(left_first: bool, lead: Leg, trail: Leg, back: Arm, front: Arm, turn: Number) -> dict[str, object]:
-    """The limbs of a step; the arm on the leading leg's side swings back, the spine counters the pelvis' turn."""
+    """Make the limbs of a step; the arm on the leading leg's side swings back, the spine counters the pelvis' turn."""
     legs, arms = ((lead, trail), (back, front)) if left_first else ((trail, lead), (front, back))
     limbs = dict(zip(("left_leg", "right_leg", "left_arm", "right_arm"), legs + arms, strict=True))
     return limbs | {"turn": turn, "spine_turn": -2 * turn}
 
 
 def waving(right: bool = True, raised: Number = 82.0, **changes: object) -> Pose:
-    """Standing with one hand beside or above the head; `raised` is the upper arm's angle to the side."""
+    """Make a standing pose with one hand beside or above the head; `raised`: the upper arm's angle to the side."""
     up = Arm(shoulder=20, abduction=raised, inward=-78, elbow=92, pronation=20, curl=4)
     down = Arm(abduction=14, elbow=16)
     arms = {"right_arm": up, "left_arm": down} if right else {"left_arm": up, "right_arm": down}
@@ -82,7 +82,7 @@ def draw_waving(random: np.random.Generator) -> Pose:
 
 
 def head(random: np.random.Generator) -> dict[str, float]:
-    """Where the head looks."""
+    """Draw where the head looks."""
     down, left, tilt = (float(v) for v in random.uniform([-4, -18, -4], [8, 18, 4]))
     return {"look_down": down, "look_left": left, "head_tilt": tilt}
 

@@ -19,7 +19,9 @@ DATA = Path(__file__).parents[1] / "data" / "bodies.npz"
 
 
 def sample_bodies(split: str = "all") -> Bodies:
-    """The sample bodies: 24 to train on, 6 "unseen" ones of other shapes and poses to test on, or "all" 30.
+    """Load the sample bodies: 24 to train on, 6 "unseen" ones to test on, or "all" 30.
+
+    The unseen ones have other shapes and poses.
 
     All have one topology (13,486 quads), stand on y = 0, and share twelve outfits and the regions of
     `scene.logos.logo.select_region`. A pose's name begins with its motion: standing, walking, running or waving.
@@ -32,7 +34,7 @@ def sample_bodies(split: str = "all") -> Bodies:
 
 @lru_cache(maxsize=1)
 def load() -> tuple[Bodies, np.ndarray]:
-    """All sample bodies, and which of the poses [P] are kept unseen."""
+    """Load all sample bodies, and which of the poses [P] are kept unseen."""
     data = read_npz(DATA)
     # Stored as differences of 16-bit steps along the vertex order; the sum wraps around as the differences did.
     steps = np.cumsum(data["vertex_steps"], axis=1, dtype=np.uint16)

@@ -76,17 +76,17 @@ def unit(vector: np.ndarray) -> np.ndarray:
 
 
 def turn_about(axis: np.ndarray, degrees: Number) -> np.ndarray:
-    """Rotation matrix about an axis."""
+    """Make the rotation matrix about an axis."""
     return Rotation.from_rotvec(unit(axis) * degrees, degrees=True).as_matrix()
 
 
 def about(axis: str, degrees: Number) -> np.ndarray:
-    """Rotation matrix about "x", "y" or "z"."""
+    """Make the rotation matrix about "x", "y" or "z"."""
     return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
 def smallest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The rotation that carries one unit vector to another without twisting."""
+    """Find the rotation that carries one unit vector to another without twisting."""
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis)
     if sine < 1e-9:
@@ -95,13 +95,13 @@ def smallest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def frame(along: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Orthonormal columns: along, the part of across orthogonal to it, their cross product."""
+    """Make orthonormal columns: along, the part of across orthogonal to it, their cross product."""
     across = unit(across - along * (across @ along))
     return np.stack([along, across, np.cross(along, across)], axis=1)
 
 
 def part_of(rotation: np.ndarray, share: Number) -> np.ndarray:
-    """A share of a rotation, about the same axis."""
+    """Take a share of a rotation, about the same axis."""
     return (Rotation.from_matrix(rotation) ** share).as_matrix()
 
 
@@ -158,7 +158,7 @@ def arm_rotations(skeleton: Skeleton, side: str, arm: Arm, chest: np.ndarray) ->
 
 
 def between(parent: np.ndarray, target: np.ndarray, along: np.ndarray, share: Number) -> np.ndarray:
-    """`target` with only a share of its twist about `along` against the twist-free rotation from `parent`."""
+    """Take `target` with only a share of its twist about `along` against the twist-free rotation from `parent`."""
     swing = smallest_turn(parent @ along, target @ along) @ parent
     return swing @ part_of(swing.T @ target, share)
 
@@ -177,7 +177,7 @@ def finger_rotations(skeleton: Skeleton, side: str, curl: Number, wrist: np.ndar
 
 
 def bone_rotations(skeleton: Skeleton, pose: Pose) -> dict[str, np.ndarray]:
-    """World rotations (against the rest pose) of the bones that a pose sets; the others follow their parents."""
+    """Compute world rotations (against the rest pose) of the bones that a pose sets; others follow their parents."""
     pelvis = about("y", pose.turn) @ about("x", pose.lean) @ about("z", -pose.tilt)
     rotations = {"root": pelvis}
     chest = pelvis
@@ -194,8 +194,10 @@ def bone_rotations(skeleton: Skeleton, pose: Pose) -> dict[str, np.ndarray]:
 
 
 def bone_transforms(skeleton: Skeleton, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """What a pose does to each bone: rotations [J, 3, 3] and offsets [J, 3], metres, so that a point p at rest goes to
-    rotation @ p + offset."""
+    """Compute what a pose does to each bone: rotations [J, 3, 3] and offsets [J, 3], metres.
+
+    A point p at rest goes to rotation @ p + offset.
+    """
     given = bone_rotations(skeleton, pose)
     turned = np.zeros((len(skeleton.names), 3, 3))
     heads = np.zeros_like(skeleton.heads)
@@ -209,7 +211,7 @@ def bone_transforms(skeleton: Skeleton, pose: Pose) -> tuple[np.ndarray, np.ndar
 
 
 def pose_vertices(vertices: np.ndarray, weights: np.ndarray, skeleton: Skeleton, pose: Pose) -> np.ndarray:
-    """Linear blend skinning: rest vertices [V, 3], weights [V, J] -> posed vertices [V, 3]."""
+    """Skin the body (linear blend): rest vertices [V, 3], weights [V, J] -> posed vertices [V, 3]."""
     turned, offsets = bone_transforms(skeleton, pose)
     blended = np.einsum("vj,jab->vab", weights, turned)
     return np.einsum("vab,vb->va", blended, vertices) + weights @ offsets

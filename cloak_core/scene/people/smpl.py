@@ -56,7 +56,7 @@ class SmplModel:
 
 
 def read_smpl(path: str | Path) -> SmplModel:
-    """A model file, .npz or the original .pkl (through a restricted unpickler, see `files.unpickling`).
+    """Read a model file, .npz or the original .pkl (through a restricted unpickler, see `files.unpickling`).
 
     Raises `InputError` naming arrays that are missing or of the wrong shape.
     """
@@ -112,7 +112,7 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
 
 
 def rotations(axis_angle: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation matrices of axis-angle vectors (radians)."""
+    """Convert axis-angle vectors (radians) to rotation matrices."""
     matrices = Rotation.from_rotvec(axis_angle.reshape(-1, 3)).as_matrix()
     return matrices.reshape(*axis_angle.shape, 3)
 
@@ -123,7 +123,7 @@ def pose_smpl(
     betas: Float[np.ndarray, "poses shapes"],
     translation: Float[np.ndarray, "poses 3"] | None = None,
 ) -> Float[np.ndarray, "poses vertices 3"]:
-    """Vertices in metres, float32.
+    """Pose the model: vertices in metres, float32.
 
     poses: axis-angle of every joint [P, 3 J] in radians; betas: [P, S'] with S' at most the model's S.
     """
@@ -141,7 +141,10 @@ def pose_smpl(
 
 
 def pose_batch(model: SmplModel, turned: np.ndarray, betas: np.ndarray) -> np.ndarray:
-    """[B, V, 3] for rotations [B, J, 3, 3]. Sums run coordinate by coordinate over [V, B], as large matrix products."""
+    """Pose rotations [B, J, 3, 3]: vertices [B, V, 3].
+
+    Sums run coordinate by coordinate over [V, B], as large matrix products.
+    """
     count, j = turned.shape[:2]
     joints = (betas @ model.joint_basis[: betas.shape[1]] + model.joints).reshape(count, j, 3)
     # World rotation and position of every joint along the tree, then the map of the rest pose into it.
@@ -177,7 +180,7 @@ def import_smpl(
     every: int = 1,
     limit: int | None = None,
 ) -> Bodies:
-    """Bodies of one SMPL model in the poses of a file (see `scene.people.smpl_poses.read_poses` for its kinds).
+    """Import bodies of one SMPL model in the poses of a file (`scene.people.smpl_poses.read_poses` has its kinds).
 
     every, limit: take each n-th pose, at most so many. Raises `InputError` for what does not fit together or would not
     fit into memory.

@@ -36,7 +36,7 @@ class PoseSequence:
 
 
 def read_poses(path: Path, joint_count: int) -> PoseSequence:
-    """Poses for a model of `joint_count` joints.
+    """Read poses for a model of `joint_count` joints.
 
     .npz: AMASS, `poses` [P, 3 J'] with optional `betas` [S] or [P, S] and `trans` [P, 3]; z is up there.
     .mat: SURREAL's _info files, `pose` [72, P] and `shape` [10, P].
@@ -114,7 +114,7 @@ def numbers(path: Path, name: str, values: object, ranks: tuple[int, ...] = (2,)
 
 
 def convert_joints(path: Path, poses: np.ndarray, joint_count: int) -> np.ndarray:
-    """Poses [P, 3 J'] of any model of the family as poses [P, 3 J]."""
+    """Convert poses [P, 3 J'] of any model of the family to poses [P, 3 J]."""
     width = poses.shape[1]
     if width == 3 * joint_count:
         return poses
