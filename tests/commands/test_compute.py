@@ -53,8 +53,7 @@ def test_training_leaves_the_process_as_it_was(tmp_path, threads, monkeypatch):
 @pytest.mark.parametrize("command", ["Train", "Evaluate", "Demo", "Check", "Heatmap", "Reproduce"])
 def test_commands_prepare_their_process_before_anything_else(command, tmp_path, monkeypatch):
     from cloak_core.attack.settings import make_settings
-    from cloak_core.commands import demo, detectors, evaluate, logo, reproduce
-    from cloak_core.commands import train as training
+    from cloak_core.commands import detectors, logo, options, reproduce
 
     wanted = ComputeSettings(threads=3)
     made = {
@@ -73,8 +72,7 @@ def test_commands_prepare_their_process_before_anything_else(command, tmp_path, 
         assert settings == wanted
         raise Prepared
 
-    for module in (training, evaluate, demo, detectors, logo, reproduce):
-        monkeypatch.setattr(module, "prepare_process", prepare)
+    monkeypatch.setattr(options, "prepare_process", prepare)
     with pytest.raises(Prepared):
         made.run()
 
