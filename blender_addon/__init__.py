@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cloak in Blender: pick faces of a character, train their colours in a process outside, see them on the model.
+"""Cloak in Blender: choose faces of a body, train their colours in a separate process, show them on the body.
 
 Packages by the panel's steps: `body`, `logo`, `poses`, `training`, `result`; each has plain functions over Blender's
 data, its operators, the reasons why they cannot run now, and its panels. Below them `blender` (meshes, colours and
@@ -15,50 +15,42 @@ import bpy
 from . import properties, translations
 from .body import operators as body_operators
 from .body import panel as body_panel
-from .logo import drag_stamp, heat, overlay, paint, pick, stamp_operators, tools
+from .logo import heat, overlay, paint, pick, stamp_operators
 from .logo import operators as logo_operators
 from .logo import panel as logo_panel
 from .poses import panel as poses_panel
-from .result import evaluate, eye, eye_drawing, judge_panels, output_operators, ring, wear
+from .result import evaluate, eye, eye_drawing, outputs, ring, wear
 from .result import operators as result_operators
 from .result import panel as result_panel
 from .session import session
-from .trainer import install_operators, jobs, preferences
-from .training import detectors, run_list, run_operators, run_panels
+from .trainer import jobs, preferences
+from .trainer import operators as trainer_operators
+from .training import detectors, run_list
 from .training import operators as training_operators
 from .training import panel as training_panel
 from .ui import thumbnails
 
 WITH_CLASSES = (
-    *(preferences, install_operators, body_operators, logo_operators, pick, paint, stamp_operators, drag_stamp, heat),
-    *(detectors, training_operators, run_operators, result_operators, evaluate, output_operators),
-    *(body_panel, logo_panel, poses_panel, training_panel, run_panels, result_panel, judge_panels, wear),
+    *(trainer_operators, body_operators, logo_operators, pick, paint, stamp_operators, heat),
+    *(detectors, training_operators, result_operators, evaluate, outputs),
+    *(body_panel, logo_panel, poses_panel, training_panel, result_panel, wear),
 )
-"""Modules whose classes Blender is told of, in the order in which panels stand."""
-KINDS = (bpy.types.Operator, bpy.types.Panel, bpy.types.UIList, bpy.types.AddonPreferences)
+"""Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list, thumbnails)
-"""What has something to register before the classes."""
-WATCHERS = (overlay, ring, eye, eye_drawing, tools, translations)
-"""The same after them."""
+"""Modules that register something before the classes."""
+WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, eye_drawing.HOOKS, paint, translations)
+"""Objects that register something after the classes."""
 
 
-def _classes() -> tuple[type, ...]:
-    """Of the modules above, what is named for Blender, in the order of its definition."""
-    named = ((module, *pair) for module in WITH_CLASSES for pair in vars(module).items())
-    return tuple(
+CLASSES = (
+    preferences.CloakPreferences,
+    *(
         cls
-        for module, name, cls in named
-        if (
-            isinstance(cls, type)
-            and issubclass(cls, KINDS)
-            and cls.__module__ == module.__name__
-            and name.startswith("CLOAK_")
-        )
-        or cls is preferences.CloakPreferences
-    )
-
-
-CLASSES = _classes()
+        for module in WITH_CLASSES
+        for name, cls in vars(module).items()
+        if name.startswith("CLOAK_") and cls.__module__ == module.__name__
+    ),
+)
 
 
 def register() -> None:

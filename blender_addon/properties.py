@@ -8,17 +8,13 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 from bpy.props import (
-    BoolProperty,
     CollectionProperty,
     EnumProperty,
-    FloatProperty,
-    IntProperty,
     PointerProperty,
-    StringProperty,
 )
 
 from .blender import blend_paths
-from .blender.blend_paths import RELATIVE, absolute, blend_folder
+from .blender.blend_paths import absolute, blend_folder
 from .blender.colors import set_look
 from .blender.faces import is_logo, logo_names
 from .files.errors import InputError
@@ -28,34 +24,8 @@ from .session import session
 from .trainer.command_lines import TrainRequest
 from .trainer.preferences import user_folder
 from .training.detectors import CloakDetector, existing, take_over, trained_against
-
-
-def _share(name: str, description: str, default: float, least: float = 0.0, most: float = 1.0) -> object:
-    return FloatProperty(name=name, description=description, default=default, min=least, max=most, subtype="FACTOR")
-
-
-def _path(name: str, description: str, subtype: str = "FILE_PATH") -> object:
-    return StringProperty(name=name, description=description, subtype=subtype, options={"ANIMATABLE"} | RELATIVE)
-
-
-def _text(name: str, description: str, default: str = "") -> object:
-    return StringProperty(name=name, description=description, default=default)
-
-
-def _earlier(default: str = "") -> object:
-    return StringProperty(default=default, options={"HIDDEN"})
-
-
-def _switch(name: str, description: str, default: bool = False) -> object:
-    return BoolProperty(name=name, description=description, default=default)
-
-
-def _whole(name: str, description: str, default: int, **bounds: int) -> object:
-    return IntProperty(name=name, description=description, default=default, **bounds)
-
-
-def _choice(name: str, description: str, *items: tuple[str, str, str]) -> object:
-    return EnumProperty(name=name, description=description, items=items)
+from .ui import props
+from .ui.window import Hooks
 
 
 def _logo_index(self: CloakObject) -> int:
@@ -89,7 +59,7 @@ def _look_chosen(self: CloakSettings, context: bpy.types.Context) -> None:
 
 @persistent
 def give_runs_back(*_: object) -> None:
-    """After undo and redo: a training goes on whatever is undone, so objects keep theirs."""
+    """After undo and redo: restore each object's run, because its training continues."""
     for obj in bpy.data.objects:
         run = session.given_runs.get(obj.session_uid)
         if run is not None and obj.library is None and obj.cloak.run != run:
@@ -99,105 +69,99 @@ def give_runs_back(*_: object) -> None:
 class CloakObject(bpy.types.PropertyGroup):
     """What Cloak keeps on an object."""
 
-    logo: _text("Logo", "Name of the active logo of this object")
-    logo_index: IntProperty(
-        name="Active Logo",
-        description="Position of the active logo among the mesh's attributes",
-        get=_logo_index,
-        set=_set_logo_index,
+    logo: props.text("Logo", "Name of the active logo of this object")
+    logo_index: props.whole(
+        "Active Logo", "Position of the active logo among the mesh's attributes", get=_logo_index, set=_set_logo_index
     )
-    run: StringProperty(
-        name="Run Folder",
-        description="Folder of the training whose colours this object wears, or will wear",
-        subtype="DIR_PATH",
-        options={"ANIMATABLE"} | RELATIVE,
+    run: props.path(
+        "Run Folder",
+        "Folder of the training whose colours this object wears, or will wear",
+        "DIR_PATH",
         update=_remember_run,
     )
-    run_place: _text("Run's Place", "The run folder as it lies on the disk, should the file be appended to another")
-    worn: _text("Worn Run", "Folder of the run whose colours are on the model")
-    left_out: BoolProperty(
-        name="Leave Out",
-        description="The camera does not see this piece, in training, judging and films",
-        default=False,
-        update=_scene_changed,
+    run_place: props.text(
+        "Run's Place", "The run folder as it lies on the disk, should the file be appended to another"
     )
-    verdict: _text("Render Check", "What the detector said about the Cycles renders")
-    made_from: _text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
+    worn: props.text("Worn Run", "Folder of the run whose colours are on the model")
+    left_out: props.switch(
+        "Leave Out", "The camera does not see this piece, in training, judging and films", update=_scene_changed
+    )
+    verdict: props.text("Render Check", "What the detector said about the Cycles renders")
+    made_from: props.text("Made From", "Of a sample body: which of Cloak's people it holds, and the hash of its faces")
 
 
 class CloakSettings(bpy.types.PropertyGroup):
     """What Cloak keeps on a scene."""
 
-    triangulate: _switch(
+    triangulate: props.switch(
         "Triangulate",
         "Also split every face into triangles, so that each triangle gets its own colour as in the paper",
         default=True,
     )
-    tint: _switch("Tint", "Tint the active logo's faces in the viewport", default=True)
+    tint: props.switch("Tint", "Tint the active logo's faces in the viewport", default=True)
 
-    stamp_kind: _choice(
+    stamp_kind: props.choice(
         "Stamp",
         "What to project onto the body",
         ("TEXT", "Text", "A letter or a word in Blender's font"),
         ("IMAGE", "Image", "The dark, opaque pixels of an image"),
         ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
     )
-    stamp_text: _text("Text", "Text to stamp", "G")
+    stamp_text: props.text("Text", "Text to stamp", "G")
     stamp_image: PointerProperty(
         name="Image", description="Image whose dark, opaque pixels are stamped", type=bpy.types.Image
     )
-    stamp_from: _choice(
+    stamp_from: props.choice(
         "From",
         "Where the stamp is projected from",
         ("FRONT", "Front", "Straight onto the body's front, placed by Size, Height and Offset"),
         ("VIEW", "View", "As you look at the body, in the middle of the viewport"),
     )
-    stamp_size: _share("Size", "Height of the stamp as a share of the body's height (or of the viewport's)", 0.2, 0.01)
-    stamp_center: _share("Height", "Middle of the stamp above the ground, as a share of the body's height", 0.72)
-    stamp_offset: _share(
+    stamp_size: props.share(
+        "Size", "Height of the stamp as a share of the body's height (or of the viewport's)", 0.2, 0.01
+    )
+    stamp_center: props.share("Height", "Middle of the stamp above the ground, as a share of the body's height", 0.72)
+    stamp_offset: props.share(
         "Offset", "Middle of the stamp to the right of the body's middle, as a share of the body's height", 0, -0.5, 0.5
     )
-    brush_radius: IntProperty(
-        name="Radius",
-        description="Radius of the brush that paints the logo, in pixels",
-        default=40,
-        min=1,
-        max=500,
-        subtype="PIXEL",
+    brush_radius: props.whole(
+        "Radius", "Radius of the brush that paints the logo, in pixels", 40, min=1, max=500, subtype="PIXEL"
     )
-    brush_mirror: _switch("Mirror", "Paint on the other side of the object's X = 0 plane as well")
-    heat_share: _share(
+    brush_mirror: props.switch("Mirror", "Paint on the other side of the object's X = 0 plane as well")
+    heat_share: props.share(
         "Share",
         "Share of the body's area that New from Heatmap takes, most sensitive faces for their size first",
         0.2,
         0.001,
     )
 
-    pose_source: _choice(
+    pose_source: props.choice(
         "Poses",
         "Which poses to train on",
         ("CURRENT", "Current Pose", "The body as it stands now"),
         ("RANGE", "Frame Range", "Every so many frames of the animation"),
         ("ACTIONS", "All Actions", "Every so many frames of each action that moves the body"),
     )
-    frame_start: _whole("Start", "First frame to export", 1)
-    frame_end: _whole("End", "Last frame to export", 12)
-    frame_step: _whole("Step", "Frames from one exported pose to the next", 1, min=1)
+    frame_start: props.whole("Start", "First frame to export", 1)
+    frame_end: props.whole("End", "Last frame to export", 12)
+    frame_step: props.whole("Step", "Frames from one exported pose to the next", 1, min=1)
 
     detectors: CollectionProperty(name="Detectors", description="The person detectors to hide from", type=CloakDetector)
-    detector_index: IntProperty(name="Detector", description="The detector that is chosen in the list")
+    detector_index: props.whole("Detector", "The detector that is chosen in the list")
     # How files of version 0.1 say it; `take_over` puts it into the list.
     detector: EnumProperty(
         items=[(name, name, "") for name in ("BUILTIN", "DARKNET", "TORCHVISION", "PYTHON")], options={"HIDDEN"}
     )
-    darknet_cfg: _earlier()
-    darknet_weights: _earlier()
-    torchvision_name: _earlier("fasterrcnn_mobilenet_v3_large_fpn")
-    torchvision_checkpoint: _earlier()
-    python_file: _earlier()
-    python_function: _earlier("load")
-    backgrounds: _path("Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH")
-    preset: _choice(
+    darknet_cfg: props.text("", "", options={"HIDDEN"})
+    darknet_weights: props.text("", "", options={"HIDDEN"})
+    torchvision_name: props.text("", "", "fasterrcnn_mobilenet_v3_large_fpn", options={"HIDDEN"})
+    torchvision_checkpoint: props.text("", "", options={"HIDDEN"})
+    python_file: props.text("", "", options={"HIDDEN"})
+    python_function: props.text("", "", "load", options={"HIDDEN"})
+    backgrounds: props.path(
+        "Backgrounds", "Folder of photographs without people; empty for procedural scenes", "DIR_PATH"
+    )
+    preset: props.choice(
         "Preset",
         "Which settings to train with",
         ("best", "Best", "What works best"),
@@ -205,33 +169,31 @@ class CloakSettings(bpy.types.PropertyGroup):
         ("paper", "Paper", "The settings of the paper"),
         ("reference", "Reference", "The settings of the paper's published code"),
     )
-    config: _path("Settings File", "TOML file with further settings of cloak train; empty for the preset's own")
-    angle_first: _whole("From", "First azimuth to train at, in degrees; 0 looks at the front", -10, min=-180, max=180)
-    angle_last: _whole("To", "Last azimuth to train at, in degrees", 10, min=-180, max=180)
-    angle_step: _whole("Step", "Degrees from one training azimuth to the next", 5, min=1, max=360)
-    steps: _whole("Steps", "Updates of the colours", 600, min=1, max=10_000_000)
-    device: _choice(
+    config: props.path("Settings File", "TOML file with further settings of cloak train; empty for the preset's own")
+    angle_first: props.whole(
+        "From", "First azimuth to train at, in degrees; 0 looks at the front", -10, min=-180, max=180
+    )
+    angle_last: props.whole("To", "Last azimuth to train at, in degrees", 10, min=-180, max=180)
+    angle_step: props.whole("Step", "Degrees from one training azimuth to the next", 5, min=1, max=360)
+    steps: props.whole("Steps", "Updates of the colours", 600, min=1, max=10_000_000)
+    device: props.choice(
         "Device", "What to train on", ("cpu", "CPU", "The processor"), ("cuda", "GPU", "An NVIDIA graphics card (CUDA)")
     )
-    output: _path(
+    output: props.path(
         "Output",
         "Folder that run folders are made in; empty for 'cloak runs' beside the .blend file, or for the add-on's own "
         "folder while the file was never saved",
         "DIR_PATH",
     )
-    look: EnumProperty(
-        name="Material",
-        description="What the cloak is shown with",
-        items=[
-            ("SEEN", "As Detectors Saw", "Unlit: every colour is the trained one, whatever the light"),
-            ("LOOKDEV", "Lookdev", "A matte cloth that light falls on: for pictures, not for judging"),
-        ],
+    look: props.choice(
+        "Material",
+        "What the cloak is shown with",
+        ("SEEN", "As Detectors Saw", "Unlit: every colour is the trained one, whatever the light"),
+        ("LOOKDEV", "Lookdev", "A matte cloth that light falls on: for pictures, not for judging"),
         update=_look_chosen,
     )
-    live: _switch("Live Colours", "Show the colours on the model while they are being trained", default=True)
-    live_seconds: FloatProperty(
-        name="Every", description="Seconds between live updates", default=3.0, min=0.5, max=600.0
-    )
+    live: props.switch("Live Colours", "Show the colours on the model while they are being trained", default=True)
+    live_seconds: props.number("Every", "Seconds between live updates", 3.0, min=0.5, max=600.0)
     judging: PointerProperty(name="Judging", description="How a cloak is judged", type=CloakJudging)
 
 
@@ -272,7 +234,10 @@ def output_folder(settings: CloakSettings) -> Path:
     return Path(absolute(settings.output))
 
 
-HANDLERS = (("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over))
+HOOKS = Hooks(
+    *blend_paths.HANDLERS,
+    *(("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over)),
+)
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 
 
@@ -281,15 +246,11 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Object.cloak = PointerProperty(type=CloakObject)
     bpy.types.Scene.cloak = PointerProperty(type=CloakSettings)
-    blend_paths.register()
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    HOOKS.register()
 
 
 def unregister() -> None:
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(handler)
-    blend_paths.unregister()
+    HOOKS.unregister()
     del bpy.types.Scene.cloak
     del bpy.types.Object.cloak
     for cls in reversed(CLASSES):

@@ -24,7 +24,7 @@ class Session:
     eye: Eye | None = None
     """The detector's eye that is open."""
     eye_closed_because: str = ""
-    """Why the last eye closed by itself; "" where it did not."""
+    """Error that closed the last eye; "" if there was none."""
     runs: dict[str, RunState] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
     runs_drawn: float = 0.0

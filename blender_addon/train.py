@@ -34,13 +34,21 @@ if not __package__:
 
 from . import properties
 from .blender.faces import import_face_list, logo_names
-from .body.objects import add_from_scene, require_body, subdivide
+from .body.objects import require_body, subdivide
+from .body.samples import add_from_scene
 from .exchange.scenes import read_scene
 from .files.errors import InputError
 from .poses.export import export, read_export
 from .poses.poses import PoseChoice
 from .result import render_check
-from .trainer.command_lines import TrainRequest, absolute_detector, differing_options, sample_command, train_command
+from .trainer.command_lines import (
+    TrainRequest,
+    absolute_detector,
+    cloak_command,
+    differing_options,
+    sample_words,
+    train_command,
+)
 from .trainer.jobs import Job, TrainingJob
 from .trainer.python import find_python
 from .training import runs
@@ -50,7 +58,7 @@ PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
 
 
 class Stopped(Exception):
-    """The training ended early, in order."""
+    """The training was stopped before its last step, with a valid checkpoint."""
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -157,7 +165,7 @@ def _only_body(logo: str) -> bpy.types.Object | None:
 def fetch_sample(python: str, folder: Path) -> Path:
     """The sample bodies' scene package, from the trainer."""
     scene = folder / "sample"
-    job = Job("Sample body", [sample_command(python, scene)], folder, "sample").wait()
+    job = Job("Sample body", [cloak_command(python, *sample_words(scene))], folder, "sample").wait()
     if job.state != "done":
         raise InputError(job.message)
     return scene
@@ -170,7 +178,7 @@ def require_writable(path: Path | None, option: str) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Everything, in order."""
+    """Parse the options, export, train, and save the result."""
     options = parse(arguments)
     run = options.out.absolute()
     if not options.resume and run.exists():
@@ -240,7 +248,7 @@ def train(
 
 
 def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> None:
-    """Colours onto the body, the .blend, the preview."""
+    """Apply the colours, save the .blend file, render the preview."""
     result = runs.import_colors(bpy.context, obj, run)
     say(f"{len(result.face_ids)} faces of '{obj.name}' wear the trained colours")
     if options.save:
@@ -278,7 +286,7 @@ def run_as_script(arguments: list[str]) -> int:
 
 
 def leave(code: int) -> None:
-    """End this process with an exit code, also where nobody reads its words any more."""
+    """Exit with a code, also if standard output is closed."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(BrokenPipeError):
             stream.flush()

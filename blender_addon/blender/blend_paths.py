@@ -12,8 +12,6 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
-"""Options of path properties: the file browser may put in "//" paths. Older Blenders always let it."""
 _while_saving: dict[int, tuple[object, dict[str, str]]] = {}
 """Absolute paths by their owner (its address) while a file is being written."""
 
@@ -24,7 +22,7 @@ def absolute(path: str) -> str:
 
 
 def blend_folder() -> Path | None:
-    """Where the open file lies; None while it was never saved."""
+    """Return the folder of the open file; None if the file was never saved."""
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
 
@@ -37,7 +35,7 @@ def first_free(folder: Path, name: str, suffix: str = "", beside: str = "") -> P
 
 
 def portable(path: str, folder: Path | None) -> str:
-    """An absolute path as a file in `folder` keeps it: "//..." when it lies there or below."""
+    """Write an absolute path relative to `folder` ("//...") if it lies in it."""
     if folder is None or not path or not Path(path).is_relative_to(folder):
         return path
     return "//" + Path(path).relative_to(folder).as_posix()
@@ -56,7 +54,7 @@ def _path_names(owner: bpy.types.PropertyGroup) -> list[str]:
 
 @persistent
 def before_saving(file: str, _: object = None) -> None:
-    """Paths as the file that is about to be written needs them; what they mean stays."""
+    """Before saving: rewrite paths relative to the folder of the file to be written."""
     folder = Path(file).parent if file else None
     _while_saving.clear()
     for owner in _owners():
@@ -68,7 +66,7 @@ def before_saving(file: str, _: object = None) -> None:
 
 @persistent
 def after_saving(*_: object) -> None:
-    """Paths as the file that is open now needs them: it may be another one than was written (a copy)."""
+    """After saving: rewrite paths relative to the open file, which may differ from the written one (a copy)."""
     for owner, paths in _while_saving.values():
         _write(owner, paths, blend_folder())
     _while_saving.clear()
@@ -82,13 +80,3 @@ def _write(owner: bpy.types.PropertyGroup, paths: dict[str, str], folder: Path |
 
 
 HANDLERS = (("save_pre", before_saving), ("save_post", after_saving), ("save_post_fail", after_saving))
-
-
-def register() -> None:
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
-
-
-def unregister() -> None:
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(handler)

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ..files.errors import InputError
+from ..ui.window import areas
 from .mesh_arrays import corner_counts, image_pixels, mean_of_corners, read, sync, write_attribute
 
 CLOAK = "Cloak"
@@ -20,7 +21,7 @@ SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
 """The materials that show it: unlit, so that every colour is the trained one, or lit as cloth."""
 OUTFIT = "Outfit"
-"""The same for the plain clothing of bodies made from a scene package."""
+"""Name of the colour attribute that holds the plain clothing of bodies from a scene package."""
 HEATMAP = "Cloak Heatmap"
 HEAT = "cloak_heat"
 """Float face attribute: the last heat map."""
@@ -29,6 +30,8 @@ SLOTS = "material_index"
 OWN_MATERIAL = "cloak_own_material"
 """Integer face attribute: the material slot each face had before it was dressed."""
 GREY = 0.5
+HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
+"""sRGB from no heat to the most."""
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -68,7 +71,7 @@ def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
     values = read(attribute.data, "color", 4)[:, :3]
     if attribute.domain == "POINT":
         values = values[read(obj.data.loops, "vertex_index", dtype=np.int32)]
-    return linear_to_srgb(mean_of_corners(obj.data, values))
+    return linear_to_srgb(mean_of_corners(corner_counts(obj.data), values))
 
 
 def cloak_colors(obj: bpy.types.Object, face_ids: np.ndarray, colors: np.ndarray) -> np.ndarray:
@@ -84,10 +87,8 @@ def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str 
         name = OUTFIT
     if name is not None:
         activate(obj, name)
-    for window in context.window_manager.windows if context.window_manager else ():
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.spaces.active.shading.color_type = "VERTEX" if name else "MATERIAL"
+    for _, area in areas("VIEW_3D"):
+        area.spaces.active.shading.color_type = "VERTEX" if name else "MATERIAL"
 
 
 def activate(obj: bpy.types.Object, name: str) -> None:
@@ -125,13 +126,19 @@ def attribute_material(name: str, title: str = "") -> bpy.types.Material:
         return material
     material = bpy.data.materials.new(title or name)
     nodes, links = nodes_of(material)
+    source = base_color_from(nodes, links, "ShaderNodeVertexColor")
+    source.layer_name = name
+    return material
+
+
+def base_color_from(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, kind: str) -> bpy.types.Node:
+    """A new node that gives a matte material its base colour."""
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = 0.6
-    source = nodes.new("ShaderNodeVertexColor")
-    source.layer_name = name
-    source.location = (shader.location.x - 220, shader.location.y)
+    source = nodes.new(kind)
+    source.location = (shader.location.x - 320, shader.location.y)
     links.new(source.outputs["Color"], shader.inputs["Base Color"])
-    return material
+    return source
 
 
 def cloak_material(look: str) -> bpy.types.Material:
@@ -170,9 +177,12 @@ def dress(obj: bpy.types.Object, face_ids: np.ndarray) -> None:
     """Give the logo's faces the cloak material and remember the slot each face had before."""
     undress(obj)
     mesh = obj.data
-    slot = _slot_of(mesh, cloak_material(bpy.context.scene.cloak.look))
+    if not mesh.materials:
+        mesh.materials.append(None)  # faces without a material use slot 0, which must stay plain
+    if _cloak_slot(mesh) is None:
+        mesh.materials.append(cloak_material(bpy.context.scene.cloak.look))
     set_look(obj, bpy.context.scene.cloak.look)
-    slots = _read_slots(mesh)
+    slots, slot = _read_slots(mesh), _cloak_slot(mesh)
     write_attribute(mesh, OWN_MATERIAL, "INT", slots)
     slots[face_ids] = slot
     write_attribute(mesh, SLOTS, "INT", slots)
@@ -187,9 +197,7 @@ def undress(obj: bpy.types.Object) -> None:
 def is_dressed(obj: bpy.types.Object) -> bool:
     """Whether some faces wear the cloak material."""
     slot = _cloak_slot(obj.data)
-    if slot is None:
-        return False
-    return bool((_read_slots(obj.data) == slot).any())
+    return slot is not None and bool((_read_slots(obj.data) == slot).any())
 
 
 def lost_its_cloak(obj: bpy.types.Object) -> bool:
@@ -198,13 +206,9 @@ def lost_its_cloak(obj: bpy.types.Object) -> bool:
     return _cloak_slot(mesh) is None or OWN_MATERIAL not in mesh.attributes or CLOAK not in mesh.color_attributes
 
 
-def own_material_slots(obj: bpy.types.Object) -> np.ndarray:
-    """[F] int32: each face's material slot, without the cloak."""
-    return own_slots_of(obj, obj.data)
-
-
-def own_slots_of(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> np.ndarray:
-    """The same, read from a copy of the object's mesh, which has no materials of its own."""
+def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None) -> np.ndarray:
+    """[F] int32: each face's material slot, without the cloak; read from a copy of the object's mesh, where given."""
+    mesh = mesh or obj.data
     slots = _read_slots(mesh)
     slot, own = _cloak_slot(obj.data), mesh.attributes.get(OWN_MATERIAL)
     if slot is not None and own is not None and len(own.data) == len(slots):
@@ -223,20 +227,8 @@ def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
-    for index, material in enumerate(mesh.materials):
-        if material is not None and _shows_attribute(material, CLOAK):
-            return index
-    return None
-
-
-def _slot_of(mesh: bpy.types.Mesh, material: bpy.types.Material) -> int:
-    if not mesh.materials:
-        mesh.materials.append(None)  # faces without a material use slot 0, which must stay plain
-    index = _cloak_slot(mesh)
-    if index is None:
-        mesh.materials.append(material)
-        index = len(mesh.materials) - 1
-    return index
+    shown = (index for index, m in enumerate(mesh.materials) if m is not None and _shows_attribute(m, CLOAK))
+    return next(shown, None)
 
 
 def dress_in_outfits(obj: bpy.types.Object, outfits: np.ndarray) -> None:
@@ -312,7 +304,7 @@ def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | 
         return None
     pixels = image_pixels(image)
     pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    middle = np.nan_to_num(mean_of_corners(mesh, read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
+    middle = np.nan_to_num(mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
     x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
     y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
     texels = pixels[y, x]
@@ -326,10 +318,9 @@ def heat_colors(heat: np.ndarray) -> np.ndarray:
     """[F] heat to [F, 3] sRGB: dark blue through magenta and orange to pale yellow; the hottest 1 % saturate."""
     top = float(np.quantile(heat, 0.99)) if heat.size else 0.0
     level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
-    stops = np.array(
-        [(0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75)]
+    return np.stack(
+        [np.interp(level, np.linspace(0, 1, len(channel)), channel) for channel in np.transpose(HEAT_STOPS)], -1
     )
-    return np.stack([np.interp(level, np.linspace(0, 1, len(stops)), stops[:, c]) for c in range(3)], -1)
 
 
 # --- view transform --------------------------------------------------------------------------------------------------
@@ -337,17 +328,13 @@ def heat_colors(heat: np.ndarray) -> np.ndarray:
 
 def view_transform_reason(scene: bpy.types.Scene) -> str:
     """Why the scene's colour management will not show the trained colours as the detector saw them; "" when it will."""
-    view = scene.view_settings
-    if scene.display_settings.display_device != "sRGB":
-        return f"Display device '{scene.display_settings.display_device}' does not show the trained colours"
+    view, device = scene.view_settings, scene.display_settings.display_device
+    if device != "sRGB":
+        return f"Display device '{device}' does not show the trained colours"
     if view.view_transform != "Standard":
         return f"View transform '{view.view_transform}' does not show the trained colours"
-    if (
-        view.look not in ("None", "")
-        or abs(view.exposure) > 1e-6
-        or abs(view.gamma - 1) > 1e-6
-        or view.use_curve_mapping
-    ):
+    changed = view.look not in ("None", "") or abs(view.exposure) > 1e-6 or abs(view.gamma - 1) > 1e-6
+    if changed or view.use_curve_mapping:
         return "Look, exposure, gamma or curves change the trained colours"
     return ""
 

@@ -7,21 +7,18 @@ in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polyg
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import bmesh
 import bpy
 import numpy as np
+from mathutils import Euler
+from mathutils.kdtree import KDTree
 
-from ..body.objects import topology
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from . import mesh_arrays as arrays
-from .symmetry import nearest_within
+from .mesh_arrays import topology
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
 """Boolean face attributes that Blender itself keeps."""
@@ -42,15 +39,30 @@ def logo_names(mesh: bpy.types.Mesh) -> list[str]:
     return [attribute.name for attribute in mesh.attributes if is_logo(attribute)]
 
 
+def active_logo(obj: bpy.types.Object) -> str:
+    """Name of the logo that is active in the list; `InputError` when the mesh has none."""
+    names = logo_names(obj.data)
+    if not names:
+        raise InputError(f"'{obj.name}' has no logo: select faces in Edit Mode and press New from Selection")
+    return obj.cloak.logo if obj.cloak.logo in names else names[0]
+
+
+def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
+    """Read the mask [F] of a logo, or of several joined by "+"; names that the object does not have are skipped."""
+    found = [read_faces(obj, name) for name in _parts(obj, logo) if name in logo_names(obj.data)]
+    return np.logical_or.reduce([np.zeros(arrays.face_count(obj), bool), *found])
+
+
+def _parts(obj: bpy.types.Object, logo: str) -> list[str]:
+    return [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
+
+
 def require_logo(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask of a logo that exists on `obj` and has faces; several names may be joined by "+"."""
-    names = [name] if name in logo_names(obj.data) else [part.strip() for part in name.split("+")]
-    mask = np.zeros(0, bool)
-    for part in names:
+    for part in _parts(obj, name):
         if part not in logo_names(obj.data):
             raise InputError(_missing(obj, part))
-        faces = read_faces(obj, part)
-        mask = faces if not mask.size else mask | faces
+    mask = logo_mask(obj, name)
     if not mask.any():
         raise InputError(f"Logo '{name}' is empty: select faces in Edit Mode and press Assign")
     return mask
@@ -67,24 +79,6 @@ def _missing(obj: bpy.types.Object, name: str) -> str:
 # --- reading and writing, in both modes ------------------------------------------------------------------------------
 
 
-HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")
-"""Blender before 4.4 gives Python no boolean layers in Edit Mode; there, Edit Mode is left for a moment."""
-
-
-@contextmanager
-def _object_mode(obj: bpy.types.Object) -> Iterator[None]:
-    """Object Mode during the block; selection and hiding come along."""
-    editing = obj.mode == "EDIT"
-    if editing:
-        arrays.edited(obj)
-        bpy.ops.object.mode_set(mode="OBJECT")
-    try:
-        yield
-    finally:
-        if editing:
-            bpy.ops.object.mode_set(mode="EDIT")
-
-
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
     with arrays.current_mesh(obj) as mesh:
@@ -93,44 +87,18 @@ def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Set the logo `name` to `mask`, making it where there is none."""
-    mesh = obj.data
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        layers = bmesh.from_edit_mesh(mesh).faces.layers.bool
-        old = read_faces(obj, name) if layers.get(name) else np.zeros(len(mask), bool)
-        for flag in (True, False):
-            _write_edited(obj, name, (mask != old) & (mask == flag), flag)
-        return
-    with _object_mode(obj):
-        arrays.write_attribute(mesh, name, "BOOLEAN", mask)
+    with arrays.object_mode(obj):
+        arrays.write_attribute(obj.data, name, "BOOLEAN", mask)
 
 
 def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Add the faces of `mask` to the logo `name`."""
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        _write_edited(obj, name, mask, True)
-    else:
-        write_faces(obj, name, read_faces(obj, name) | mask)
+    write_faces(obj, name, read_faces(obj, name) | mask)
 
 
 def remove_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Take the faces of `mask` out of the logo `name`."""
-    logo = read_faces(obj, name)
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        _write_edited(obj, name, mask & logo, False)
-    else:
-        write_faces(obj, name, logo & ~mask)
-
-
-def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray, flag: bool) -> None:
-    """Set the flag of a mask's faces alone: Python takes each face by itself."""
-    if not mask.any() and name in obj.data.attributes:
-        return
-    bm = bmesh.from_edit_mesh(obj.data)
-    layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
-    for face in itertools.compress(bm.faces, mask.tolist()):
-        face[layer] = flag
-    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    arrays.edited(obj)
+    write_faces(obj, name, read_faces(obj, name) & ~mask)
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
@@ -162,7 +130,7 @@ def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
 
 
 def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
-    """Only what is selected now, or will be, is touched: Python takes each element by itself."""
+    """Select faces in Edit Mode; only elements that change are visited, because Python visits each one."""
     bm = bmesh.from_edit_mesh(obj.data)
     kinds = ("vertices", "edges", "polygons")
     with arrays.current_mesh(obj) as mesh:
@@ -207,33 +175,22 @@ def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:
 
 def remove_logo(obj: bpy.types.Object, name: str) -> None:
     """Take the logo off the mesh; its faces stay as they are."""
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        layers = bmesh.from_edit_mesh(obj.data).faces.layers.bool
-        layers.remove(layers[name])
-        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-        arrays.edited(obj)
-        return
-    with _object_mode(obj):
+    with arrays.object_mode(obj):
         obj.data.attributes.remove(obj.data.attributes[name])
 
 
 def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """The faces of `mask` and all that share a corner with them."""
-    with arrays.current_mesh(obj) as now:
-        loop_total, loop_vertices = arrays.polygon_loops(now)
-        touched = np.zeros(len(now.vertices), bool)
-    touched[loop_vertices[np.repeat(mask, loop_total)]] = True
-    return _any_corner(touched[loop_vertices], loop_total)
+    with arrays.current_mesh(obj) as mesh:
+        counts, loops = arrays.polygon_loops(mesh)
+        touched = np.zeros(len(mesh.vertices), bool)
+    touched[loops[np.repeat(mask, counts)]] = True
+    return np.logical_or.reduceat(touched[loops], np.cumsum(counts) - counts)
 
 
 def shrink(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """The faces of `mask` that share no corner with a face outside it."""
     return ~grow(obj, ~mask)
-
-
-def _any_corner(corners: np.ndarray, loop_total: np.ndarray) -> np.ndarray:
-    face_of_corner = np.repeat(np.arange(len(loop_total)), loop_total)
-    return np.bincount(face_of_corner, corners, len(loop_total)) > 0
 
 
 def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
@@ -242,16 +199,26 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
     with arrays.current_mesh(obj) as mesh:
-        centers, areas = (
-            arrays.face_centers(arrays.vertex_points(mesh), *arrays.polygon_loops(mesh)),
-            arrays.read(mesh.polygons, "area"),
-        )
+        centers = arrays.face_centers(arrays.vertex_points(mesh), *arrays.polygon_loops(mesh))
+        areas = arrays.read(mesh.polygons, "area")
     ids = np.flatnonzero(mask)
     reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
     opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)
     mirrored = np.zeros(len(centers), bool)
     mirrored[opposite[opposite >= 0]] = True
     return mirrored, int((opposite < 0).sum())
+
+
+def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    """[Q] index of the point [N, 3] nearest to each query [Q, 3] within its own reach [Q]; -1 where there is none."""
+    # Blender's tree takes quadratic time where many coordinates are equal, as on a regular mesh: turned, none are.
+    turn = np.array(Euler((0.5, 0.7, 1.1)).to_matrix())
+    tree = KDTree(len(points))
+    for index, point in enumerate((points @ turn).tolist()):
+        tree.insert(point, index)
+    tree.balance()
+    found = [tree.find(query) for query in (queries @ turn).tolist()]
+    return np.array([index if away <= most else -1 for (_, index, away), most in zip(found, reach, strict=True)], int)
 
 
 # --- face lists ----------------------------------------------------------------------------------------------------
@@ -277,62 +244,9 @@ def import_face_list(obj: bpy.types.Object, path: Path) -> str:
     return new_logo(obj, path.stem, mask)
 
 
-# --- figures ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class LogoStats:
-    """What the panel says about a logo. Areas in square metres of the object's rest shape, scaled by its transform."""
-
-    faces: int
-    hidden: int
-    area: float
-    whole_area: float
-    """Of the body's surface."""
-    projected_area: float
-    """Of the faces turned to the front, as seen from there (occlusion aside)."""
-    whole_projected_area: float
-    """The same figure for the whole body."""
-    covered: tuple[tuple[str, float], ...] = ()
-    """Pieces that do not wear the logo and cover some of it from the front: their names, and the share of it."""
-
-    @property
-    def area_share(self) -> float:
-        """Of the body's surface, 0 to 1."""
-        return self.area / max(self.whole_area, 1e-12)
-
-    @property
-    def projected_share(self) -> float:
-        """Of the body as seen from the front, 0 to 1."""
-        return self.projected_area / max(self.whole_projected_area, 1e-12)
-
-    def __add__(self, other: LogoStats) -> LogoStats:
-        """Of two objects that wear the logo together."""
-        return LogoStats(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-
-def logo_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
-    """Counts and areas of a logo."""
-    with arrays.current_mesh(obj) as mesh:
-        vectors, polygon = _area_vectors(mesh, obj)
-        hidden = arrays.hidden_faces(mesh)
-    areas = np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mask))
-    # The front looks along +y, so front faces have normals along -y.
-    frontal = np.maximum(np.bincount(polygon, -vectors[:, 1], len(mask)), 0)
-    square = bpy.context.scene.unit_settings.scale_length**2
-    sums = (values.sum() * square for values in (areas[mask], areas, frontal[mask], frontal))
-    return LogoStats(int(mask.sum()), int((mask & hidden).sum()), *map(float, sums))
-
-
 def face_areas(obj: bpy.types.Object) -> np.ndarray:
     """[F] areas in world space: sums over triangles, as the trainer counts them."""
     with arrays.current_mesh(obj) as mesh:
-        vectors, polygon = _area_vectors(mesh, obj)
-        return np.bincount(polygon, np.linalg.norm(vectors, axis=1), len(mesh.polygons))
-
-
-def _area_vectors(mesh: bpy.types.Mesh, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Each triangle's normal times its area in world space, [T, 3], and the face it is part of, [T]."""
-    points = arrays.to_world(arrays.vertex_points(mesh), np.array(obj.matrix_world))
-    points -= points.mean(0)  # so that half the digits are enough, wherever the body stands
-    return arrays.triangle_vectors(mesh, points.astype(np.float32))
+        points = arrays.to_world(arrays.vertex_points(mesh), np.array(obj.matrix_world))
+        corners, face = arrays.mesh_triangles(mesh)
+        return np.bincount(face, arrays.triangle_areas(points, corners), len(mesh.polygons))

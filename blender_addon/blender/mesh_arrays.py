@@ -13,6 +13,8 @@ import bmesh
 import bpy
 import numpy as np
 
+from ..exchange.bodies import topology_hash
+
 
 def sync(obj: bpy.types.Object) -> None:
     """Bring the mesh up to date with Edit Mode: `foreach_get` reads stale data otherwise."""
@@ -61,6 +63,20 @@ def bmesh_of(obj: bpy.types.Object) -> Iterator[bmesh.types.BMesh]:
 def edited(obj: bpy.types.Object) -> None:
     """The mesh in Edit Mode was changed: `current_mesh` makes a new copy."""
     _open.pop(obj.session_uid, None)
+
+
+@contextmanager
+def object_mode(obj: bpy.types.Object) -> Iterator[None]:
+    """Leave Edit Mode during the block: writing a million values there takes Python as long as leaving it does."""
+    editing = obj.mode == "EDIT"
+    if editing:
+        edited(obj)
+        bpy.ops.object.mode_set(mode="OBJECT")
+    try:
+        yield
+    finally:
+        if editing:
+            bpy.ops.object.mode_set(mode="EDIT")
 
 
 def face_count(obj: bpy.types.Object) -> int:
@@ -117,6 +133,12 @@ def polygon_loops(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
     return corner_counts(mesh), _of_corners(mesh, ".corner_vert", "vertex_index")
 
 
+def topology(obj: bpy.types.Object) -> str:
+    """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
+    with current_mesh(obj) as mesh:
+        return topology_hash(len(mesh.vertices), *polygon_loops(mesh))
+
+
 def corner_edges(mesh: bpy.types.Mesh) -> np.ndarray:
     """[C] int32: the edge from each corner to the next."""
     return _of_corners(mesh, ".corner_edge", "edge_index")
@@ -134,117 +156,31 @@ def corner_counts(mesh: bpy.types.Mesh) -> np.ndarray:
     return np.diff(read(mesh.polygons, "loop_start", dtype=np.int32), append=np.int32(len(mesh.loops)))
 
 
-def corners_by_size(counts: np.ndarray, loops: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Faces [n] with as many corners each, and their vertices [n, size]; one size after the other."""
-    starts = np.cumsum(counts) - counts
-    for size in np.flatnonzero(np.bincount(counts)):
-        faces = np.flatnonzero(counts == size)
-        yield faces, loops[starts[faces][:, None] + np.arange(size)]
-
-
 def face_centers(points: np.ndarray, counts: np.ndarray, loops: np.ndarray) -> np.ndarray:
-    """[P, 3] means of the faces' corners, as Blender's own centres are, which take it twice as long."""
-    centers = np.empty((len(counts), 3), points.dtype)
-    for faces, corners in corners_by_size(counts, loops):
-        centers[faces] = sum((points[corner] for corner in corners.T[1:]), points[corners[:, 0]]) / corners.shape[1]
-    return centers
+    """[P, 3] means of the faces' corners, from points [V, 3]."""
+    return mean_of_corners(counts, points[loops])
 
 
-def mean_of_corners(mesh: bpy.types.Mesh, values: np.ndarray) -> np.ndarray:
+def mean_of_corners(counts: np.ndarray, values: np.ndarray) -> np.ndarray:
     """[P, n]: the mean over each face's corners of values [C, n]."""
-    counts = corner_counts(mesh)
-    starts = np.concatenate(([0], np.cumsum(counts)[:-1]))
-    return np.add.reduceat(values, starts, axis=0) / counts[:, None]
+    return np.add.reduceat(values, np.cumsum(counts) - counts, axis=0) / counts[:, None].astype(values.dtype)
 
 
-def mesh_triangles(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Blender's own triangulation: vertex indices [T, 3] and the polygon of each triangle [T], int32."""
-    mesh.calc_loop_triangles()
-    triangles = mesh.loop_triangles
-    return read(triangles, "vertices", 3, np.int32), read(triangles, "polygon_index", dtype=np.int32)
+def mesh_triangles(mesh: bpy.types.Mesh, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Blender's own triangulation: vertex indices [T, 3] and the polygon of each triangle [T], int32.
 
-
-def face_triangles(mesh: bpy.types.Mesh, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Like `mesh_triangles`, for the faces of a mask [P] alone and in no set order: vertex indices [T, 3], faces [T].
-
-    Triangles and quads are split here, by Blender's rule (along the first diagonal, unless that folds the quad over);
-    asking Blender for a million triangles takes a quarter of a second.
+    mask [P]: of these faces alone.
     """
-    counts, loops = polygon_loops(mesh)
-    starts = np.cumsum(counts) - counts
-    faces = np.arange(len(counts)) if mask is None else np.flatnonzero(mask)
-    large = counts[faces] > 4
-    triangles, face = split_faces(vertex_points(mesh), starts, counts, loops, faces[~large])
-    ngons, ngon_of = _ngon_triangles(mesh, faces[large], counts, starts)
-    return np.concatenate([triangles, ngons]), np.concatenate([face, ngon_of])
-
-
-def split_faces(
-    points: np.ndarray, starts: np.ndarray, counts: np.ndarray, loops: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles [T, 3] of some faces and the face of each [T]; n-gons become fans, which suits convex ones alone."""
-    three, four, more = (faces[sizes] for sizes in _by_size(counts[faces]))
-    quads = loops[starts[four][:, None] + np.arange(4)]
-    folded = _folded(points, quads)
-    quads[folded] = np.roll(quads[folded], -1, axis=1)
-    fan_of = np.repeat(more, counts[more] - 2)
-    step = np.arange(len(fan_of)) - np.repeat(np.cumsum(counts[more] - 2) - (counts[more] - 2), counts[more] - 2)
-    fans = loops[starts[fan_of][:, None] + np.stack([np.zeros_like(step), step + 1, step + 2], -1)]
-    triangles = [loops[starts[three][:, None] + np.arange(3)], quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], fans]
-    return np.concatenate(triangles), np.concatenate([three, four, four, fan_of])
-
-
-def triangle_vectors(mesh: bpy.types.Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal times area [T, 3] of the triangles of `face_triangles`, the vertices at points [V, 3]; their faces [T]."""
-    counts, loops = polygon_loops(mesh)
-    starts = np.cumsum(counts) - counts
-    three, four, more = (np.flatnonzero(sizes) for sizes in _by_size(counts))
-    corners = points[loops[starts[four]]]
-    a, diagonal, b = (points[loops[starts[four] + step]] - corners for step in (1, 2, 3))
-    first, second = _cross(a, diagonal), _cross(diagonal, b)
-    folded = np.flatnonzero(_dot(first, second) < 0)
-    a, diagonal, b = a[folded], diagonal[folded], b[folded]
-    first[folded], second[folded] = _cross(diagonal - a, b - a), _cross(a, b)
-    ngons, ngon_of = _ngon_triangles(mesh, more, counts, starts)
-    rest = np.concatenate([loops[starts[three][:, None] + np.arange(3)], ngons])
-    others = _cross(points[rest[:, 1]] - points[rest[:, 0]], points[rest[:, 2]] - points[rest[:, 0]])
-    return np.concatenate([first, second, others]) / 2, np.concatenate([four, four, three, ngon_of])
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """numpy's own takes three times as long."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
-
-
-def _by_size(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return counts == 3, counts == 4, counts > 4
-
-
-def _folded(points: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """Mask of the quads [Q, 4] whose halves along the first diagonal lie on the same side of it."""
-    a, b, diagonal = (points[quads[:, corner]] - points[quads[:, 0]] for corner in (1, 3, 2))
-    # (a x d) . (b x d), by Lagrange's identity
-    return _dot(a, b) * _dot(diagonal, diagonal) > _dot(a, diagonal) * _dot(b, diagonal)
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", a, b)
-
-
-def _ngon_triangles(
-    mesh: bpy.types.Mesh, ngons: np.ndarray, counts: np.ndarray, starts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Blender's own triangles of faces with five corners and more."""
-    if not len(ngons):
-        return np.empty((0, 3), np.int32), np.empty(0, np.int64)
     mesh.calc_loop_triangles()
-    sizes = counts[ngons] - 2
-    face_of = np.repeat(ngons, sizes)
-    # A face with n corners gives n - 2 triangles, so its first one's place is known.
-    first = np.repeat(starts[ngons] - 2 * ngons - (np.cumsum(sizes) - sizes), sizes)
-    places = (first + np.arange(len(face_of))).tolist()
-    return np.array([mesh.loop_triangles[i].vertices[:] for i in places], np.int32), face_of
+    corners = read(mesh.loop_triangles, "vertices", 3, np.int32)
+    face = read(mesh.loop_triangles, "polygon_index", dtype=np.int32)
+    return (corners, face) if mask is None else (corners[mask[face]], face[mask[face]])
+
+
+def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """[T] areas of triangles, corners [T, 3] of points [V, 3]."""
+    first, second, third = (points[corners[:, corner]] for corner in range(3))
+    return np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
 
 
 @contextmanager

@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-import bmesh
 import bpy
 import numpy as np
 
 from .faces import logo_names
-from .mesh_arrays import edited, evaluated_mesh, face_count, polygon_loops, read, write_attribute
+from .mesh_arrays import evaluated_mesh, face_count, object_mode, polygon_loops, read, write_attribute
 
 CARRIED = "cloak_carried_face"
 """Integer face attribute, for the time of an export: each own face's number, counted from 1."""
@@ -50,35 +49,15 @@ def changes_faces(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> bool:
 def numbered_faces(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """During the block the objects' own faces have numbers, which `carried_faces` reads off the evaluated mesh."""
     for obj in objects:
-        _number(obj)
+        with object_mode(obj):
+            write_attribute(obj.data, CARRIED, "INT", np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32))
     try:
         yield
     finally:
         for obj in objects:
-            _forget_numbers(obj)
-
-
-def _number(obj: bpy.types.Object) -> None:
-    if obj.mode != "EDIT":
-        write_attribute(obj.data, CARRIED, "INT", np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32))
-        return
-    bm = bmesh.from_edit_mesh(obj.data)
-    layer = bm.faces.layers.int.new(CARRIED)
-    for number, face in enumerate(bm.faces, 1):
-        face[layer] = number
-    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    edited(obj)
-
-
-def _forget_numbers(obj: bpy.types.Object) -> None:
-    if obj.mode != "EDIT":
-        obj.data.attributes.remove(obj.data.attributes[CARRIED])
-        obj.data.update_tag()
-        return
-    layers = bmesh.from_edit_mesh(obj.data).faces.layers.int
-    layers.remove(layers[CARRIED])
-    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    edited(obj)
+            with object_mode(obj):
+                obj.data.attributes.remove(obj.data.attributes[CARRIED])
+                obj.data.update_tag()
 
 
 def carried_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> np.ndarray | None:

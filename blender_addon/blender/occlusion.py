@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which points of a surface are seen in a projection: numpy alone, because a ray from Python takes thirty microseconds.
 
-Plane coordinates [n, 3]: x and y in the projection's plane, and a nearness that grows towards the viewer and is linear
-over each triangle's image.
+Plane coordinates [n, 3]: x and y in the projection's plane, and an inverse depth that grows towards the viewer and is
+linear over each triangle's image.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 TOLERANCE = 1e-6
-"""Nearness that two layers may differ by and still count as one, as a share of the range of the points."""
+"""Two surfaces count as one if their inverse depths differ by less than this share of the points' range."""
 MAX_PAIRS = 4_000_000
 
 
@@ -25,13 +25,8 @@ def seen(
     if not len(points):
         return np.zeros(0, bool)
     low, high = points[:, :2].min(0), points[:, :2].max(0)
-    beyond = [vertices[:, axis] < low[axis] for axis in (0, 1)] + [vertices[:, axis] > high[axis] for axis in (0, 1)]
-    aside = [side[triangles[:, 0]] & side[triangles[:, 1]] & side[triangles[:, 2]] for side in beyond]
-    behind = vertices[:, 2] <= points[:, 2].min()
-    near = ~np.logical_or.reduce([*aside, behind[triangles].all(1)])
-    first, second, third = (vertices[triangles[near, corner]] for corner in range(3))
-    least, most = np.minimum(np.minimum(first, second), third), np.maximum(np.maximum(first, second), third)
-    corners, triangle_face = np.stack([first, second, third], 1), triangle_face[near]
+    corners = vertices[triangles]
+    least, most = corners.min(1), corners.max(1)
     tolerance = TOLERANCE * max(float(np.ptp(points[:, 2])), 1e-30)
     side = max(1, int(len(corners) ** 0.5))
     cell = np.maximum((high - low) / side, 1e-30)
@@ -54,13 +49,13 @@ def seen(
         triangle = triangles[place]
         other = triangle_face[triangle] != faces[point]
         point, triangle = point[other], triangle[other]
-        before = _lies_before(points[point], corners[triangle], tolerance)
-        visible[point[before]] = False
+        covers, ahead = _over_origin(*(corners[triangle, corner] - points[point] for corner in range(3)))
+        visible[point[covers & (ahead > tolerance)]] = False
     return visible
 
 
 def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Nearness [W, H] of the nearest triangle in the middle of each cell (-inf for none), and its number (-1 for none).
+    """Inverse depth [H, W] of the nearest triangle in the middle of each cell (-inf: none), and its number (-1: none).
 
     points: plane coordinates [V, 3], x and y counted in cells. shape: how many cells there are (width, height).
     """
@@ -74,14 +69,9 @@ def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, in
     least, last = (np.clip(np.stack([v[some] for v in pair], 1), 0, most).astype(np.int64) for pair in (low, high))
     cell, triangle = cells_touched(least, last, width)
     triangle = some[triangle]
-    middle = np.stack([cell % width, cell // width], -1) + 0.5
-    a, b, c = (points[triangles[triangle, corner]] for corner in range(3))
-    sides = ((b, c), (c, a), (a, b))
-    weights = np.stack([_turn(p[:, :2] - middle, q[:, :2] - middle) for p, q in sides], -1)
-    area = weights[:, 0] + weights[:, 1] + weights[:, 2]
-    inside = ((weights >= 0).all(1) | (weights <= 0).all(1)) & (area != 0)
-    depth = (weights[:, 0] * a[:, 2] + weights[:, 1] * b[:, 2] + weights[:, 2] * c[:, 2])[inside] / area[inside]
-    cell, triangle = cell[inside], triangle[inside]
+    middle = np.stack([cell % width + 0.5, cell // width + 0.5, np.zeros(len(cell))], -1)
+    inside, depth = _over_origin(*(points[triangles[triangle, corner]] - middle for corner in range(3)))
+    depth, cell, triangle = depth[inside], cell[inside], triangle[inside]
     order = np.argsort(depth)  # of several values for one cell the last one written stays
     nearness, owner = np.full(width * height, -np.inf), np.full(width * height, -1)
     nearness[cell[order]], owner[cell[order]] = depth[order], triangle[order]
@@ -102,15 +92,13 @@ def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[n
     return np.repeat(owners, counts), places
 
 
-def _lies_before(points: np.ndarray, corners: np.ndarray, tolerance: float) -> np.ndarray:
-    """Mask [n]: the triangle [n, 3, 3] covers its point [n, 3] and is nearer there."""
-    a, b, c = (corners[:, i] - points for i in range(3))
+def _over_origin(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mask [n] of the triangles with corners [n, 3] that cover the origin, and their inverse depth [n] there."""
     weights = np.stack([_turn(b, c), _turn(c, a), _turn(a, b)], -1)
-    inside = (weights >= 0).all(1) | (weights <= 0).all(1)
     area = weights.sum(1)
-    covers = inside & (area != 0)
+    covers = ((weights >= 0).all(1) | (weights <= 0).all(1)) & (area != 0)
     depth = (weights * np.stack([a[:, 2], b[:, 2], c[:, 2]], -1)).sum(1)
-    return covers & (depth / np.where(covers, area, 1) > tolerance)
+    return covers, depth / np.where(covers, area, 1)
 
 
 def _turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

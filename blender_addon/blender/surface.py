@@ -21,7 +21,7 @@ from .modifiers import carried_faces, lost_reason, numbered_faces
 
 @dataclass(frozen=True)
 class Surface:
-    """One body at one moment. Places are float32 around `middle`, so that they are exact wherever the body stands."""
+    """A body at one moment. Coordinates are float32 relative to `middle`, so that they are exact anywhere."""
 
     middle: np.ndarray
     """[3] float64, in world space."""
@@ -35,18 +35,21 @@ class Surface:
     """[P] from each centre to its farthest corner."""
     shown: np.ndarray
     """[P] bool: not hidden."""
-    starts: np.ndarray
-    counts: np.ndarray
-    loops: np.ndarray
-    """First corner and number of corners of each face [P], and all corners' vertices [C]."""
-    own: np.ndarray | None
-    """[P] the mesh's own face that each one comes from, -1 for none; None where they are the same."""
+    corners: np.ndarray
+    """[T, 3] vertices of all triangles."""
+    face: np.ndarray
+    """[T] the face of each triangle."""
+    own: np.ndarray
+    """[P] the mesh's own face that each evaluated face comes from, -1 for none."""
     own_count: int
     """F."""
 
     def triangles(self, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vertices [n, 3] of the triangles of some faces, and the face of each [n]."""
-        return arrays.split_faces(self.points, self.starts, self.counts, self.loops, faces)
+        chosen = np.zeros(len(self.centers), bool)
+        chosen[faces] = True
+        chosen = chosen[self.face]
+        return self.corners[chosen], self.face[chosen]
 
     def hits(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """[n, 3] where a ray meets shown faces, the nearest first."""
@@ -62,7 +65,7 @@ class Surface:
         return self.middle + start + np.sort(distance[distance > 0])[:, None] * ray
 
     def face_at(self, place: np.ndarray) -> int:
-        """The shown face that a place lies on, or whose centre is nearest; -1 where there are none."""
+        """Find the visible face at a point, else the one with the nearest centre; -1 if there is none."""
         point = (place - self.middle).astype(np.float32)
         squared = _squared(self.centers - point)
         squared[~self.shown] = np.inf
@@ -87,7 +90,7 @@ class Surface:
     def own_mask(self, faces: np.ndarray) -> np.ndarray:
         """Mask [F] of the mesh's own faces that some evaluated faces come from."""
         mask = np.zeros(self.own_count, bool)
-        own = faces if self.own is None else self.own[faces]
+        own = self.own[faces]
         mask[own[own >= 0]] = True
         return mask
 
@@ -100,7 +103,7 @@ def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
     """The body as it is seen now: posed, and with its modifiers' faces where they come from its own."""
     with arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
         if len(mesh.polygons) == arrays.face_count(obj):
-            return _surface(obj, mesh, matrix, None)
+            return _surface(obj, mesh, matrix, np.arange(len(mesh.polygons)))
     with numbered_faces([obj]), arrays.evaluated_mesh(obj, context.evaluated_depsgraph_get()) as (mesh, matrix):
         own = carried_faces(obj, mesh)
         if own is None:
@@ -108,17 +111,15 @@ def read_surface(context: bpy.types.Context, obj: bpy.types.Object) -> Surface:
         return _surface(obj, mesh, matrix, own)
 
 
-def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, own: np.ndarray | None) -> Surface:
+def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, own: np.ndarray) -> Surface:
     placed = arrays.to_world(arrays.vertex_points(mesh), matrix)
     middle = placed.mean(0)
     points = (placed - middle).astype(np.float32)
     counts, loops = arrays.polygon_loops(mesh)
-    starts = np.cumsum(counts) - counts
     centers = arrays.face_centers(points, counts, loops)
     normals = arrays.face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
-    reach = np.empty(len(centers), np.float32)
-    for faces, corners in arrays.corners_by_size(counts, loops):
-        away = [_squared(points[corner] - centers[faces]) for corner in corners.T]
-        reach[faces] = np.sqrt(np.maximum.reduce(away))
+    away = _squared(points[loops] - np.repeat(centers, counts, axis=0))
+    reach = np.sqrt(np.maximum.reduceat(away, np.cumsum(counts) - counts))
     shown = ~arrays.hidden_faces(mesh)
-    return Surface(middle, points, centers, normals, reach, shown, starts, counts, loops, own, arrays.face_count(obj))
+    triangles = arrays.mesh_triangles(mesh)
+    return Surface(middle, points, centers, normals, reach, shown, *triangles, own, arrays.face_count(obj))

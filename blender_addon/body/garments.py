@@ -8,19 +8,16 @@ trained colours find their garments again.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
-from ..blender.faces import logo_names, read_faces
-from ..blender.mesh_arrays import box_of, to_world
+from ..blender.faces import logo_mask, logo_names
+from ..blender.mesh_arrays import box_of, to_world, topology
 from ..blender.surface import read_surface
 from ..files.errors import InputError
-from ..files.reading import read_json
-from .objects import topology
 
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -42,17 +39,8 @@ class Garment:
     topology: str
 
 
-def read_garments(record: Path) -> list[Garment]:
-    """What an export's record says; none for one that was written before there were any."""
-    found = read_json(record).get("garments", []) if record.exists() else []
-    try:
-        return [Garment(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in found]
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{record}: not the record of an export") from None
-
-
 BESIDE, LARGER = 0.5, 1.5
-"""What nothing ties to the body counts as worn when so much of its box lies in the body's, and it is no larger."""
+"""A mesh without parent or armature is worn if this share of its box lies in the body's, and it is not much larger."""
 
 
 def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -65,7 +53,7 @@ def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """The same, with the garments that the user left out."""
+    """List the worn objects, including those that the user left out."""
     armature, box = armature_of(obj), box_of(obj)
     children = set(obj.children_recursive)
     return sorted(
@@ -99,13 +87,6 @@ def also_wearing(obj: bpy.types.Object, logo: str) -> list[bpy.types.Object]:
     return [worn for worn in worn_by(obj) if logo in logo_names(worn.data)]
 
 
-def logo_mask(obj: bpy.types.Object, logo: str) -> np.ndarray:
-    """Mask [F] of a logo, or of those joined by "+", as far as the object has them."""
-    names = [logo] if logo in logo_names(obj.data) else [part.strip() for part in logo.split("+")]
-    found = [read_faces(obj, name) for name in names if name in logo_names(obj.data)]
-    return np.logical_or.reduce([np.zeros(len(obj.data.polygons), bool), *found])
-
-
 def is_dressed(obj: bpy.types.Object) -> bool:
     """Whether some faces of the body or of its clothing wear the cloak."""
     return any(map(colors.is_dressed, (obj, *worn_by(obj))))
@@ -119,25 +100,15 @@ def undress(obj: bpy.types.Object) -> None:
             colors.activate(worn, colors.OUTFIT)
 
 
-class WornColors:
-    """Where the colours of a run go, beside the body: checked once, written often."""
-
-    def __init__(self, garments: list[Garment], face_ids: np.ndarray) -> None:
-        self._garments, self._ids = garments, face_ids
-
-    def on_body(self, body_faces: int) -> np.ndarray:
-        """Mask [L] of the faces that are the body's own."""
-        return self._ids < body_faces if self._garments else np.ones(len(self._ids), bool)
-
-    def write(self, values: np.ndarray, dress: bool) -> None:
-        """Colours [L, 3] onto the garments; with `dress` their faces get the cloak's material. All or nothing."""
-        for obj, garment in [(_worn_object(g), g) for g in self._garments]:
-            mine = (self._ids >= garment.first) & (self._ids < garment.first + garment.faces)
-            local = self._ids[mine] - garment.first
-            colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, local, values[mine]))
-            if dress:
-                colors.dress(obj, local)
-                colors.activate(obj, colors.CLOAK)
+def write_worn(garments: list[Garment], ids: np.ndarray, values: np.ndarray, dress: bool) -> None:
+    """Write the garments' part of the colours [L, 3] of faces [L]; with `dress` also assign the cloak's material."""
+    for obj, garment in [(_worn_object(g), g) for g in garments]:
+        mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
+        local = ids[mine] - garment.first
+        colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, local, values[mine]))
+        if dress:
+            colors.dress(obj, local)
+            colors.activate(obj, colors.CLOAK)
 
 
 def _worn_object(garment: Garment) -> bpy.types.Object:
@@ -158,8 +129,7 @@ def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.type
     """
     body, cloth = read_surface(context, obj), read_surface(context, worn)
     on_logo = logo_mask(obj, logo)
-    own = np.arange(len(body.centers)) if body.own is None else body.own
-    chosen = (own >= 0) & on_logo[np.maximum(own, 0)]
+    chosen = (body.own >= 0) & on_logo[np.maximum(body.own, 0)]
     low, high = body.centers[chosen].min(0), body.centers[chosen].max(0)
     places = cloth.centers + (cloth.middle - body.middle).astype(np.float32)
     margin = 0.1 * float(np.ptp(body.points, axis=0).max())

@@ -7,23 +7,24 @@ what to do next.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import bmesh
 import bpy
 import numpy as np
 
-from ..blender import colors
-from ..blender.mesh_arrays import bmesh_of, current_mesh, polygon_loops
-from ..exchange.bodies import Bodies, topology_hash
+from ..blender.faces import logo_names
+from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 
 ORIGINAL_FACE = "cloak_original_face"
 """Integer face attribute that subdivision leaves: the face each one came from."""
+NO_BODY = "Choose a body first"
 
 
 def active_body(context: bpy.types.Context) -> bpy.types.Object:
-    """The active object, checked to be a mesh that Cloak may write to."""
+    """Return the active object; raise `InputError` unless it is a mesh that may be changed."""
     obj = context.view_layer.objects.active if context.view_layer else None
     require_body(obj)
     return obj
@@ -68,17 +69,11 @@ def require_upright(obj: bpy.types.Object) -> None:
         )
 
 
-def topology(obj: bpy.types.Object) -> str:
-    """SHA-256 of the object's own (unmodified) polygons, current in Edit Mode too."""
-    with current_mesh(obj) as mesh:
-        return topology_hash(len(mesh.vertices), *polygon_loops(mesh))
-
-
 # --- subdivision -----------------------------------------------------------------------------------------------------
 
 
 def _silent(fraction: float) -> None:
-    """Progress that nobody watches."""
+    """Ignore the progress."""
 
 
 def subdivide(
@@ -181,37 +176,6 @@ def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.t
         vert[deform][group] = weight
 
 
-# --- bodies from a scene package -------------------------------------------------------------------------------------
-
-
-def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
-    """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
-
-    The outfits become the corner colour attributes "Outfit", "Outfit 2" ..., the first shown by a material; the
-    scene's frame range is set to the poses.
-    """
-    mesh = bpy.data.meshes.new(bodies.name)
-    poses = blender_axes(bodies.vertices)
-    loop_total, loop_vertices = bodies.loop_total, bodies.loop_vertices
-    if loop_total is None:
-        loop_total, loop_vertices = np.full(bodies.triangle_count, 3, np.int32), bodies.triangles.ravel()
-    _fill_mesh(mesh, poses[0], loop_total, loop_vertices)
-    for name, mask in bodies.regions.items():
-        mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
-    obj = bpy.data.objects.new(bodies.name, mesh)
-    context.collection.objects.link(obj)
-    colors.dress_in_outfits(obj, bodies.face_colors)
-    colors.show_attribute(context, obj, colors.OUTFIT)
-    if bodies.pose_count > 1:
-        _key_poses(context.scene, obj, poses, bodies.names)
-    if context.mode == "OBJECT":
-        for other in context.selected_objects:
-            other.select_set(False)
-        obj.select_set(True)
-        context.view_layer.objects.active = obj
-    return obj
-
-
 def blender_axes(vertices: np.ndarray) -> np.ndarray:
     """Scene axes (y up, facing +z) to Blender's (z up, facing -y): [..., 3] -> [..., 3]."""
     return np.stack((vertices[..., 0], -vertices[..., 2], vertices[..., 1]), -1)
@@ -222,28 +186,42 @@ def scene_axes(vertices: np.ndarray) -> np.ndarray:
     return np.stack((vertices[..., 0], vertices[..., 2], -vertices[..., 1]), -1)
 
 
-def _fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, loop_total: np.ndarray, loop_vertices: np.ndarray) -> None:
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
-    mesh.loops.add(len(loop_vertices))
-    mesh.loops.foreach_set("vertex_index", loop_vertices)
-    mesh.polygons.add(len(loop_total))
-    mesh.polygons.foreach_set("loop_start", np.concatenate(([0], np.cumsum(loop_total)[:-1])).astype(np.int32))
-    mesh.update(calc_edges=True)
-    if mesh.validate():
-        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
+def refusal(check: Callable, *arguments: object) -> str:
+    """What `check` has against its arguments; "" when nothing."""
+    try:
+        check(*arguments)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
-def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
-    """Pose p stands on frame p + 1, as a shape key that is 1 on that frame alone."""
-    obj.shape_key_add(name=names[0], from_mix=False)
-    for index in range(1, len(poses)):
-        key = obj.shape_key_add(name=names[index], from_mix=False)
-        key.data.foreach_set("co", np.ascontiguousarray(poses[index], np.float32).ravel())
-        for frame, value in ((index, 0.0), (index + 1, 1.0), (index + 2, 0.0)):
-            key.value = value
-            key.keyframe_insert("value", frame=frame)
-        key.value = 0.0
-    obj.data.shape_keys.name = f"{obj.name} poses"
-    scene.frame_start, scene.frame_end = 1, len(poses)
-    scene.frame_set(1)
+def body_reason(context: bpy.types.Context) -> str:
+    """Why there is no usable body."""
+    return refusal(active_body, context)
+
+
+def of_the_body(reason: Callable[[bpy.types.Context, bpy.types.Object], str]) -> Callable[[bpy.types.Context], str]:
+    """A reason that asks about the active body; where there is none, why not."""
+
+    @functools.wraps(reason)
+    def asked(context: bpy.types.Context) -> str:
+        return body_reason(context) or reason(context, active_body(context))
+
+    return asked
+
+
+@of_the_body
+def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is no logo to train."""
+    if logo_names(obj.data):
+        return ""
+    others = [o.name for o in context.view_layer.objects if o.type == "MESH" and o != obj and logo_names(o.data)]
+    if others:
+        return f"No logo on '{obj.name}'; '{others[0]}' has one: click that, or make one here"
+    return "Make a logo first"
+
+
+@of_the_body
+def upright_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why nothing can be stamped onto the body."""
+    return refusal(require_upright, obj)

@@ -8,18 +8,19 @@ from pathlib import Path
 
 import bpy
 
-from ..blender.faces import logo_names, write_faces
+from ..blender.faces import active_logo, logo_names, write_faces
 from ..blender.modifiers import applied_copy
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..properties import settings_of
-from ..trainer.command_lines import SAMPLES, sample_command
-from ..trainer.jobs import Job, run_command
-from ..trainer.preferences import chosen_python, user_folder
+from ..trainer.command_lines import SAMPLES, sample_words
+from ..trainer.jobs import Job, run_cloak
+from ..trainer.preferences import user_folder
+from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
+from ..ui.window import areas, main_region
 from .garments import faces_over, wearable
-from .objects import subdivide
-from .reasons import logo_reason
+from .objects import logo_reason, subdivide
 from .samples import CLOTHES, add_people
 
 
@@ -29,9 +30,7 @@ keys, weights, materials, UVs and logos are kept"""
 
     bl_label = "Subdivide Body"
 
-    triangulate: bpy.props.BoolProperty(
-        name="Triangulate", description="Also split every face into triangles", default=True
-    )
+    triangulate: props.switch("Triangulate", "Also split every face into triangles", True)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.triangulate = settings_of(context).triangulate
@@ -61,21 +60,19 @@ or walking and running in a shirt and trousers that are objects of their own"""
 
     bl_label = "Add Sample Body"
 
-    people: bpy.props.EnumProperty(
-        name="People",
-        description="Whom to add",
-        items=(
-            ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
-            ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
-        ),
+    people: props.choice(
+        "People",
+        "Whom to add",
+        ("BARE", "Sample Body", "Standing people of varied shape, in clothing that is painted on"),
+        ("CLOTHED", "Clothed", "People who walk, run and stand in shirt and trousers"),
     )
 
     def run(self, context: bpy.types.Context) -> str:
         folder, people = user_folder("sample"), self.people
         scene = folder / "scene"
         shutil.rmtree(scene, ignore_errors=True)
-        command = sample_command(chosen_python(), scene, people)
-        waits = run_command("Sample body", command, folder, "sample", lambda job: _add(job, scene, people))
+        words, add = sample_words(scene, people), lambda job: _add(job, scene, people)
+        waits = run_cloak("Sample body", words, folder, "sample", add)
         return f"Fetching the sample body from the trainer{waits}"
 
 
@@ -103,14 +100,13 @@ class CLOAK_OT_logo_onto(BodyOperator):
     bl_label = "Put the Logo on It"
     needs = staticmethod(logo_reason)
 
-    garment: bpy.props.StringProperty(name="Piece", description="Name of what covers the logo")
+    garment: props.text("Piece", "Name of what covers the logo")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         worn = next((o for o in wearable(obj) if o.name == self.garment), None)
         if worn is None:
             raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
-        names = logo_names(obj.data)
-        logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
+        logo = active_logo(obj)
         self.show(0.3)
         mask = faces_over(context, obj, worn, logo)
         if not mask.any():
@@ -124,7 +120,7 @@ class CLOAK_OT_leave_out(BodyOperator):
 
     bl_label = "Leave It Out"
 
-    garment: bpy.props.StringProperty(name="Piece", description="Name of what is left out")
+    garment: props.text("Piece", "Name of what is left out")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         worn = bpy.data.objects.get(self.garment)
@@ -136,9 +132,6 @@ class CLOAK_OT_leave_out(BodyOperator):
 
 def look_at_selected() -> None:
     """Let every 3D viewport frame what is selected."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            region = next((r for r in area.regions if r.type == "WINDOW"), None)
-            if area.type == "VIEW_3D" and region is not None and not bpy.app.background:
-                with bpy.context.temp_override(window=window, area=area, region=region):
-                    bpy.ops.view3d.view_selected()
+    for window, area in areas("VIEW_3D") if not bpy.app.background else ():
+        with bpy.context.temp_override(window=window, area=area, region=main_region(area)):
+            bpy.ops.view3d.view_selected()

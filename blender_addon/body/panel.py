@@ -6,15 +6,14 @@ from __future__ import annotations
 import bpy
 
 from ..properties import settings_of
-from ..trainer.preferences import PACKAGE, trainer_answer, trainer_reason
+from ..trainer.preferences import PACKAGE, preferences, trainer_reason
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from .garments import wearable
-from .objects import active_body
-from .reasons import body_reason
+from .objects import active_body, body_reason
 
 MOST_WORN = 8
-"""So many pieces are listed."""
+"""Most worn objects to list."""
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
 
 
@@ -50,7 +49,7 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         self._trainer(context)
 
     def _worn(self, obj: bpy.types.Object) -> None:
-        """What the camera sees beside the body, each with its switch."""
+        """Draw the worn objects, each with its visibility switch."""
         for worn in wearable(obj)[:MOST_WORN]:
             row = self.layout.row(align=True)
             row.label(text=worn.name, icon="MATCLOTH")
@@ -59,7 +58,7 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
             )
 
     def _trainer(self, context: bpy.types.Context) -> None:
-        """Who will train, or what to do about it that nobody can."""
+        """Draw which trainer is used, or how to get one."""
         reason = trainer_reason()
         if reason:
             wrapped(self.layout, context, reason, icon="ERROR")
@@ -70,5 +69,5 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         elif reason is None:
             self.layout.label(text="Looking for the trainer...", icon="TIME")
         else:
-            figure(self.layout, trainer_answer() or "Trainer found", TRAINER, "CONSOLE")
+            figure(self.layout, preferences().answer or "Trainer found", TRAINER, "CONSOLE")
         self.progress(context, "Installation", "Test")

@@ -6,16 +6,18 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..blender import colors
 from ..blender.mesh_arrays import box_of
 from ..exchange.bodies import Bodies
-from .objects import add_from_scene
+from ..files.errors import InputError
+from .objects import blender_axes
 
 BODY, GARMENTS = "body", ("shirt", "trousers")
 """Regions of the clothed people that are objects of their own, in the order in which faces are numbered through."""
 CLOTHES = "clothes"
 """The logo that lies on all garments."""
 GAP = 0.3
-"""Between a new body and what stands beside it, in Blender's units."""
+"""Distance between a new body and its neighbour, in Blender's units."""
 
 
 def add_people(context: bpy.types.Context, bodies: Bodies, clothed: bool, name: str) -> bpy.types.Object:
@@ -38,7 +40,7 @@ def add_people(context: bpy.types.Context, bodies: Bodies, clothed: bool, name: 
 
 
 def part_of(bodies: Bodies, name: str) -> Bodies:
-    """The faces of a region as bodies of their own, with their colours, poses and those regions that they have.
+    """Extract the faces of a region as separate bodies, with colours, poses and regions.
 
     The skin, `BODY`, keeps the names of all regions. Vertices keep their order.
     """
@@ -61,7 +63,7 @@ def part_of(bodies: Bodies, name: str) -> Bodies:
 
 
 def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
-    """Move a new body to the right until it stands in no other visible mesh, such as the cube of a new file."""
+    """Move a new body to the right until it intersects no visible mesh, such as the cube of a new file."""
     context.view_layer.update()
     low, high = box_of(obj)
     own = {obj, *obj.children_recursive}
@@ -72,3 +74,61 @@ def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
             step = other_high[0] + GAP - low[0]
             low[0], high[0] = low[0] + step, high[0] + step
     obj.location.x += low[0] - start
+
+
+# --- bodies from a scene package -------------------------------------------------------------------------------------
+
+
+def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
+    """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
+
+    The outfits become the corner colour attributes "Outfit", "Outfit 2" ..., the first shown by a material; the
+    scene's frame range is set to the poses.
+    """
+    mesh = bpy.data.meshes.new(bodies.name)
+    poses = blender_axes(bodies.vertices)
+    loop_total, loop_vertices = bodies.loop_total, bodies.loop_vertices
+    if loop_total is None:
+        loop_total, loop_vertices = np.full(bodies.triangle_count, 3, np.int32), bodies.triangles.ravel()
+    _fill_mesh(mesh, poses[0], loop_total, loop_vertices)
+    for name, mask in bodies.regions.items():
+        mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
+    obj = bpy.data.objects.new(bodies.name, mesh)
+    context.collection.objects.link(obj)
+    colors.dress_in_outfits(obj, bodies.face_colors)
+    colors.show_attribute(context, obj, colors.OUTFIT)
+    if bodies.pose_count > 1:
+        _key_poses(context.scene, obj, poses, bodies.names)
+    if context.mode == "OBJECT":
+        for other in context.selected_objects:
+            other.select_set(False)
+        obj.select_set(True)
+        context.view_layer.objects.active = obj
+    return obj
+
+
+def _fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, loop_total: np.ndarray, loop_vertices: np.ndarray) -> None:
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
+    mesh.loops.add(len(loop_vertices))
+    mesh.loops.foreach_set("vertex_index", loop_vertices)
+    mesh.polygons.add(len(loop_total))
+    mesh.polygons.foreach_set("loop_start", np.concatenate(([0], np.cumsum(loop_total)[:-1])).astype(np.int32))
+    mesh.update(calc_edges=True)
+    if mesh.validate():
+        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
+
+
+def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:
+    """Key pose p as a shape key that is 1 on frame p + 1 and 0 on all others."""
+    obj.shape_key_add(name=names[0], from_mix=False)
+    for index in range(1, len(poses)):
+        key = obj.shape_key_add(name=names[index], from_mix=False)
+        key.data.foreach_set("co", np.ascontiguousarray(poses[index], np.float32).ravel())
+        for frame, value in ((index, 0.0), (index + 1, 1.0), (index + 2, 0.0)):
+            key.value = value
+            key.keyframe_insert("value", frame=frame)
+        key.value = 0.0
+    obj.data.shape_keys.name = f"{obj.name} poses"
+    scene.frame_start, scene.frame_end = 1, len(poses)
+    scene.frame_set(1)

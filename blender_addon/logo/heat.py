@@ -12,20 +12,42 @@ import numpy as np
 from ..blender import colors, faces
 from ..blender.blend_paths import first_free
 from ..blender.colors import HEAT
-from ..blender.mesh_arrays import read, write_attribute
+from ..blender.mesh_arrays import read, topology, write_attribute
 from ..body.garments import is_dressed
-from ..body.objects import active_body, object_of, topology
+from ..body.objects import active_body, object_of, of_the_body, refusal, require_upright
 from ..exchange.heat import hottest_faces
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy
 from ..poses.export import export_bodies
 from ..properties import pose_choice, settings_of, train_request
-from ..result.reasons import heat_reason, heatmap_reason, shown_heat_reason
-from ..trainer.command_lines import heatmap_command
-from ..trainer.jobs import Job, run_command
-from ..trainer.preferences import chosen_python, user_folder
+from ..trainer.command_lines import TrainRequest, detector_options
+from ..trainer.jobs import Job, run_cloak
+from ..trainer.preferences import user_folder
 from ..ui.operator import BodyOperator, CloakOperator, push_undo
+from .operators import take
+
+
+@of_the_body
+def heatmap_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot be asked which faces it looks at."""
+    return refusal(require_upright, obj) or refusal(train_request, settings_of(context))
+
+
+@of_the_body
+def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no logo can be made of a heat map."""
+    if obj.data.attributes.get(HEAT) is None:
+        return f"'{obj.name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to take faces from the heat map" if obj.mode == "EDIT" else ""
+
+
+@of_the_body
+def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why a heat map can be neither shown nor hidden."""
+    if obj.data.attributes.get(HEAT) is None:
+        return f"'{obj.name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
 
 
 class CLOAK_OT_heatmap(CloakOperator):
@@ -38,14 +60,18 @@ class CLOAK_OT_heatmap(CloakOperator):
         obj, settings = active_body(context), settings_of(context)
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
-        python, request = chosen_python(), train_request(settings)
         folder = first_free(user_folder("heatmap"), "heat")
         write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
-        heat, uid, expected = folder / "heat.npy", obj.session_uid, topology(obj)
-        command = heatmap_command(python, request, folder / "scene", heat, folder / "heat.jsonl")
-        show = lambda job: _show_heat(job, heat, uid, expected)
-        waits = run_command("Heatmap", command, folder, "heatmap", show, "heat.jsonl")
-        return f"Measuring which faces move the detector{waits}"
+        words = heatmap_words(train_request(settings), folder)
+        uid, expected = obj.session_uid, topology(obj)
+        show = lambda job: _show_heat(job, folder / "heat.npy", uid, expected)
+        return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
+
+
+def heatmap_words(request: TrainRequest, folder: Path) -> list[object]:
+    """`cloak logo heatmap` of the first detector, from `scene` to `heat.npy` in a folder."""
+    options = detector_options(request.detectors[:1]) + request.options("backgrounds", "angles", "device")
+    return ["logo", "heatmap", "--scene", folder / "scene", *options, "--out", folder / "heat.npy"]
 
 
 def _show_heat(job: Job, path: Path, uid: int, expected: str) -> str | None:
@@ -91,12 +117,6 @@ class CLOAK_OT_logo_from_heat(BodyOperator):
     needs = staticmethod(heat_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        attribute = obj.data.attributes.get(HEAT)
-        if attribute is None:
-            raise InputError(f"'{obj.name}' has no heat map: press Heatmap first")
-        if obj.mode == "EDIT":
-            raise InputError("Leave Edit Mode (Tab) to take faces from the heat map")
-        heat = read(attribute.data, "value")
+        heat = read(obj.data.attributes[HEAT].data, "value")
         ids = hottest_faces(heat, faces.face_areas(obj), settings_of(context).heat_share)
-        obj.cloak.logo = faces.new_logo(obj, "Heat", np.isin(np.arange(len(heat)), ids))
-        return f"Logo '{obj.cloak.logo}': {len(ids):,} faces"
+        return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"

@@ -7,24 +7,16 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..blender import faces
-from ..blender.mesh_arrays import current_mesh
-from ..body.objects import active_body, topology
-from ..body.reasons import logo_reason
+from ..blender.mesh_arrays import current_mesh, topology
+from ..body.objects import active_body, logo_reason
 from ..exchange.face_lists import write_face_list
 from ..files.errors import InputError
+from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
-
-
-def active_logo(obj: bpy.types.Object) -> str:
-    """Name of the logo that is active in the list; `InputError` when the mesh has none."""
-    names = faces.logo_names(obj.data)
-    if not names:
-        raise InputError(f"'{obj.name}' has no logo: select faces in Edit Mode and press New from Selection")
-    return obj.cloak.logo if obj.cloak.logo in names else names[0]
 
 
 def selected_faces(obj: bpy.types.Object) -> np.ndarray:
@@ -35,6 +27,17 @@ def selected_faces(obj: bpy.types.Object) -> np.ndarray:
     return mask
 
 
+def take(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False) -> str:
+    """Make a logo of a mask's faces, or with `add` put them into the active one; returns the logo's name."""
+    if add:
+        name = faces.active_logo(obj)
+        faces.add_faces(obj, name, mask)
+    else:
+        name = faces.new_logo(obj, name, mask)
+    obj.cloak.logo = name
+    return name
+
+
 class LogoOperator(BodyOperator):
     """Base of operators that give the active logo other faces: `faces_from(obj, mask) -> mask`."""
 
@@ -42,7 +45,7 @@ class LogoOperator(BodyOperator):
         raise NotImplementedError
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = active_logo(obj)
+        name = faces.active_logo(obj)
         with current_mesh(obj):
             mask = self.faces_from(obj, faces.read_faces(obj, name))
             faces.write_faces(obj, name, mask)
@@ -54,12 +57,11 @@ class CLOAK_OT_logo_new(BodyOperator):
 
     bl_label = "New from Selection"
 
-    name: StringProperty(name="Name", description="Name of the new logo", default="Logo")
+    name: props.text("Name", "Name of the new logo", "Logo")
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         mask = selected_faces(obj)
-        obj.cloak.logo = faces.new_logo(obj, self.name, mask)
-        return f"Logo '{obj.cloak.logo}': {int(mask.sum()):,} faces"
+        return f"Logo '{take(obj, mask, self.name)}': {int(mask.sum()):,} faces"
 
 
 class CLOAK_OT_logo_assign(LogoOperator):
@@ -89,7 +91,7 @@ class CLOAK_OT_logo_select(BodyOperator):
     needs = staticmethod(logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = active_logo(obj)
+        name = faces.active_logo(obj)
         with current_mesh(obj):
             mask = faces.require_logo(obj, name)
             hidden = faces.select_faces(obj, mask)
@@ -104,7 +106,7 @@ class CLOAK_OT_logo_remove(BodyOperator):
     needs = staticmethod(logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        name = active_logo(obj)
+        name = faces.active_logo(obj)
         faces.remove_logo(obj, name)
         obj.cloak.logo = next(iter(faces.logo_names(obj.data)), "")
         return f"Deleted logo '{name}'"
@@ -116,11 +118,11 @@ class CLOAK_OT_logo_mirror(BodyOperator):
     bl_label = "Mirror"
     needs = staticmethod(logo_reason)
 
-    extend: BoolProperty(name="Extend", description="Keep the faces of this side as well", default=True)
+    extend: props.switch("Extend", "Keep the faces of this side as well", True)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         self.show(0.3)
-        name = active_logo(obj)
+        name = faces.active_logo(obj)
         with current_mesh(obj):
             mask = faces.require_logo(obj, name)
             mirrored, lost = faces.mirror(obj, mask)
@@ -170,7 +172,7 @@ class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
 
     def run(self, context: bpy.types.Context) -> str:
         obj = active_body(context)
-        name = active_logo(obj)
+        name = faces.active_logo(obj)
         with current_mesh(obj):
             ids = np.flatnonzero(faces.require_logo(obj, name))
             write_face_list(self.filepath, ids, topology(obj))

@@ -7,11 +7,9 @@ Drawing never waits for them: what takes longer than a blink is computed when th
 from __future__ import annotations
 
 import contextlib
-import functools
-import operator
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -19,23 +17,24 @@ from bpy.app.handlers import persistent
 
 from ..blender import colors, faces
 from ..blender import mesh_arrays as arrays
-from ..blender.faces import LogoStats
-from ..body.garments import logo_mask, worn_by
+from ..blender.faces import logo_mask
+from ..body.garments import worn_by
 from ..session import session
-from . import front
+from ..ui.drawing import Shape
+from ..ui.window import Hooks, redraw
+from .figures import LogoStats, logo_stats
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 OUTLINE = (1.0, 1.0, 1.0, 1.0)
-OUTLINE_PIXELS = 2.0
 LIFT = 0.0008
 """The tint floats this share of the body's size above the surface, so that the two do not flicker."""
 BLINK = 0.03
-"""Seconds that drawing may wait for a figure."""
+"""Longest computation, in seconds, that may run while drawing."""
 REST = 0.2
 """Seconds without a change after which what takes longer is computed."""
 
-_handle: object | None = None
-_batch: tuple[object, object | None] = (None, None)
+_drawn: tuple[object, Shape | None] = (None, None)
+"""Corners that were drawn last, and their shape."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,11 @@ class _Key:
 
 
 def _key(obj: bpy.types.Object) -> _Key | None:
-    names = faces.logo_names(obj.data)
-    if not names:
+    if not faces.logo_names(obj.data):
         return None
-    logo = obj.cloak.logo if obj.cloak.logo in names else names[0]
-    scale = tuple(value for row in obj.matrix_world.to_3x3() for value in row)
-    return _Key(obj.session_uid, logo, session.mesh_changes, obj.mode, scale, tuple(o.name for o in worn_by(obj)))
+    scale, worn = obj.matrix_world.to_3x3(), worn_by(obj)
+    names, values = tuple(o.name for o in worn), tuple(value for row in scale for value in row)
+    return _Key(obj.session_uid, faces.active_logo(obj), session.mesh_changes, obj.mode, values, names)
 
 
 class _Kept:
@@ -74,7 +72,7 @@ class _Kept:
         self._seconds = 0.0
 
     def get(self, obj: bpy.types.Object, key: _Key) -> object:
-        """The value; while a new one is on its way, the last one of the same logo, or None."""
+        """Return the value; while it is being computed, the last one of the same logo, or None."""
         self.wanted = key
         if self.key != key:
             if bpy.app.background or (not self.slow and obj.mode != "EDIT"):
@@ -102,7 +100,7 @@ def active_stats(obj: bpy.types.Object) -> LogoStats | None:
 
 
 def _catch_up() -> float | None:
-    """Timer: compute what was asked for last, once the user rests."""
+    """Timer: compute what was requested last, once the user pauses."""
     obj, late = bpy.context.object, [kept for kept in (_stats, _tint, _outline) if kept.wanted != kept.key]
     if not late or obj is None or obj.type != "MESH" or not obj.data:
         return None
@@ -115,41 +113,40 @@ def _catch_up() -> float | None:
         for kept in late:
             kept.wanted = key
             kept.update(obj)
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw()
     return None
 
 
-def _worn_with(obj: bpy.types.Object) -> list[tuple[bpy.types.Object, np.ndarray, str]]:
-    """What the camera sees beside the body, and where the active logo goes on there."""
+def _parts(obj: bpy.types.Object, mask: np.ndarray) -> list[tuple[bpy.types.Object, np.ndarray]]:
+    """The body and what the camera sees on it, each with its faces of the active logo."""
     key = _key(obj)
-    return [(o, logo_mask(o, key.logo), key.logo) for o in worn_by(obj)] if key is not None else []
+    return [(obj, mask), *((o, logo_mask(o, key.logo)) for o in worn_by(obj) if key is not None)]
 
 
 def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
-    """Figures of the logo on the body and on what it wears; from the front, what a camera there sees of it."""
-    parts = [(obj, mask), *((o, on_it) for o, on_it, _ in _worn_with(obj))]
-    return replace(functools.reduce(operator.add, (faces.logo_stats(*part) for part in parts)), **front.seen(parts))
+    """Measure the logo on the body and on its clothing."""
+    return logo_stats(_parts(obj, mask))
 
 
 def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """`tint_triangles` of the body and of its clothing, in the body's space."""
-    back, found = np.array(obj.matrix_world.inverted_safe()), [tint_triangles(obj, mask)]
-    for worn, on_it, logo in _worn_with(obj):
-        if on_it.any():
-            found.append(arrays.to_world(tint_triangles(worn, on_it, logo), back @ np.array(worn.matrix_world)))
-    return np.concatenate(found).astype(np.float32)
+    back, key = np.array(obj.matrix_world.inverted_safe()), _key(obj)
+    found = [
+        arrays.to_world(tint_triangles(o, on_it, key.logo if key else ""), back @ np.array(o.matrix_world))
+        for o, on_it in _parts(obj, mask)
+        if on_it.any()
+    ]
+    return np.concatenate([np.zeros((0, 3)), *found])
 
 
 def tint_triangles(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> np.ndarray:
     """[3 n, 3] float32: corners of the logo's triangles in the object's space, lifted off the surface."""
-    if obj.mode == "EDIT":
-        corners, normals = _edit_triangles(obj, mask)
-    else:
-        corners, normals = _corners(*_shown_mesh(obj, mask, logo))
-    return (corners + LIFT * _size(obj) * normals).astype(np.float32)
+    with arrays.current_mesh(obj) as mesh:
+        if obj.mode == "EDIT":
+            mask = mask & ~arrays.hidden_faces(mesh)
+        else:
+            mesh, mask = _shown_mesh(obj, mask, logo)
+        return _lifted(obj, mesh, arrays.mesh_triangles(mesh, mask)[0].ravel(), LIFT)
 
 
 def outline_edges(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
@@ -157,43 +154,29 @@ def outline_edges(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     mesh, mask = _shown_mesh(obj, mask)
     edges = arrays.corner_edges(mesh)[np.repeat(mask, arrays.corner_counts(mesh))]
     around = np.flatnonzero(np.bincount(edges, minlength=len(mesh.edges)) == 1)
-    ends = arrays.read(mesh.edges, "vertices", 2, np.int32)[around].ravel()
-    corners, normals = arrays.read(mesh.vertices, "co", 3)[ends], arrays.read(mesh.vertex_normals, "vector", 3)[ends]
-    return (corners + 2 * LIFT * _size(obj) * normals).astype(np.float32)
+    return _lifted(obj, mesh, arrays.read(mesh.edges, "vertices", 2, np.int32)[around].ravel(), 2 * LIFT)
 
 
-def _size(obj: bpy.types.Object) -> float:
-    """The body's largest extent in its own space."""
-    return max(obj.dimensions) / max(max(abs(s) for s in obj.matrix_world.to_scale()), 1e-9)
-
-
-def _edit_triangles(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    with arrays.current_mesh(obj) as mesh:
-        return _corners(mesh, mask & ~arrays.hidden_faces(mesh))
+def _lifted(obj: bpy.types.Object, mesh: bpy.types.Mesh, chosen: np.ndarray, lift: float) -> np.ndarray:
+    """[n, 3] float32: places of vertices [n], moved outwards by a share of the body's largest extent."""
+    size = max(obj.dimensions) / max(max(abs(s) for s in obj.matrix_world.to_scale()), 1e-9)
+    # Normals of the vertices: with the faces' own, edges would gape.
+    normals = arrays.read(mesh.vertex_normals, "vector", 3)[chosen]
+    return (arrays.vertex_points(mesh)[chosen] + lift * size * normals).astype(np.float32)
 
 
 def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tuple[bpy.types.Mesh, np.ndarray]:
-    """The mesh that viewports show, and the faces of the logo (the active one, unless named) on it."""
+    """The mesh that viewports show, and the faces of the logo (the active one, unless named) on it.
+
+    Where modifiers make other faces: the logo as its attribute arrives there, else on the rest shape.
+    """
     mesh, key = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data, _key(obj)
-    name = logo or (key.logo if key else "")
-    return (mesh, mask) if len(mesh.polygons) == len(mask) else _carried_mask(obj, mesh, mask, name)
-
-
-def _carried_mask(
-    obj: bpy.types.Object, evaluated: bpy.types.Mesh, mask: np.ndarray, logo: str
-) -> tuple[bpy.types.Mesh, np.ndarray]:
-    """The logo where modifiers make other faces: as its attribute arrives there, else on the rest shape."""
-    attribute = evaluated.attributes.get(logo)
+    if len(mesh.polygons) == len(mask):
+        return mesh, mask
+    attribute = mesh.attributes.get(logo or (key.logo if key else ""))
     if attribute is None or attribute.domain != "FACE":
         return obj.data, mask
-    return evaluated, arrays.read(attribute.data, "value", dtype=bool)
-
-
-def _corners(mesh: bpy.types.Mesh, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places and normals, [3 n, 3] each, of the corners of a mask's triangles."""
-    # Normals of the vertices: with the faces' own, edges would gape.
-    chosen = arrays.face_triangles(mesh, mask)[0].ravel()
-    return arrays.vertex_points(mesh)[chosen], arrays.read(mesh.vertex_normals, "vector", 3)[chosen]
+    return mesh, arrays.read(attribute.data, "value", dtype=bool)
 
 
 _stats, _tint, _outline = _Kept(worn_stats), _Kept(worn_tint), _Kept(outline_edges)
@@ -217,29 +200,12 @@ def _draw() -> None:
 
 def _draw_kept(obj: bpy.types.Object, corners: np.ndarray | None, kind: str, color: tuple[float, ...]) -> None:
     """Draw triangles, or lines, in the object's space."""
-    global _batch
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
-    lines = kind == "LINES"
-    shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR" if lines else "UNIFORM_COLOR")
-    if _batch[0] is not corners:
+    global _drawn
+    if _drawn[0] is not corners:
         some = corners is not None and len(corners)
-        _batch = (corners, batch_for_shader(shader, kind, {"pos": corners}) if some else None)
-    if _batch[1] is None:
-        return
-    gpu.state.depth_test_set("LESS_EQUAL")
-    gpu.state.blend_set("ALPHA")
-    with gpu.matrix.push_pop():
-        gpu.matrix.multiply_matrix(obj.matrix_world)
-        if lines:
-            region = bpy.context.region
-            shader.uniform_float("viewportSize", (region.width, region.height))
-            shader.uniform_float("lineWidth", OUTLINE_PIXELS * bpy.context.preferences.system.ui_scale)
-        shader.uniform_float("color", color)
-        _batch[1].draw(shader)
-    gpu.state.blend_set("NONE")
-    gpu.state.depth_test_set("NONE")
+        _drawn = (corners, Shape(kind, corners, color) if some else None)
+    if _drawn[1] is not None:
+        _drawn[1].draw(obj.matrix_world)
 
 
 def _sees_heat(obj: bpy.types.Object) -> bool:
@@ -249,7 +215,7 @@ def _sees_heat(obj: bpy.types.Object) -> bool:
 
 
 def _wears_cloak(obj: bpy.types.Object) -> bool:
-    """While trained colours or a heat map are shown, a tint over them would falsify them."""
+    """Whether trained colours or a heat map are shown, which a tint would falsify."""
     shading = bpy.context.space_data.shading
     if shading.type == "SOLID":
         return shading.color_type == "VERTEX" and colors.shown_attribute(obj) in (colors.CLOAK, colors.HEATMAP)
@@ -258,14 +224,14 @@ def _wears_cloak(obj: bpy.types.Object) -> bool:
 
 @persistent
 def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
-    """Selecting, and moving an object about, change no logo."""
+    """Note changes of geometry; selecting or moving an object changes no logo."""
     meshes = (bpy.types.Object, bpy.types.Mesh)
     if any(update.is_updated_geometry and isinstance(update.id, meshes) for update in graph.updates):
         _note_change()
 
 
 @persistent
-def _on_frame(scene: bpy.types.Scene, graph: bpy.types.Depsgraph | None = None) -> None:
+def _on_frame(*_: object) -> None:
     _note_change()
 
 
@@ -273,31 +239,18 @@ def _note_change() -> None:
     session.mesh_changes, session.mesh_changed_at = session.mesh_changes + 1, time.monotonic()
 
 
-HANDLERS = (
-    ("depsgraph_update_post", _on_change),
-    ("frame_change_post", _on_frame),
-    ("load_post", _on_frame),
-    ("undo_post", _on_frame),
-    ("redo_post", _on_frame),
-)
-
-
-def register() -> None:
-    global _handle
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
-    if not bpy.app.background:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
-
-
-def unregister() -> None:
-    global _handle, _batch
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(handler)
+def _forget() -> None:
+    global _drawn
     with contextlib.suppress(ValueError):
         bpy.app.timers.unregister(_catch_up)
-    _handle, _batch = None, (None, None)
+    _drawn = None, None
     for kept in (_stats, _tint, _outline):
         kept.clear()
+
+
+HOOKS = Hooks(
+    ("depsgraph_update_post", _on_change),
+    *((name, _on_frame) for name in ("frame_change_post", "load_post", "undo_post", "redo_post")),
+    drawing=((_draw, "POST_VIEW"),),
+    closing=_forget,
+)

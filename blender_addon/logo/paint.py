@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The brush that paints a logo's faces: one stroke, with the mouse or from a list of places."""
+"""Painting a logo: the brush, with the mouse or from a list of places, and its tool in the toolbars."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, CollectionProperty, EnumProperty
+from bpy.props import CollectionProperty
 from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 
@@ -14,13 +14,15 @@ from ..blender.mesh_arrays import current_mesh
 from ..blender.surface import Surface, read_surface
 from ..files.errors import InputError
 from ..properties import settings_of
+from ..ui import props
 from ..ui.operator import BodyOperator
-from .operators import active_logo
-from .preview import ADDED, TAKEN, Preview
+from .operators import take
+from .preview import ADDED, MOVES, TAKEN, Preview
 
 SPACING = 0.4
 """Of the radius: from one dab to the next."""
-MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
+RADIUS = "scene.cloak.brush_radius"
+PAINT = "cloak.paint_logo"
 
 
 class CLOAK_OT_logo_paint(BodyOperator):
@@ -29,12 +31,13 @@ touches; with X-Ray on, also those behind, all through the body"""
 
     bl_label = "Paint Logo"
 
-    action: EnumProperty(
-        name="Action",
-        description="What the brush does to the logo",
-        items=[("ADD", "Add", "Add faces to the logo"), ("REMOVE", "Remove", "Take faces out of the logo")],
+    action: props.choice(
+        "Action",
+        "What the brush does to the logo",
+        ("ADD", "Add", "Add faces to the logo"),
+        ("REMOVE", "Remove", "Take faces out of the logo"),
     )
-    mirror: BoolProperty(name="Mirror", description="Paint on the other side of the object's X = 0 plane as well")
+    mirror: props.switch("Mirror", "Paint on the other side of the object's X = 0 plane as well")
     stroke: CollectionProperty(
         name="Stroke",
         description="Dabs of the brush: places on the body and radii, in world space",
@@ -51,7 +54,7 @@ touches; with X-Ray on, also those behind, all through the body"""
         return self._write(obj, surface, np.unique(np.concatenate([np.zeros(0, np.int64), *painted])))
 
     def _dab(self, obj: bpy.types.Object, surface: Surface, place: Vector, radius: float) -> np.ndarray:
-        """The faces [n] under the brush at a place on the body, and those opposite."""
+        """Find the faces [n] under the brush at a point, and with `mirror` the opposite ones."""
         dabs = [surface.around(np.array(place), radius)]
         if self.mirror:
             opposite = obj.matrix_world @ (Vector((-1, 1, 1)) * (obj.matrix_world.inverted_safe() @ place))
@@ -64,12 +67,11 @@ touches; with X-Ray on, also those behind, all through the body"""
             raise InputError("The brush touched no face of the body")
         removes = self.action == "REMOVE"
         with current_mesh(obj):
-            if not removes and not faces.logo_names(obj.data):
-                name = faces.new_logo(obj, "Logo", mask)
+            if removes:
+                obj.cloak.logo = name = faces.active_logo(obj)
+                faces.remove_faces(obj, name, mask)
             else:
-                name = active_logo(obj)
-                (faces.remove_faces if removes else faces.add_faces)(obj, name, mask)
-        obj.cloak.logo = name
+                name = take(obj, mask, "Logo", add=bool(faces.logo_names(obj.data)))
         return f"Logo '{name}': {int(mask.sum()):,} faces painted {'out' if removes else 'in'}"
 
     # --- with the mouse ---
@@ -83,14 +85,14 @@ touches; with X-Ray on, also those behind, all through the body"""
         self._obj = context.object
         self._surface = read_surface(context, self._obj)
         if self.action == "REMOVE":
-            active_logo(self._obj)
+            faces.active_logo(self._obj)
         settings = settings_of(context)
         self.mirror, self._pixels = settings.brush_mirror, settings.brush_radius
         self.stroke.clear()
         self._painted = np.zeros(len(self._surface.centers), bool)
         self._last = Vector((event.mouse_region_x, event.mouse_region_y))
         self._preview = Preview(self._surface, TAKEN if self.action == "REMOVE" else ADDED)
-        self._preview.begin()
+        self._preview.register()
         self._touch(context, self._last)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -101,13 +103,13 @@ touches; with X-Ray on, also those behind, all through the body"""
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             return self._finish(context)
         elif event.type in {"ESC", "RIGHTMOUSE"}:
-            self._preview.end()
+            self._preview.unregister()
             context.area.tag_redraw()
             return {"CANCELLED"}
         return {"RUNNING_MODAL"}
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
-        self._preview.end()
+        self._preview.unregister()
         context.area.tag_redraw()
         if not self._painted.any():
             return {"CANCELLED"}
@@ -135,3 +137,62 @@ touches; with X-Ray on, also those behind, all through the body"""
             self._preview.add(painted[~self._painted[painted]])
             self._painted[painted] = True
         context.area.tag_redraw()
+
+
+def _key(key: str, **modifiers: bool) -> dict[str, object]:
+    return {"type": key, "value": "PRESS"} | modifiers
+
+
+class _PaintTool:
+    """Paint faces into the active logo"""
+
+    bl_space_type = "VIEW_3D"
+    bl_idname = PAINT
+    bl_label = "Paint Logo"
+    bl_description = "Paint faces into Cloak's active logo; Ctrl takes them out, F and [ ] change the brush's radius"
+    bl_icon = "ops.generic.select_paint"
+    bl_cursor = "PAINT_CROSS"
+    bl_keymap = (
+        ("cloak.logo_paint", _key("LEFTMOUSE"), {"properties": [("action", "ADD")]}),
+        ("cloak.logo_paint", _key("LEFTMOUSE", ctrl=True), {"properties": [("action", "REMOVE")]}),
+        ("wm.radial_control", _key("F"), {"properties": [("data_path_primary", RADIUS)]}),
+        ("wm.context_scale_int", _key("LEFT_BRACKET"), {"properties": [("data_path", RADIUS), ("value", 0.9)]}),
+        ("wm.context_scale_int", _key("RIGHT_BRACKET"), {"properties": [("data_path", RADIUS), ("value", 1.1)]}),
+    )
+
+    @staticmethod
+    def draw_settings(context: bpy.types.Context, layout: bpy.types.UILayout, tool: object) -> None:
+        settings = settings_of(context)
+        layout.prop(settings, "brush_radius")
+        layout.prop(settings, "brush_mirror", toggle=True)
+
+    @staticmethod
+    def draw_cursor(context: bpy.types.Context, tool: object, xy: tuple[int, int]) -> None:
+        from gpu_extras.presets import draw_circle_2d
+
+        draw_circle_2d(xy, (1, 1, 1, 1), settings_of(context).brush_radius, segments=48)
+
+
+class PaintInEditMode(_PaintTool, bpy.types.WorkSpaceTool):
+    """Paint faces into the active logo"""
+
+    bl_context_mode = "EDIT_MESH"
+
+
+class PaintInObjectMode(_PaintTool, bpy.types.WorkSpaceTool):
+    """Paint faces into the active logo"""
+
+    bl_context_mode = "OBJECT"
+
+
+TOOLS = (PaintInEditMode, PaintInObjectMode)
+
+
+def register() -> None:
+    for tool in TOOLS:
+        bpy.utils.register_tool(tool, separator=True)
+
+
+def unregister() -> None:
+    for tool in reversed(TOOLS):
+        bpy.utils.unregister_tool(tool)

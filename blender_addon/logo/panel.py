@@ -7,13 +7,12 @@ import bpy
 
 from ..blender import faces
 from ..blender.colors import HEAT, shows_heat
-from ..body.objects import active_body
-from ..body.reasons import body_reason, logo_reason
+from ..body.objects import active_body, body_reason, logo_reason
 from ..properties import settings_of
 from ..translations import said
 from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from . import overlay
-from .tools import PAINT
+from .paint import PAINT
 
 
 class CLOAK_UL_logos(bpy.types.UIList):
@@ -96,8 +95,7 @@ class CLOAK_PT_regions(CloakPanel, bpy.types.Panel):
     bl_options = CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = settings_column(self.layout)
-        column.enabled = not body_reason(context)
+        column = self.body_column(context)
         row = column.row(align=True)
         row.operator_menu_enum("cloak.logo_from_material", "slot", text="Material")
         row.operator_menu_enum("cloak.logo_from_group", "group", text="Group")
@@ -117,8 +115,7 @@ class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = settings_of(context)
-        column = settings_column(self.layout)
-        column.enabled = not body_reason(context)
+        column = self.body_column(context)
         box = column.column(align=True)
         box.row(align=True).prop(settings, "stamp_kind", expand=True)
         if settings.stamp_kind == "TEXT":

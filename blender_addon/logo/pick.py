@@ -4,39 +4,70 @@ seam islands."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import bpy
 import numpy as np
-from bpy.props import BoolProperty, EnumProperty
+from bpy.props import EnumProperty
 
-from ..blender import faces
-from ..blender.mesh_arrays import current_mesh
+from ..blender import colors
+from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, face_count, polygon_loops, read
+from ..body.objects import ORIGINAL_FACE
+from ..files.errors import InputError
+from ..ui import props
 from ..ui.operator import BodyOperator
-from . import regions
-from .operators import active_logo, selected_faces
+from .operators import selected_faces, take
 
-_shown: dict[str, list[tuple[str, str, str]]] = {}
-"""Blender keeps no copy of a menu's words: these lists must live on."""
-
-
-def _menu(kind: str, names: list[str]) -> list[tuple[str, str, str]]:
-    _shown[kind] = [(str(index), name, f"Faces of {name}") for index, name in enumerate(names)]
-    return _shown[kind]
-
-
-def _materials(self: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    obj = context.object if context else None
-    return _menu("material", [slot.name or f"Slot {slot.slot_index + 1}" for slot in obj.material_slots] if obj else [])
+Items = list[tuple[str, str, str]]
+"""Of a menu: value, name, description."""
+MEMBER = 0.5
+"""Weight from which a vertex counts as part of its group."""
+MAX_SETS = 64
+NOT_SETS = {"material_index", colors.OWN_MATERIAL, ORIGINAL_FACE}
+"""Integer face attributes that Blender and Cloak keep for themselves."""
 
 
-def _groups(self: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    obj = context.object if context else None
-    return _menu("group", [group.name for group in obj.vertex_groups] if obj else [])
+def _menu(find: Callable[[bpy.types.Object], Items]) -> Callable[[object, bpy.types.Context | None], Items]:
+    """A menu of what is found on the active mesh."""
+    kept: Items = []  # Blender keeps no copy of a menu's words: they must live on
+
+    def items(_: object, context: bpy.types.Context | None) -> Items:
+        obj = context.object if context else None
+        kept[:] = find(obj) if obj and obj.type == "MESH" else []
+        return kept
+
+    return items
+
+
+def _numbered(names: Iterable[str]) -> Items:
+    return [(str(index), name, f"Faces of {name}") for index, name in enumerate(names)]
+
+
+def _material_title(obj: bpy.types.Object, slot: int) -> str:
+    return obj.material_slots[slot].name or f"Slot {slot + 1}"
+
+
+def _materials(obj: bpy.types.Object) -> Items:
+    return _numbered(_material_title(obj, slot) for slot in range(len(obj.material_slots)))
+
+
+def _groups(obj: bpy.types.Object) -> Items:
+    return _numbered(group.name for group in obj.vertex_groups)
+
+
+def _face_sets(obj: bpy.types.Object) -> Items:
+    sets = face_sets(obj)
+    return [(f"{value} {name}", _set_title(name, value), f"Faces whose '{name}' is {value}") for name, value in sets]
+
+
+def _set_title(name: str, value: int) -> str:
+    return f"Face Set {value}" if name == ".sculpt_face_set" else f"{name} {value}"
 
 
 class PickOperator(BodyOperator):
     """Base: `pick(obj)` returns a mask and a name for the logo."""
 
-    add: BoolProperty(name="Add", description="Add to the active logo instead of making a new one")
+    add: props.switch("Add", "Add to the active logo instead of making a new one")
 
     def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
         raise NotImplementedError
@@ -45,13 +76,7 @@ class PickOperator(BodyOperator):
         self.show(0.3)
         with current_mesh(obj):
             mask, name = self.pick(obj)
-            regions.require_faces(obj, mask, f"'{name}'")
-            if self.add:
-                name = active_logo(obj)
-                faces.add_faces(obj, name, mask)
-            else:
-                name = faces.new_logo(obj, name, mask)
-        obj.cloak.logo = name
+            name = take(obj, require_faces(obj, mask, f"'{name}'"), name, self.add)
         return f"Logo '{name}': {int(mask.sum()):,} faces taken"
 
 
@@ -61,7 +86,7 @@ class CLOAK_OT_logo_from_material(PickOperator):
     bl_label = "From Material"
     bl_property = "slot"
 
-    slot: EnumProperty(name="Material", description="Whose faces to take", items=_materials)
+    slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(_materials))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -69,7 +94,7 @@ class CLOAK_OT_logo_from_material(PickOperator):
 
     def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
         slot = int(self.slot)
-        return regions.of_material(obj, slot), obj.material_slots[slot].name or f"Slot {slot + 1}"
+        return of_material(obj, slot), _material_title(obj, slot)
 
 
 class CLOAK_OT_logo_from_group(PickOperator):
@@ -78,7 +103,7 @@ class CLOAK_OT_logo_from_group(PickOperator):
     bl_label = "From Vertex Group"
     bl_property = "group"
 
-    group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_groups)
+    group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(_groups))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -86,20 +111,7 @@ class CLOAK_OT_logo_from_group(PickOperator):
 
     def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
         group = int(self.group)
-        return regions.of_vertex_group(obj, group), obj.vertex_groups[group].name
-
-
-def _face_sets(self: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    obj = context.object if context else None
-    sets = regions.face_sets(obj) if obj and obj.type == "MESH" else []
-    _shown["face set"] = [
-        (f"{value} {name}", _set_title(name, value), f"Faces whose '{name}' is {value}") for name, value in sets
-    ]
-    return _shown["face set"]
-
-
-def _set_title(name: str, value: int) -> str:
-    return f"Face Set {value}" if name == ".sculpt_face_set" else f"{name} {value}"
+        return of_vertex_group(obj, group), obj.vertex_groups[group].name
 
 
 class CLOAK_OT_logo_from_face_set(PickOperator):
@@ -108,18 +120,18 @@ class CLOAK_OT_logo_from_face_set(PickOperator):
     bl_label = "From Face Set"
     bl_property = "face_set"
 
-    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_face_sets)
+    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(_face_sets))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         reason = BodyOperator.needs(context)
-        if reason or any(regions.is_face_set(attribute) for attribute in context.object.data.attributes):
+        if reason or any(is_face_set(attribute) for attribute in context.object.data.attributes):
             return reason
         return "The body has no face sets (integer face attributes)"
 
     def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
         value, _, name = self.face_set.partition(" ")
-        return regions.of_face_set(obj, name, int(value)), _set_title(name, int(value))
+        return of_face_set(obj, name, int(value)), _set_title(name, int(value))
 
 
 class CLOAK_OT_logo_from_island(PickOperator):
@@ -128,4 +140,85 @@ class CLOAK_OT_logo_from_island(PickOperator):
     bl_label = "From Seam Island"
 
     def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
-        return regions.of_seam_islands(obj, selected_faces(obj)), "Island"
+        return of_seam_islands(obj, selected_faces(obj)), "Island"
+
+
+def of_material(obj: bpy.types.Object, slot: int) -> np.ndarray:
+    """Faces of a material slot; those under the cloak count for the material they had before."""
+    with current_mesh(obj) as mesh:
+        return colors.own_material_slots(obj, mesh) == slot
+
+
+def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
+    """Faces whose corners all weigh at least a half in a vertex group."""
+    with bmesh_of(obj) as bm:  # five times as fast as from the mesh
+        layer = bm.verts.layers.deform.active
+        weights = (vertex[layer].get(group, 0.0) if layer else 0.0 for vertex in bm.verts)
+        member = np.fromiter(weights, np.float32, len(bm.verts)) >= MEMBER
+    with current_mesh(obj) as mesh:
+        counts, loops = polygon_loops(mesh)
+    return np.minimum.reduceat(member[loops], np.cumsum(counts) - counts)
+
+
+def is_face_set(attribute: bpy.types.Attribute) -> bool:
+    """Whether a mesh attribute sorts faces by whole numbers, and is not kept by Blender or Cloak for themselves."""
+    whole = attribute.data_type in ("INT", "INT8")
+    return whole and attribute.domain == "FACE" and attribute.name not in NOT_SETS
+
+
+def face_sets(obj: bpy.types.Object) -> list[tuple[str, int]]:
+    """Names and values of the mesh's integer face attributes, such as sculpting's face sets; the first MAX_SETS each.
+
+    They took the place of face maps, which Blender 4 no longer has.
+    """
+    with current_mesh(obj) as mesh:
+        names = [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]
+        values = {name: np.unique(_integers(mesh, name)) for name in names}
+    return [(name, int(value)) for name, found in values.items() for value in found[:MAX_SETS]]
+
+
+def of_face_set(obj: bpy.types.Object, name: str, value: int) -> np.ndarray:
+    """Faces that have a value of an integer face attribute."""
+    with current_mesh(obj) as mesh:
+        return _integers(mesh, name) == value
+
+
+def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
+    return read(mesh.attributes[name].data, "value", dtype=np.int32)
+
+
+def of_seam_islands(obj: bpy.types.Object, start: np.ndarray) -> np.ndarray:
+    """All faces that can be reached from the faces of `start` without crossing a seam."""
+    islands = seam_islands(obj)
+    return np.isin(islands, np.unique(islands[start]))
+
+
+def seam_islands(obj: bpy.types.Object) -> np.ndarray:
+    """[F] for each face the lowest face of its island: faces that share an edge which is no seam are in one."""
+    with current_mesh(obj) as mesh:
+        counts, _ = polygon_loops(mesh)
+        edge = corner_edges(mesh)
+        inner = ~read(mesh.edges, "use_seam", dtype=bool)[edge]
+    edge, face = edge[inner], np.repeat(np.arange(len(counts)), counts)[inner]
+    order = np.argsort(edge, kind="stable")
+    edge, face = edge[order], face[order]
+    same = edge[1:] == edge[:-1]
+    a, b = face[:-1][same], face[1:][same]
+    label = np.arange(len(counts))
+    while True:
+        least = np.minimum(label[a], label[b])
+        following = label.copy()
+        for side in (a, b):  # also what the two were called until now: whole chains join at once
+            np.minimum.at(following, side, least)
+            np.minimum.at(following, label[side], least)
+        following = following[following]
+        if np.array_equal(following, label):
+            return label
+        label = following
+
+
+def require_faces(obj: bpy.types.Object, mask: np.ndarray, what: str) -> np.ndarray:
+    """The mask; `InputError` where it is empty."""
+    if not mask.any():
+        raise InputError(f"{what} of '{obj.name}' has no faces: choose another (of {face_count(obj):,} faces)")
+    return mask

@@ -1,13 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stamps: a text, a picture or a smiley as a bool array [H, W], row 0 at the top, True where there is ink."""
+"""Stamps: a text, a picture or a smiley, and which faces of a body it covers where it is laid.
+
+Ink is a bool array [H, W], row 0 at the top. Only the faces under the stamp and in its box are looked at.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
+from mathutils import Matrix
 
-from ..blender.mesh_arrays import image_pixels, mesh_triangles, read
-from ..blender.occlusion import depth_buffer
+from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, read, triangle_areas
+from ..blender.occlusion import depth_buffer, seen
+from ..blender.surface import Surface
 from ..files.errors import InputError
 
 RESOLUTION = 512
@@ -71,3 +78,113 @@ def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
     row = np.floor((1 - plane[:, 1]) / 2 * height).astype(int)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     return inside & stamp[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """How points in world space become stamp coordinates: x and y inside +-1, and an inverse depth."""
+
+    to_plane: np.ndarray
+    """[4, 4]: x, y and w; x and y are divided by w."""
+    direction: np.ndarray
+    """[3] into the scene."""
+    eye: np.ndarray | None = None
+    """[3] where rays come from; None for a parallel projection along `direction`."""
+
+    def toward(self, points: np.ndarray) -> np.ndarray:
+        """[3] or [n, 3]: from points [n, 3] to the viewer."""
+        return -self.direction if self.eye is None else self.eye - points
+
+    def of(self, points: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]; mask of those before the eye."""
+        rows = self.to_plane
+        if self.eye is None:  # w is 1 everywhere, and inverse depth a coordinate like the others
+            rows = np.stack([rows[0], rows[1], [*-self.direction, 0.0]])
+            return points @ rows[:, :3].T + (rows[:, :3] @ middle + rows[:, 3]), np.ones(len(points), bool)
+        plane = points @ rows[[0, 1, 3], :3].T + (rows[:, :3] @ middle + rows[:, 3])[[0, 1, 3]]
+        ahead = plane[:, 2] > 1e-9
+        plane[:, 2] = 1 / np.where(ahead, plane[:, 2], 1)  # linear in the image
+        plane[:, :2] *= plane[:, 2:]
+        return plane, ahead
+
+
+def laid(place: np.ndarray, direction: np.ndarray, height: float, aspect: float, angle: float = 0.0) -> Projection:
+    """A stamp: place of its middle [3], height, turn in radians, and the direction it is stamped along [3]."""
+    into = direction / np.linalg.norm(direction)
+    level = np.cross([0, 0, 1], -into)
+    if np.linalg.norm(level) < 1e-6:  # from straight above or below
+        level = np.array([1.0, 0, 0])
+    across = level / np.linalg.norm(level)
+    above, cos, sin = np.cross(-into, across), np.cos(angle), np.sin(angle)
+    matrix = np.eye(4)
+    matrix[0, :3] = (cos * across + sin * above) / (height * aspect / 2)
+    matrix[1, :3] = (cos * above - sin * across) / (height / 2)
+    matrix[:2, 3] = -matrix[:2, :3] @ place
+    return Projection(matrix, into)
+
+
+def front_projection(obj: bpy.types.Object, size: float, center: float, offset: float, aspect: float) -> Projection:
+    """Straight onto the front. `size` (stamp height), `center` and `offset` are shares of the body's height."""
+    low, high = box_of(obj)
+    tall = max(float(high[2] - low[2]), 1e-9)
+    place = np.array([(low[0] + high[0]) / 2 + offset * tall, low[1], low[2] + center * tall])
+    return laid(place, np.array([0.0, 1.0, 0.0]), size * tall, aspect)
+
+
+def view_projection(region: bpy.types.Region, view: bpy.types.RegionView3D, size: float, aspect: float) -> Projection:
+    """From the viewport, the stamp in its middle; `size` is a share of the viewport's height."""
+    inverse = view.view_matrix.inverted()
+    scale = Matrix.Diagonal((region.width / region.height / (size * aspect), 1 / size, 1, 1))
+    eye = np.array(inverse.translation) if view.is_perspective else None
+    return Projection(np.array(scale @ view.perspective_matrix), -np.array(inverse.to_3x3().col[2]), eye)
+
+
+class Placed:
+    """A stamp, bool [H, W], and the body it is laid on."""
+
+    def __init__(self, surface: Surface, ink: np.ndarray) -> None:
+        self.surface, self.ink = surface, ink
+        self.aspect = ink.shape[1] / ink.shape[0]
+        self._visible = np.zeros(len(surface.centers), np.int8)
+        """1 where a face is known to be seen from `_from`, -1 where it is known to be hidden, 0 else."""
+        self._from: tuple = ()
+
+    def own_mask(self, projection: Projection) -> np.ndarray:
+        """Mask [F] of the mesh's own faces that the stamp covers; `InputError` where there are none."""
+        mask = self.surface.own_mask(self.faces(projection))
+        if not mask.any():
+            raise InputError("The stamp covers no visible face: change its size or place, or the view")
+        return mask
+
+    def faces(self, projection: Projection) -> np.ndarray:
+        """The evaluated faces [n] whose centres lie under ink, that look at the viewer and that nothing hides."""
+        surface = self.surface
+        plane, ahead = projection.of(surface.centers, surface.middle)
+        inside = np.flatnonzero((np.abs(plane[:, :2]) <= 1).all(1) & ahead & surface.shown)
+        facing = (surface.normals[inside] * projection.toward(surface.centers[inside] + surface.middle)).sum(1) > 0
+        inside = inside[facing & under_ink(plane[inside], self.ink)]
+        # From one side the same faces are hidden wherever the stamp is, so that is asked once.
+        side = (projection.eye is None, *(projection.direction if projection.eye is None else projection.eye))
+        if side != self._from:
+            self._from = side
+            self._visible[:] = 0
+        new = inside[self._visible[inside] == 0]
+        if len(new):
+            self._visible[new] = np.where(self._look(new, plane, projection), 1, -1)
+        return inside[self._visible[inside] > 0]
+
+    def _look(self, faces: np.ndarray, plane: np.ndarray, projection: Projection) -> np.ndarray:
+        """Mask [n] of faces, whose centres lie at `plane` [P, 3], that no other face covers."""
+        points, ahead = projection.of(self.surface.points, self.surface.middle)
+        low, high = plane[faces, :2].min(0), plane[faces, :2].max(0)
+        sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
+        behind = (points[:, 2] < plane[faces, 2].min()) * np.uint8(16)
+        corners, face = self.surface.corners, self.surface.face
+        beyond = np.bitwise_and.reduce((sides[:, 0] | sides[:, 1] | behind)[corners], 1)
+        near = (beyond == 0) & ahead[corners].all(1)  # a triangle beyond one side hides nothing
+        return seen(plane[faces], faces, points, corners[near], face[near])
+
+
+def area_of(surface: Surface) -> float:
+    """The body's whole area, in world units squared."""
+    return float(triangle_areas(surface.points, surface.corners).sum())

@@ -1,90 +1,220 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operator of step 2 that stamps a logo onto the body."""
+"""Operators of step 2 that stamp a logo onto the body: placed by numbers, from the view, or by the mouse."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy.props import EnumProperty
+from bpy.props import FloatVectorProperty
+from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+from mathutils import Vector
 
-from ..blender import faces
+from ..blender.faces import face_areas
+from ..blender.mesh_arrays import current_mesh
 from ..blender.surface import read_surface
-from ..body.objects import require_upright
+from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..properties import settings_of
+from ..ui import props
 from ..ui.operator import BodyOperator
+from ..ui.window import areas, main_region
 from . import stamp
-from .operators import active_logo
-from .placing import Placed, Projection, front_projection, view_projection
-
-
-class CLOAK_OT_logo_stamp(BodyOperator):
-    """Project the stamp onto the body and make a logo of the faces it covers"""
-
-    bl_label = "Stamp"
-
-    target: EnumProperty(
-        name="Target",
-        description="Where the covered faces go",
-        items=[("NEW", "New Logo", "Make a new logo"), ("ADD", "Active Logo", "Add to the active logo")],
-    )
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        settings = settings_of(context)
-        require_upright(obj)
-        ink, name = ink_of(settings)
-        self.show(0.3)  # a body with subdivision takes seconds
-        placed = Placed(read_surface(context, obj), ink)
-        if settings.stamp_from == "VIEW":
-            projection = _from_view(context, settings.stamp_size, placed.aspect)
-        else:
-            place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
-            projection = front_projection(obj, *place, placed.aspect)
-        mask = placed.own_mask(projection)
-        if self.target == "ADD":
-            name = active_logo(obj)
-            faces.add_faces(obj, name, mask)
-        else:
-            name = faces.new_logo(obj, name, mask)
-        obj.cloak.logo = name
-        return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
-
+from .operators import take
+from .preview import ADDED, MOVES, Preview
+from .stamp import Placed, Projection, area_of, front_projection, laid, view_projection
 
 PAPER_SHARE = 0.044
 """Of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces."""
 HALVINGS = 7
+STEP = 1.08
+"""Factor of the size for one click of the mouse wheel."""
+HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter: stamp   Right click, Esc: cancel"
 
 
-class CLOAK_OT_stamp_paper(BodyOperator):
+class StampOperator(BodyOperator):
+    """Base: lays the stamp that is set onto the body, and makes a logo of the faces it covers."""
+
+    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
+        """Read the body and the stamp; returns the settings."""
+        require_upright(obj)
+        settings = settings_of(context)
+        ink, self._name = ink_of(settings)
+        self.show(0.3)  # a body with subdivision takes seconds
+        self._obj, self._placed = obj, Placed(read_surface(context, obj), ink)
+        return settings
+
+    def write(self, projection: Projection, add: bool) -> str:
+        """Make the logo, or add to the active one; returns what to say."""
+        mask = self._placed.own_mask(projection)
+        with current_mesh(self._obj):
+            name = take(self._obj, mask, self._name, add)
+        return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
+
+
+class CLOAK_OT_logo_stamp(StampOperator):
+    """Project the stamp onto the body and make a logo of the faces it covers"""
+
+    bl_label = "Stamp"
+
+    target: props.choice(
+        "Target",
+        "Where the covered faces go",
+        ("NEW", "New Logo", "Make a new logo"),
+        ("ADD", "Active Logo", "Add to the active logo"),
+    )
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        settings = self.lay(context, obj)
+        if settings.stamp_from == "VIEW":
+            projection = _from_view(context, settings.stamp_size, self._placed.aspect)
+        else:
+            place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
+            projection = front_projection(obj, *place, self._placed.aspect)
+        return self.write(projection, self.target == "ADD")
+
+
+class CLOAK_OT_stamp_paper(StampOperator):
     """Stamp the paper's letter G or smiley onto the chest, 4.4 % of the body's area as there"""
 
     bl_label = "Paper's Logo"
 
-    kind: EnumProperty(
-        name="Logo",
-        description="Which of the paper's logos",
-        items=[("TEXT", "Letter", "The letter G"), ("SMILEY", "Smiley", "A ring with two eyes and a mouth")],
+    kind: props.choice(
+        "Logo",
+        "Which of the paper's logos",
+        ("TEXT", "Letter", "The letter G"),
+        ("SMILEY", "Smiley", "A ring with two eyes and a mouth"),
     )
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        require_upright(obj)
         settings = settings_of(context)
         settings.stamp_kind, settings.stamp_text, settings.stamp_from = self.kind, "G", "FRONT"
         settings.stamp_center, settings.stamp_offset = 0.72, 0.0
-        ink, name = ink_of(settings)
-        areas, placed = faces.face_areas(obj), Placed(read_surface(context, obj), ink)
+        self.lay(context, obj)
+        area = face_areas(obj)
         low, high, share = 0.02, 1.0, 0.0
         for step in range(HALVINGS):
             settings.stamp_size = (low + high) / 2
-            projection = front_projection(obj, settings.stamp_size, settings.stamp_center, 0.0, placed.aspect)
-            mask = placed.own_mask(projection)
-            share = float(areas[mask].sum() / areas.sum())
+            projection = front_projection(obj, settings.stamp_size, settings.stamp_center, 0.0, self._placed.aspect)
+            mask = self._placed.own_mask(projection)
+            share = float(area[mask].sum() / area.sum())
             low, high = (settings.stamp_size, high) if share < PAPER_SHARE else (low, settings.stamp_size)
             self.show((step + 1) / HALVINGS)
-        obj.cloak.logo = faces.new_logo(obj, name, mask)
-        return f"Logo '{obj.cloak.logo}': {int(mask.sum()):,} faces, {share:.1%} of the area"
+        name = take(obj, mask, self._name)
+        return f"Logo '{name}': {int(mask.sum()):,} faces, {share:.1%} of the area"
+
+
+class CLOAK_OT_stamp_drag(StampOperator):
+    """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
+
+    bl_label = "Place Stamp"
+
+    kind: props.choice(
+        "Stamp",
+        "What is stamped",
+        ("SETTINGS", "As Set", "The text, picture or smiley that is chosen under Stamp"),
+        ("LETTER", "Paper's Letter", "The letter G with the paper's share of the body"),
+        ("SMILEY", "Paper's Smiley", "The smiley with the paper's share of the body"),
+    )
+    place: FloatVectorProperty(name="Place", description="Middle of the stamp on the body", subtype="TRANSLATION")
+    direction: FloatVectorProperty(
+        name="Direction", description="Into the body, from where it is stamped", subtype="DIRECTION", default=(0, 1, 0)
+    )
+    height: props.number("Height", "Height of the stamp", 0.3, min=1e-6, subtype="DISTANCE")
+    angle: props.number("Angle", "Turns the stamp against the clock", subtype="ANGLE")
+    add: props.switch("Add", "Add to the active logo instead of making a new one")
+    needs = staticmethod(upright_reason)
+
+    # --- from numbers ---
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.lay(context, obj)
+        return self._stamp()
+
+    def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
+        settings = settings_of(context)
+        if self.kind == "LETTER":
+            settings.stamp_kind, settings.stamp_text = "TEXT", "G"
+        elif self.kind == "SMILEY":
+            settings.stamp_kind = "SMILEY"
+        return super().lay(context, obj)
+
+    def _projection(self) -> Projection:
+        place, direction = np.array(self.place), np.array(self.direction)
+        return laid(place, direction, self.height, self._placed.aspect, self.angle)
+
+    def _stamp(self) -> str:
+        return self.write(self._projection(), self.add)
+
+    # --- with the mouse ---
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.attempt(self._begin, context, event)
+
+    def _begin(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if context.area is None or context.area.type != "VIEW_3D":
+            raise InputError("No 3D viewport to stamp in")
+        settings = self.lay(context, context.object)
+        self._area, self._region, self._turning = context.area, main_region(context.area), None
+        surface, ink = self._placed.surface, self._placed.ink
+        if self.kind != "SETTINGS":
+            self.height = math.sqrt(PAPER_SHARE * area_of(surface) / (ink.mean() * self._placed.aspect))
+        else:
+            self.height = settings.stamp_size * float(np.ptp(surface.points[:, 2]))
+        self.angle = 0.0
+        self._preview = Preview(surface, ADDED)
+        self._preview.register()
+        self._area.header_text_set(HELP)
+        self._follow(event)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        pressed = event.value == "PRESS"
+        if event.type in MOVES:
+            self._follow(event)
+        elif event.type in {"WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"} and pressed:
+            self._resize(STEP)
+        elif event.type in {"WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"} and pressed:
+            self._resize(1 / STEP)
+        elif event.type == "R" and pressed:
+            self._turning = None if self._turning else (event.mouse_x, self.angle)
+        elif event.type in {"LEFTMOUSE", "RET", "NUMPAD_ENTER"} and pressed:
+            return self._end(True)
+        elif event.type in {"ESC", "RIGHTMOUSE"}:
+            return self._end(False)
+        elif event.type == "MIDDLEMOUSE" or event.type.startswith(("NDOF", "TRACKPAD")):
+            return {"PASS_THROUGH"}  # looking around
+        return {"RUNNING_MODAL"}
+
+    def _follow(self, event: bpy.types.Event) -> None:
+        """The mouse turns the stamp, or takes it along over the body."""
+        if self._turning:
+            self.angle = self._turning[1] - (event.mouse_x - self._turning[0]) * math.radians(0.5)
+        else:
+            mouse = (event.mouse_x - self._region.x, event.mouse_y - self._region.y)
+            view = (self._region, self._area.spaces.active.region_3d, mouse)
+            origin, direction = region_2d_to_origin_3d(*view), region_2d_to_vector_3d(*view)
+            hits = self._placed.surface.hits(np.array(origin), np.array(direction))
+            if len(hits):
+                self.place, self.direction = Vector(hits[0]), direction
+        self._show()
+
+    def _resize(self, factor: float) -> None:
+        self.height *= factor
+        self._show()
+
+    def _show(self) -> None:
+        self._preview.replace(self._placed.faces(self._projection()))
+        self._area.tag_redraw()
+
+    def _end(self, stamps: bool) -> set[str]:
+        self._preview.unregister()
+        self._area.header_text_set(None)
+        self._area.tag_redraw()
+        return self.attempt(self._stamp) if stamps else {"CANCELLED"}
 
 
 def ink_of(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
@@ -98,10 +228,7 @@ def ink_of(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
 
 def _from_view(context: bpy.types.Context, size: float, aspect: float) -> Projection:
     area = context.area if context.area and context.area.type == "VIEW_3D" else None
-    if area is None and context.window_manager.windows:
-        screens = (window.screen for window in context.window_manager.windows)
-        area = next((a for screen in screens for a in screen.areas if a.type == "VIEW_3D"), None)
+    area = area or next((area for _, area in areas("VIEW_3D")), None)
     if area is None or area.spaces.active.region_3d is None:
         raise InputError("No 3D viewport to stamp from: choose From > Front")
-    region = next(r for r in area.regions if r.type == "WINDOW")
-    return view_projection(region, area.spaces.active.region_3d, size, aspect)
+    return view_projection(main_region(area), area.spaces.active.region_3d, size, aspect)

@@ -16,11 +16,11 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.faces import require_logo
-from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world
+from ..blender.faces import logo_mask, require_logo
+from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world, topology
 from ..blender.modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
-from ..body.garments import Garment, logo_mask, worn_by
-from ..body.objects import require_body, require_upright, scene_axes, topology
+from ..body.garments import Garment, worn_by
+from ..body.objects import require_body, require_upright, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.face_lists import write_face_list
 from ..exchange.scenes import write_scene
@@ -29,8 +29,7 @@ from ..files.identity import sha256_arrays, sha256_record
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json
 from ..ui.window import progress_cursor
-from .poses import PoseChoice, list_poses, require_size, visit
-from .simulations import first_frame, require_own_animation
+from .poses import PoseChoice, first_frame, list_poses, require_own_animation, require_size, visit
 
 RECORD = "export.json"
 
@@ -49,14 +48,14 @@ class Part:
 
     @property
     def face_count(self) -> int:
-        """Polygons that come from none of the mesh's own faces count behind those."""
+        """Number of faces; polygons that modifiers add are counted after the mesh's own."""
         return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
 
 
 def export_bodies(
     context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = "", worn: list | None = None
 ) -> Bodies:
-    """What the camera sees in every chosen pose: the body, and what it wears (the logo may go on there).
+    """Export the body and its clothing in every chosen pose; the logo may extend over the clothing.
 
     worn: other objects than `worn_by` names. Leaves the scene as it was.
     """
@@ -123,7 +122,7 @@ def _numbered_on(obj: bpy.types.Object, own: np.ndarray | None) -> np.ndarray:
 
 
 def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
-    """No object may change its faces between poses."""
+    """Raise `InputError` if an object changes its faces between poses."""
     for obj, a, b in zip(objects, frames[-1], frames[0], strict=True):
         same = np.array_equal(a.loop_vertices, b.loop_vertices) and len(a.vertices) == len(b.vertices)
         if not same or not np.array_equal(a.loop_total, b.loop_total):
@@ -188,6 +187,10 @@ class Export:
     """Of the body alone: what colours that come back are checked against."""
     poses: int
     faces: int
+    objects: list[str]
+    """Names of the body and of what was seen on it."""
+    garments: list[Garment]
+    """What wears the logo too."""
 
     @property
     def scene(self) -> Path:
@@ -212,22 +215,25 @@ def export(context: bpy.types.Context, obj: bpy.types.Object, logo: str, choice:
     ids = np.intersect1d(ids, bodies.triangle_face)  # faces that a modifier takes away are not seen
     if not len(ids):
         raise InputError(f"No face of logo '{logo}' is left when '{obj.name}' is evaluated: look at its modifiers")
-    done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count)
+    names = [obj.name, *(o.name for o in clothing)]
+    done = Export(folder, obj.name, logo, topology(obj), bodies.pose_count, bodies.face_count, names, garments)
     with new_folder(folder) as temporary:
         write_scene(temporary / "scene", bodies, creator="cloak add-on")
         write_face_list(temporary / "logo.npy", ids, bodies.topology)
-        record = {key: getattr(done, key) for key in ("object", "logo", "topology", "poses", "faces")}
-        record["objects"] = [obj.name, *(o.name for o in clothing)]
-        record["garments"] = [asdict(garment) for garment in garments]
+        record = {key: value for key, value in asdict(done).items() if key != "folder"}
         write_json(temporary / RECORD, {"format": "cloak export", "version": 1, **record})
     return done
 
 
 def read_export(folder: Path) -> Export:
-    """The record of an earlier export."""
+    """The record of an earlier export; one that was written before there were garments has none."""
     record = read_json(folder / RECORD)
     try:
         words = {key: str(record[key]) for key in ("object", "logo", "topology")}
-        return Export(folder, poses=int(record["poses"]), faces=int(record["faces"]), **words)
+        counts = {key: int(record[key]) for key in ("poses", "faces")}
+        objects = [str(name) for name in record.get("objects", [])]
+        worn = record.get("garments", [])
+        garments = [Garment(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in worn]
+        return Export(folder, **words, **counts, objects=objects, garments=garments)
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / RECORD}: not the record of an export") from None

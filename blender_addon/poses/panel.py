@@ -6,8 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.modifiers import modifiers_reason
-from ..body.objects import active_body
-from ..body.reasons import body_reason
+from ..body.objects import active_body, body_reason
 from ..properties import settings_of
 from ..ui.panel_parts import CLOSED, CloakPanel, wrapped
 from .poses import lying_warning
@@ -21,7 +20,7 @@ class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
     bl_options = CLOSED
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        """Closed at first, because what it begins with suits most bodies; so what is wrong shows outside."""
+        """Show an error in the header too: the panel is closed by default."""
         super().draw_header(context)
         if not body_reason(context) and not self.is_done(context):
             self.layout.label(icon="ERROR")

@@ -6,7 +6,7 @@ Stepping through poses changes the scene's frame, actions and unkeyed pose; `vis
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -18,6 +18,11 @@ from ..body.garments import armature_of
 from ..files.errors import InputError
 
 MAX_POSES = 1000
+DISTANCE = 2.2
+"""Metres from the middle of the body to the training cameras, unless a settings file says otherwise."""
+SMALLEST, LARGEST = 0.2, 2 * DISTANCE
+"""Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
+_CACHED = ("CLOTH", "SOFT_BODY")
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class Pose:
 
 
 def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
-    """The poses a choice stands for; raises `InputError` when there are none or far too many."""
+    """List the poses of a choice; raise `InputError` if there are none or too many."""
     if choice.source == "CURRENT":
         return [Pose("current pose")]
     if choice.step < 1:
@@ -58,7 +63,7 @@ def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
 
 
 def _owners(obj: bpy.types.Object) -> list[bpy.types.ID]:
-    """Whatever an action may move: the armature (or, without one, the object) and the shape keys."""
+    """List what an action may animate: the armature (else the object) and the shape keys."""
     owners: list[bpy.types.ID] = [armature_of(obj) or obj]
     if obj.data.shape_keys is not None:
         owners.append(obj.data.shape_keys)
@@ -109,12 +114,6 @@ def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCu
 # --- what a camera can see of them -----------------------------------------------------------------------------------
 
 
-DISTANCE = 2.2
-"""Metres from the middle of the body to the training cameras, unless a settings file says otherwise."""
-SMALLEST, LARGEST = 0.2, 2 * DISTANCE
-"""Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
-
-
 def extent(obj: bpy.types.Object) -> tuple[float, float, float]:
     """Width, depth and height of the body as it stands now, in metres."""
     low, high = box_of(obj)
@@ -137,7 +136,7 @@ def _length(metres: float) -> str:
 
 
 def require_faces(obj: bpy.types.Object) -> None:
-    """Raise `InputError` when the body has a vertex nowhere, or its modifiers leave no face of it."""
+    """Raise `InputError` if a vertex has no finite position, or if the modifiers remove all faces."""
     points = vertex_points(obj.data) if obj.mode != "EDIT" else np.zeros(0)
     if not np.isfinite(points.sum()):
         count = int((~np.isfinite(points).all(1)).sum())
@@ -150,7 +149,7 @@ def require_faces(obj: bpy.types.Object) -> None:
 
 
 def lying_warning(obj: bpy.types.Object) -> str:
-    """What to know about a body that lies; "" for one that stands."""
+    """Warn about a body that lies on the ground; "" for one that stands."""
     width, depth, height = extent(obj)
     if not 0 < height < 0.5 * max(width, depth):
         return ""
@@ -175,7 +174,7 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
     bones = {bone.name: bone.matrix_basis.copy() for bone in armature.pose.bones} if armature else {}
     keys = obj.data.shape_keys
     values = {key.name: key.value for key in keys.key_blocks} if keys else {}
-    saved = [(owner, *_animation_state(owner)) for owner in _owners(obj)]
+    restorers = [_animation_of(owner) for owner in _owners(obj)]
     moved, ahead = False, play_from
 
     def go(pose: Pose) -> None:
@@ -196,8 +195,8 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
         yield go
     finally:
         if moved:
-            for owner, had_data, action, slot, use_nla in saved:
-                _restore_animation(owner, had_data, action, slot, use_nla)
+            for restore in restorers:
+                restore()
             scene.frame_set(frame, subframe=subframe)
             for name, matrix in bones.items():
                 armature.pose.bones[name].matrix_basis = matrix
@@ -206,11 +205,27 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
             context.view_layer.update()
 
 
-def _animation_state(owner: bpy.types.ID) -> tuple[bool, object, object, bool]:
+def _animation_of(owner: bpy.types.ID) -> Callable[[], None]:
+    """Return a function that restores the owner's current animation."""
     data = owner.animation_data
-    if data is None:
-        return False, None, None, True
-    return True, data.action, getattr(data, "action_slot", None), data.use_nla
+    had = data is not None
+    action, slot = (data.action, getattr(data, "action_slot", None)) if had else (None, None)
+    use_nla = data.use_nla if had else True
+
+    def restore() -> None:
+        now = owner.animation_data
+        if now is None:
+            return
+        if not had:
+            owner.animation_data_clear()
+            return
+        now.use_nla = use_nla
+        if now.action != action:
+            now.action = action
+        if action is not None and slot is not None:
+            now.action_slot = slot
+
+    return restore
 
 
 def _animate(owner: bpy.types.ID, action: bpy.types.Action) -> None:
@@ -222,15 +237,40 @@ def _animate(owner: bpy.types.ID, action: bpy.types.Action) -> None:
         data.action_slot = _slot(action, owner)
 
 
-def _restore_animation(owner: bpy.types.ID, had_data: bool, action: object, slot: object, use_nla: bool) -> None:
-    data = owner.animation_data
-    if data is None:
+def require_own_animation(objects: Iterable[bpy.types.Object], choice: PoseChoice) -> None:
+    """Raise `InputError` for poses of several actions if an object is simulated: its cache holds one animation."""
+    if choice.source != "ACTIONS":
         return
-    if not had_data:
-        owner.animation_data_clear()
-        return
-    data.use_nla = use_nla
-    if data.action != action:
-        data.action = action
-    if action is not None and slot is not None:
-        data.action_slot = slot
+    for obj in objects:
+        for modifier in obj.modifiers:
+            if _is_simulated(modifier):
+                raise InputError(
+                    f"'{obj.name}' is simulated ({modifier.name}), in the scene's own animation alone: "
+                    "choose Frame Range instead of every action"
+                )
+
+
+def first_frame(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> int | None:
+    """The frame from which on every frame has to be played; None where nothing is simulated, or all of it is baked."""
+    frames = [
+        modifier.point_cache.frame_start if modifier.type in _CACHED else scene.frame_start
+        for obj in objects
+        for modifier in obj.modifiers
+        if _is_simulated(modifier) and not (modifier.type in _CACHED and modifier.point_cache.is_baked)
+    ]
+    return min(frames, default=None)
+
+
+def _is_simulated(modifier: bpy.types.Modifier) -> bool:
+    if not modifier.show_viewport:
+        return False
+    return modifier.type in _CACHED or (modifier.type == "NODES" and _has_simulation(modifier.node_group))
+
+
+def _has_simulation(tree: bpy.types.NodeTree | None) -> bool:
+    if tree is None:
+        return False
+    groups = (node.node_tree for node in tree.nodes if node.bl_idname == "GeometryNodeGroup")
+    return any(node.bl_idname == "GeometryNodeSimulationOutput" for node in tree.nodes) or any(
+        map(_has_simulation, groups)
+    )

@@ -7,15 +7,13 @@ import bpy
 
 from ..blender.modifiers import modifiers_reason
 from ..body.garments import also_wearing, worn_by
-from ..body.objects import active_body, require_upright
-from ..body.reasons import body_reason, refusal
+from ..body.objects import active_body, body_reason, refusal, require_upright
 from ..properties import pose_choice, settings_of
-from .poses import PoseChoice, list_poses, require_faces, require_size
-from .simulations import require_own_animation
+from .poses import PoseChoice, list_poses, require_faces, require_own_animation, require_size
 
 
 def poses_reason(context: bpy.types.Context, choice: PoseChoice | None = None) -> str:
-    """Why the poses cannot be exported: those of step 3, or others."""
+    """Why the given poses (by default those of step 3) cannot be exported."""
     reason = body_reason(context)
     if reason:
         return reason

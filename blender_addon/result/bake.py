@@ -20,9 +20,9 @@ from ..files.errors import InputError
 MARGIN = 4
 """Texels by which colours go on beyond the islands."""
 OFF = 4 / 255
-"""A face whose colour in the image differs by more is off."""
+"""Largest colour error of a face in the image."""
 FEW = 0.005
-"""Share of the faces that may be off before a map of Cloak's own is made."""
+"""Share of wrong faces above which Cloak makes its own UV map."""
 OWN_MAP = "Cloak UV"
 FEWEST = 3
 """Texels along a face's square, at least."""
@@ -37,7 +37,7 @@ class Baked:
     off: int
     """Faces whose colour in the image is off by more than 4/255."""
     off_before: int | None = None
-    """The same on the body's own map, where Cloak made another; None where it did not, or the body had none."""
+    """Wrong faces on the body's own UV map, if Cloak made another; else None."""
 
 
 def bake(obj: bpy.types.Object, size: int) -> Baked:
@@ -69,7 +69,7 @@ def bake(obj: bpy.types.Object, size: int) -> Baked:
 def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.ndarray) -> int:
     """How many faces find a colour in the image [S, S, 4], in the middle of their place, that is off [F, 3]."""
     size = len(pixels)
-    middle = np.nan_to_num(mean_of_corners(mesh, read(mesh.uv_layers[uv_map].uv, "vector", 2)), nan=-1)
+    middle = np.nan_to_num(mean_of_corners(corner_counts(mesh), read(mesh.uv_layers[uv_map].uv, "vector", 2)), nan=-1)
     outside = ((middle < 0) | (middle > 1)).any(1)
     x, y = np.clip((middle * size).astype(int), 0, size - 1).T
     return int((outside | (np.abs(pixels[y, x, :3] - wanted) > OFF).any(1)).sum())
@@ -87,7 +87,7 @@ def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) ->
 
 
 def squares_along(count: int, size: int) -> int:
-    """How many squares stand side by side; `InputError` where they would be too small."""
+    """Number of squares in a row; raise `InputError` if they would be too small."""
     side = int(np.ceil(count**0.5))
     if size // side < FEWEST:
         raise InputError(f"{count:,} faces need at least {FEWEST * side} texels along each side: raise Size")
@@ -150,12 +150,8 @@ def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
     """A material that shows the image on a UV map, marked as an asset, so that the asset browser offers it."""
     material = bpy.data.materials.new(image.name)
     nodes, links = colors.nodes_of(material)
-    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Roughness"].default_value = 0.6
-    texture = nodes.new("ShaderNodeTexImage")
+    texture = colors.base_color_from(nodes, links, "ShaderNodeTexImage")
     texture.image = image
-    texture.location = (shader.location.x - 320, shader.location.y)
-    links.new(texture.outputs["Color"], shader.inputs["Base Color"])
     places = nodes.new("ShaderNodeUVMap")
     places.uv_map = uv_map
     places.location = (texture.location.x - 200, texture.location.y - 200)

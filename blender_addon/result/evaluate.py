@@ -7,24 +7,47 @@ from pathlib import Path
 
 import bpy
 
-from ..body.objects import active_body
+from ..blender.blend_paths import absolute
+from ..body.objects import active_body, of_the_body, refusal
 from ..poses.poses import PoseChoice
+from ..poses.reasons import poses_reason
 from ..properties import settings_of
 from ..session import session
-from ..trainer.command_lines import evaluate_command, look_command
-from ..trainer.jobs import Job, run_command
+from ..trainer.command_lines import cloak_command, detector_options
+from ..trainer.jobs import Job, run_cloak
 from ..trainer.onlooker import Onlooker
-from ..trainer.preferences import chosen_python, local_python
+from ..trainer.preferences import local_python
 from ..training import run_list
 from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui.operator import CloakOperator
-from ..ui.window import redraw
+from ..ui.window import main_region, redraw
 from . import eye
 from .evaluations import kept_back, read_evaluation
 from .judging import evaluate_options
-from .reasons import evaluate_reason, eye_reason
+from .reasons import judged_reason
 from .worn_scenes import export_worn
+
+
+def evaluate_reason(context: bpy.types.Context) -> str:
+    """Why the body's run cannot be evaluated."""
+    reason = judged_reason(context)
+    judging = settings_of(context).judging
+    if reason or judging.bodies == "KEPT":
+        return reason or _folder_reason(judging.backgrounds)
+    choice = PoseChoice("RANGE", judging.frame_start, judging.frame_end, judging.frame_step)
+    return poses_reason(context, choice) or _folder_reason(judging.backgrounds)
+
+
+def _folder_reason(path: str) -> str:
+    found = absolute(path)
+    return "" if not found or Path(found).is_dir() else f"Backgrounds folder {found} does not exist"
+
+
+@of_the_body
+def eye_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot look at the body."""
+    return poses_reason(context, PoseChoice()) or refusal(judges, settings_of(context))
 
 
 class CLOAK_OT_evaluate(CloakOperator):
@@ -36,7 +59,7 @@ beside controls on the same images. The result is shown here and as a ring aroun
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), settings_of(context)
-        run, python, judging = run_of(obj), chosen_python(), settings.judging
+        run, judging = run_of(obj), settings.judging
         options = evaluate_options(judging, judges(settings), settings.device)
         folder = side_folder(run)
         if judging.bodies == "FRAMES":
@@ -46,9 +69,8 @@ beside controls on the same images. The result is shown here and as a ring aroun
             options.append(f"--scene={scene}")
         elif not kept_back(run) and (input_folder(run) / "scene").is_dir():
             options.append(f"--scene={input_folder(run) / 'scene'}")
-        events = "evaluate.jsonl"
-        command, ended = evaluate_command(python, run, options, folder / events), lambda job: _evaluated(job, run)
-        return f"Evaluating {run.name}" + run_command("Evaluation", command, folder, "evaluate", ended, events)
+        words, ended = ["evaluate", run, *options], lambda job: _evaluated(job, run)
+        return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
 
 
 def _evaluated(job: Job, run: Path) -> str | None:
@@ -81,9 +103,10 @@ It goes on looking as you move, and while a training runs, until this is pressed
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
         python = local_python()
-        start = lambda specs: Onlooker(look_command(python, specs, settings.device), folder)
+        options = lambda specs: [*detector_options(specs), f"--device={settings.device}"]
+        start = lambda specs: Onlooker(cloak_command(python, "look", "-", *options(specs)), folder)
         opened = eye.Eye(obj, start, folder, judges(settings))
         if context.area is not None and context.area.type == "VIEW_3D":
-            opened.region = next(r.as_pointer() for r in context.area.regions if r.type == "WINDOW")
+            opened.region = main_region(context.area).as_pointer()
         eye.open_eye(opened)
         return f"{', '.join(opened.specs)}: getting ready to look"

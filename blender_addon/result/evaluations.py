@@ -65,16 +65,24 @@ class Evaluation:
     unseen: dict[str, bool | None]
     """Whether bodies and backgrounds were kept from the training; None where that is not known."""
     outdated: bool = False
-    """The run has newer colours than those it judged."""
+    """The run has newer colours than the evaluated ones."""
 
     def describe(self) -> str:
-        """What it was made on, in one line."""
+        """Describe the evaluated images in one line."""
         words = {True: "unseen {}", False: "{} of the training", None: "{} that may have been seen"}
         parts = [words[self.unseen.get(what)].format(what) for what in ("bodies", "backgrounds")]
         return f"{self.images:,} images of each kind, {' and '.join(parts)}"
 
+    def worst_rates(self) -> dict[str, float]:
+        """Return the lowest success over the detectors for each control."""
+        worst: dict[str, float] = {}
+        for name, (rate, _) in (pair for judged in self.detectors for pair in judged.rates.items()):
+            if rate.value is not None:
+                worst[name] = min(worst.get(name, 1.0), rate.value)
+        return worst
+
     def worst_sectors(self) -> tuple[Sector, ...]:
-        """By azimuth, that of the detector that finds the most."""
+        """Return the lowest success over the detectors for each azimuth."""
         found: dict[float, Sector] = {}
         for sector in (sector for judged in self.detectors for sector in judged.sectors):
             if sector.azimuth not in found or sector.cloak < found[sector.azimuth].cloak:
@@ -126,7 +134,7 @@ def _number(value: object) -> float | None:
 
 
 def kept_back(run: Path) -> bool:
-    """Whether the run was trained on Cloak's own people, of whom some were kept back."""
+    """Whether the run was trained on Cloak's sample people, some of whom are held out."""
     try:
         inputs = read_json(run / "config.json").get("inputs", {})
         return str(inputs.get("made_from") or inputs.get("scene", "")).startswith(tuple(SAMPLES.values()))

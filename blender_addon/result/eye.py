@@ -16,10 +16,9 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..blender.blend_paths import absolute
-from ..blender.mesh_arrays import evaluated_mesh, read, to_world
+from ..blender.mesh_arrays import evaluated_mesh, read, to_world, topology
 from ..body.garments import worn_by
-from ..body.objects import object_of, topology
-from ..body.reasons import refusal
+from ..body.objects import object_of, refusal
 from ..files.errors import InputError
 from ..poses.poses import PoseChoice
 from ..properties import settings_of
@@ -27,9 +26,9 @@ from ..session import session
 from ..trainer.onlooker import Onlooker, Seen
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
-from ..ui.window import redraw
+from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import worn_reason
-from .viewpoints import Viewpoint, middle_of, of_camera, of_region
+from .viewpoints import Viewpoint, of_camera, of_view
 from .worn_scenes import export_worn
 
 LONGEST = 640
@@ -38,16 +37,16 @@ TICK_SECONDS = 0.2
 
 
 class Eye:
-    """One body under watch."""
+    """Watches one body through detectors."""
 
     def __init__(
         self, obj: bpy.types.Object, start: Callable[[tuple[str, ...]], Onlooker], folder: Path, specs: tuple[str, ...]
     ) -> None:
         self.message = ""
-        """What stands in the way; "" for nothing."""
+        """Why the detector cannot look now; "" if it can."""
         self.seen: Seen | None = None
         self.viewpoint: Viewpoint | None = None
-        """Of what was seen."""
+        """Viewpoint of the last answer."""
         self.region = 0
         """The viewport that is looked from, by its address; 0 for any."""
         self._uid, self._scene = obj.session_uid, folder / "scene"
@@ -92,7 +91,7 @@ class Eye:
             redraw()
 
     def _use(self, specs: tuple[str, ...]) -> None:
-        """Other detectors stand in the list now: they look from now on."""
+        """Switch to the detectors that are in the list now."""
         self._onlooker.stop()
         self.specs, self.seen, self._asked = specs, None, None
         self._onlooker = self._start(specs)
@@ -125,27 +124,16 @@ class Eye:
         return self._fitting[1]
 
     def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
-        metre = 1 / context.scene.unit_settings.scale_length
-        middle = middle_of(obj)
         if settings_of(context).judging.eye_from == "CAMERA":
-            return of_camera(context.scene, middle, metre)
-        region, view = self._viewport(context)
-        if view.view_perspective == "CAMERA":
-            return of_camera(context.scene, middle, metre)
-        return of_region(region, view, middle, metre)
-
-    def _viewport(self, context: bpy.types.Context) -> tuple[bpy.types.Region, bpy.types.RegionView3D]:
-        found = []
-        for window in context.window_manager.windows:
-            for area in window.screen.areas:
-                if area.type == "VIEW_3D":
-                    found += [(r, area.spaces.active.region_3d) for r in area.regions if r.type == "WINDOW"]
+            return of_camera(context.scene, obj)
+        found = [(main_region(area), area.spaces.active.region_3d) for _, area in areas("VIEW_3D")]
         if not found:
             raise InputError("There is no 3D viewport to look from: choose From > Camera")
-        return next((pair for pair in found if pair[0].as_pointer() == self.region), found[0])
+        region, view = next((pair for pair in found if pair[0].as_pointer() == self.region), found[0])
+        return of_view(context.scene, region, view, obj)
 
     def _export(self, context: bpy.types.Context, obj: bpy.types.Object, run: Path | None) -> None:
-        """Write the body as it stands now, where it changed."""
+        """Export the current body if it changed."""
         if obj.mode == "EDIT":
             raise InputError("Leave Edit Mode (Tab): the detector looks at the body as it then is")
         worn = tuple(o.name for o in worn_by(obj))
@@ -194,7 +182,7 @@ def open_eye(eye: Eye) -> None:
 
 
 def close_eye() -> None:
-    """Watch no more."""
+    """Close the open eye."""
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     if session.eye is not None:
@@ -221,10 +209,4 @@ def _close(*_: object) -> None:
     close_eye()
 
 
-def register() -> None:
-    bpy.app.handlers.load_pre.append(_close)
-
-
-def unregister() -> None:
-    close_eye()
-    bpy.app.handlers.load_pre.remove(_close)
+HOOKS = Hooks(("load_pre", _close), closing=close_eye)

@@ -9,33 +9,30 @@ from ..files.errors import InputError
 from ..session import session
 from ..trainer.onlooker import Seen
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
+from ..ui.window import Hooks
 from . import eye
-from .viewpoints import camera_frame, middle_of, of_camera, of_region
+from .viewpoints import camera_frame, of_view
 
 KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
 """What is looked at: its name, and the sRGB colour of its boxes."""
 LEFT, BELOW_TOP, LINE = 70, 110, 18
-"""Pixels: where the lines stand."""
+"""Position of the lines, in pixels."""
 Rectangle = tuple[float, float, float, float]
 """Left, bottom, right, top in pixels."""
 
-_handle: object | None = None
-
 
 def place_of_picture(context: bpy.types.Context, watching: eye.Eye) -> Rectangle | None:
-    """Where the picture that was seen lies in this viewport; None where the viewport shows something else."""
+    """Return the last picture's rectangle in this viewport; None if the viewport shows something else."""
     region, view, seen_from = context.region, context.region_data, watching.viewpoint
     if seen_from is None or view is None:
         return None
-    metre = 1 / context.scene.unit_settings.scale_length
-    middle = middle_of(watching.object)
     try:
-        if view.view_perspective == "CAMERA":
-            return camera_frame(context) if of_camera(context.scene, middle, metre).is_like(seen_from) else None
-        here = of_region(region, view, middle, metre)
+        if not of_view(context.scene, region, view, watching.object).is_like(seen_from):
+            return None
     except InputError:
         return None
-    return (0.0, 0.0, float(region.width), float(region.height)) if here.is_like(seen_from) else None
+    whole = (0.0, 0.0, float(region.width), float(region.height))
+    return camera_frame(context) if view.view_perspective == "CAMERA" else whole
 
 
 def box_in(place: Rectangle, box: tuple[float, ...], seen: Seen) -> Rectangle:
@@ -62,7 +59,7 @@ def draw() -> None:
 
 
 def lines(watching: eye.Eye, fits: bool) -> list[tuple[str, tuple[float, float, float]]]:
-    """What stands at the upper left, and its colours. fits: what was seen is what this viewport shows."""
+    """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
     told = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
     if watching.message:
         return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
@@ -78,7 +75,7 @@ def lines(watching: eye.Eye, fits: bool) -> list[tuple[str, tuple[float, float, 
 
 
 def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
-    """Boxes that a detector reports; those of the cloak stand out."""
+    """Draw the reported boxes, those of the cloak with thicker lines."""
     for glances in seen.glances.values():
         for kind, glance in glances.items():
             color, thickness = KINDS[kind][1], (3 if kind == "cloak" else 2) * scale
@@ -91,14 +88,4 @@ def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
                 write(words, x1 + 4 * scale, top + 5 * scale)
 
 
-def register() -> None:
-    global _handle
-    if not bpy.app.background:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_PIXEL")
-
-
-def unregister() -> None:
-    global _handle
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-    _handle = None
+HOOKS = Hooks(drawing=((draw, "POST_PIXEL"),))

@@ -6,95 +6,78 @@ from __future__ import annotations
 import math
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from ..blender.blend_paths import RELATIVE, absolute
+from ..blender.blend_paths import absolute
 from ..trainer.command_lines import detector_options
+from ..ui import props
 
 AROUND = 180
 """An evaluation all around goes this many degrees to either side."""
 
 BARE = 256
-"""At most so many bare backgrounds are looked at for false alarms."""
+"""Most empty backgrounds that are checked for false alarms."""
 
 
 class CloakJudging(bpy.types.PropertyGroup):
     """How a cloak is judged."""
 
-    bodies: EnumProperty(
-        name="Bodies",
-        description="What to evaluate on",
-        items=(
-            (
-                "KEPT",
-                "Kept Back",
-                "Bodies that training never saw, where it ran on Cloak's own people; else the bodies of the training",
-            ),
-            ("FRAMES", "Frames", "This body in the frames below: choose such as training did not see"),
+    bodies: props.choice(
+        "Bodies",
+        "What to evaluate on",
+        (
+            "KEPT",
+            "Kept Back",
+            "Bodies that training never saw, where it ran on Cloak's own people; else the bodies of the training",
         ),
+        ("FRAMES", "Frames", "This body in the frames below: choose such as training did not see"),
     )
-    frame_start: IntProperty(name="Start", description="First frame to evaluate on", default=1)
-    frame_end: IntProperty(name="End", description="Last frame to evaluate on", default=12)
-    frame_step: IntProperty(name="Step", description="Frames from one to the next", default=1, min=1)
-    backgrounds: StringProperty(
-        name="Backgrounds",
-        description="Folder of photographs without people that training did not see; empty for procedural scenes that "
+    frame_start: props.whole("Start", "First frame to evaluate on", 1)
+    frame_end: props.whole("End", "Last frame to evaluate on", 12)
+    frame_step: props.whole("Step", "Frames from one to the next", 1, min=1)
+    backgrounds: props.path(
+        "Backgrounds",
+        "Folder of photographs without people that training did not see; empty for procedural scenes that "
         "training never sees",
-        subtype="DIR_PATH",
-        options={"ANIMATABLE"} | RELATIVE,
+        "DIR_PATH",
     )
-    angle: IntProperty(
-        name="Angle Step (°)",
-        description="Degrees from one azimuth to the next, all around the body",
-        default=15,
-        min=1,
-        max=90,
-    )
-    images: IntProperty(
-        name="Images",
-        description="Images of each kind (the cloak, and each control), spread over bodies, angles and backgrounds. "
+    angle: props.whole("Angle Step (°)", "Degrees from one azimuth to the next, all around the body", 15, min=1, max=90)
+    images: props.whole(
+        "Images",
+        "Images of each kind (the cloak, and each control), spread over bodies, angles and backgrounds. "
         "More of them take longer and make the intervals narrower",
-        default=240,
+        240,
         min=8,
         max=100_000,
     )
-    ring: BoolProperty(
-        name="Ring", description="Draw success by azimuth as a ring around the body's feet", default=True
-    )
+    ring: props.switch("Ring", "Draw success by azimuth as a ring around the body's feet", True)
 
-    eye_from: EnumProperty(
-        name="From",
-        description="Where the detector looks from",
-        items=(("VIEW", "View", "Where you look from, as you move around"), ("CAMERA", "Camera", "The scene's camera")),
+    eye_from: props.choice(
+        "From",
+        "Where the detector looks from",
+        ("VIEW", "View", "Where you look from, as you move around"),
+        ("CAMERA", "Camera", "The scene's camera"),
     )
-    eye_background: IntProperty(
-        name="Background",
-        description="Which background stands behind the body: a photograph of the training's folder by its number, or "
+    eye_background: props.whole(
+        "Background",
+        "Which background stands behind the body: a photograph of the training's folder by its number, or "
         "a procedural scene where there is none",
         min=0,
         max=9999,
     )
 
-    people: StringProperty(
-        name="People",
-        description="People in photographs to wear the cloak: a people.json as COCO has them, or the folder it lies in",
-        subtype="FILE_PATH",
-        options={"ANIMATABLE"} | RELATIVE,
+    people: props.path(
+        "People", "People in photographs to wear the cloak: a people.json as COCO has them, or the folder it lies in"
     )
-    people_page: IntProperty(name="Page", description="Page of the pictures of people", min=0)
+    people_page: props.whole("Page", "Page of the pictures of people", min=0)
 
-    film_format: EnumProperty(
-        name="Format",
-        description="What to write",
-        items=(
-            ("gif", "GIF", "Plays everywhere, large"),
-            ("mp4", "MP4", "Small; the trainer's Python needs the extra 'film' (PyAV)"),
-            ("png", "Pictures", "A folder of PNGs"),
-        ),
+    film_format: props.choice(
+        "Format",
+        "What to write",
+        ("gif", "GIF", "Plays everywhere, large"),
+        ("mp4", "MP4", "Small; the trainer's Python needs the extra 'film' (PyAV)"),
+        ("png", "Pictures", "A folder of PNGs"),
     )
-    film_seconds: FloatProperty(
-        name="Turntable", description="Seconds that a turntable takes", default=6.0, min=0.5, max=120.0, subtype="TIME"
-    )
+    film_seconds: props.number("Turntable", "Seconds that a turntable takes", 6.0, min=0.5, max=120.0, subtype="TIME")
 
 
 def evaluate_options(judging: CloakJudging, specs: tuple[str, ...], device: str) -> list[str]:
@@ -108,5 +91,5 @@ def evaluate_options(judging: CloakJudging, specs: tuple[str, ...], device: str)
 
 
 def backgrounds_option(judging: CloakJudging) -> str:
-    """What stands behind the body when it is judged."""
+    """Option of the trainer for the evaluation's backgrounds."""
     return f"--backgrounds={absolute(judging.backgrounds) or 'procedural:test'}"

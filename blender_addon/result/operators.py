@@ -10,18 +10,46 @@ import bpy
 from ..blender import colors
 from ..blender.blend_paths import absolute
 from ..body.garments import is_dressed, undress
-from ..body.objects import active_body, object_of
+from ..body.objects import active_body, object_of, of_the_body, refusal
 from ..properties import settings_of
-from ..trainer.command_lines import check_command, report_command
-from ..trainer.jobs import Job, launch, run_command, waits
+from ..trainer.command_lines import cloak_command
+from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.preferences import chosen_python
 from ..training import run_list, runs
-from ..training.detectors import thresholds
+from ..training.detectors import judges, thresholds
 from ..training.runs import run_of
 from ..translations import said
+from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 from . import render_check
-from .reasons import check_reason, report_reason, wear_reason
+from .reasons import judged_reason, result_reason
+
+
+def wear_reason(context: bpy.types.Context) -> str:
+    """Why the body cannot be given, or be rid of, the colours."""
+    reason = result_reason(context)
+    return reason or ("Leave Edit Mode (Tab) to see the colours on the model" if context.mode != "OBJECT" else "")
+
+
+@of_the_body
+def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is no report to open."""
+    if not obj.cloak.run:
+        return "Choose a run in the list first"
+    run = run_of(obj)
+    if (run / "report.html").is_file():
+        return ""
+    if not (run / "config.json").is_file():
+        return f"{run}: not a run folder (no config.json in it), so there is nothing to report"
+    return ""
+
+
+@of_the_body
+def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the cloak cannot be checked in Cycles."""
+    if not is_dressed(obj):
+        return f"'{obj.name}' shows its own materials: switch the cloak on first"
+    return judged_reason(context) or refusal(judges, settings_of(context))
 
 
 class CLOAK_OT_result_load(BodyOperator):
@@ -55,7 +83,7 @@ class CLOAK_OT_explain(CloakOperator):
 
     bl_label = "Explain"
 
-    tip: bpy.props.StringProperty(name="Tip", description="What the figure means")
+    tip: props.text("Tip", "What the figure means")
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -87,12 +115,8 @@ class CLOAK_OT_open_report(CloakOperator):
         report = run / "report.html"
         if report.exists():
             return _open(report)
-        command, folder = report_command(chosen_python(), run), runs.side_folder(run)
-        return "Making the report" + run_command("Report", command, folder, "report", lambda job: _opened(job, report))
-
-
-def _opened(job: Job, report: Path) -> str | None:
-    return _open(report) if job.state == "done" and report.exists() else None
+        ended = lambda job: _open(report) if job.state == "done" and report.exists() else None
+        return "Making the report" + run_cloak("Report", ("report", run), runs.side_folder(run), "report", ended)
 
 
 def _open(report: Path) -> str:
@@ -115,9 +139,8 @@ class CLOAK_OT_render_check(CloakOperator):
         angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
         images = render_check.image_paths(plan)
-        commands = [render_check.prepare(plan)] + [
-            check_command(python, spec, image) for spec in points for image in images
-        ]
+        check = lambda spec, image: cloak_command(python, "detectors", "check", spec, "--image", image)
+        commands = [render_check.prepare(plan), *(check(spec, image) for spec in points for image in images)]
         uid = obj.session_uid
         job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, points, uid)))
         return f"Rendering {len(images)} images into {folder}" + waits(job)

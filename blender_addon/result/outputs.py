@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is made from a run to take along: sheets to print, turntables, films. They lie where the run keeps its logs."""
+"""What is made from a run to take along: sheets to print, turntables, films, images; where the run keeps its logs."""
 
 from __future__ import annotations
 
@@ -8,15 +8,29 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..blender import colors
 from ..blender.blend_paths import first_free
-from ..body.objects import scene_axes
+from ..body.objects import active_body, of_the_body, refusal, scene_axes
+from ..exchange.bodies import Bodies
+from ..files.errors import InputError
 from ..files.writing import write_text
-from ..training.runs import side_folder
+from ..poses.poses import PoseChoice
+from ..poses.reasons import poses_reason
+from ..properties import settings_of
+from ..trainer.jobs import Job, run_cloak
+from ..training.runs import input_folder, run_of, side_folder
+from ..ui import props
+from ..ui.operator import BodyOperator, CloakOperator
+from . import bake
+from .judging import backgrounds_option
+from .reasons import judged_reason, result_reason
+from .viewpoints import of_camera
+from .worn_scenes import export_worn
 
 SHEETS, TURNTABLE, FILM = "print sheets", "turntable", "film"
 MADE = (SHEETS, TURNTABLE, FILM)
 BESIDE = (".json", ".csv", ".jsonl", ".out", ".log")
-"""Suffixes of what lies beside them."""
+"""Suffixes of logs and records beside the outputs."""
 GIF_FPS = 12.5
 """Frames a second of a GIF: twice as many make it twice as large."""
 MOST_KEYS = 120
@@ -61,9 +75,144 @@ def write_camera(context: bpy.types.Context, path: Path, pivot: np.ndarray) -> N
 
 
 def keyframes(seconds: np.ndarray, away: np.ndarray) -> str:
-    """CSV of keyframes from times [n] and the camera's places [n, 3] around what it looks at."""
+    """Format camera keyframes as CSV, from times [n] and camera positions [n, 3] relative to the pivot."""
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-3)
     azimuth = np.degrees(np.unwrap(np.arctan2(away[:, 0], away[:, 2])))
     elevation = np.degrees(np.arcsin(np.clip(away[:, 1] / distance, -1, 1)))
     rows = zip(seconds, azimuth, elevation, distance, strict=True)
     return "time,azimuth,elevation,distance\n" + "".join(",".join(f"{x:.4f}" for x in row) + "\n" for row in rows)
+
+
+def film_reason(context: bpy.types.Context) -> str:
+    """Why no turntable can be made, and no sheets to print."""
+    return judged_reason(context) or poses_reason(context, PoseChoice())
+
+
+def camera_film_reason(context: bpy.types.Context) -> str:
+    """Why no film can be made with the scene's camera."""
+    return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
+
+
+@of_the_body
+def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there is nothing to open that was made of the body's run."""
+    reason = result_reason(context)
+    return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
+
+
+class CLOAK_OT_print_sheets(CloakOperator):
+    """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
+
+    bl_label = "Print Sheets"
+    needs = staticmethod(film_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj = active_body(context)
+        run = run_of(obj)
+        place, scene = new_place(run, SHEETS), input_folder(run) / "scene"
+        if not scene.is_dir():  # a run of the command line
+            scene = side_folder(run) / "print scene"
+            export_worn(context, obj, run, PoseChoice(), scene)
+        words = ("print", run, "--scene", scene, "--out", place)
+        waits = run_cloak(self.bl_label, words, side_folder(run), "print", lambda job: _told(job, place))
+        return f"Laying the logo out in {place}{waits}"
+
+
+class CLOAK_OT_turntable(CloakOperator):
+    """Film the body as it stands from all around, in own clothing and in the cloak, with what the detector sees"""
+
+    bl_label = "Turntable"
+    needs = staticmethod(film_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        seconds = settings_of(context).judging.film_seconds
+        return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"])
+
+
+class CLOAK_OT_film(CloakOperator):
+    """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
+with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""
+
+    bl_label = "Film with Camera"
+    needs = staticmethod(camera_film_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, scene = active_body(context), context.scene
+        view = of_camera(scene, obj)
+        choice, still = PoseChoice(), settings_of(context).pose_source == "CURRENT"
+        if not still:
+            choice = PoseChoice("RANGE", scene.frame_start, scene.frame_end, 1)
+        options = [f"--field-of-view={view.field_of_view:.4f}"]
+        if not still:
+            options.append(f"--poses-per-second={scene.render.fps / scene.render.fps_base:g}")
+        return film(context, self.bl_label, FILM, options, choice)
+
+
+def film(
+    context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice | None = None
+) -> str:
+    """Export the poses and film them; by the scene's camera where the options name none."""
+    obj, settings = active_body(context), settings_of(context)
+    run = run_of(obj)
+    suffix = {"png": ""}.get(settings.judging.film_format, f".{settings.judging.film_format}")
+    place, folder = new_place(run, name, suffix), side_folder(run)
+    if obj.mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    scene = folder / f"{name} scene"
+    bodies = export_worn(context, obj, run, choice or PoseChoice(), scene)
+    if not any(word.startswith("--camera=") for word in options):
+        write_camera(context, folder / f"{name}.csv", middle_of_motion(bodies))
+        options = [*options, f"--camera={folder / name}.csv"]
+    options = [*options, f"--fps={film_fps(context.scene, suffix):g}", f"--device={settings.device}"]
+    words = ["film", run, "--scene", scene, *options, backgrounds_option(settings.judging), "--out", place]
+    return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: _told(job, place), True)
+
+
+def middle_of_motion(bodies: Bodies) -> np.ndarray:
+    """[3] what the film's camera looks at: the mean of the poses' middles."""
+    return ((bodies.vertices.min(1).astype(float) + bodies.vertices.max(1)) / 2).mean(0)
+
+
+def _told(job: Job, place: Path) -> str | None:
+    # Its name alone: in the panel the way there takes three lines, and the list below opens it.
+    return f"Wrote {place.name}" if job.state == "done" else None
+
+
+class CLOAK_OT_bake(BodyOperator):
+    """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
+or one with too little room, Cloak makes one of its own"""
+
+    bl_label = "Bake to Image"
+
+    size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        reason = BodyOperator.needs(context)
+        if reason or colors.CLOAK in context.object.data.color_attributes:
+            return reason
+        return "Train, or load colours, first"
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        self.show(0.3)
+        done = bake.bake(obj, self.size)
+        material = bake.baked_material(done.image, done.uv_map)
+        faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
+        made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"
+        return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"
+
+
+class CLOAK_OT_show_made(CloakOperator):
+    """Open it with the program that the system has for it"""
+
+    bl_label = "Open"
+    needs = staticmethod(made_reason)
+
+    path: props.text("Path", "What to open")
+
+    def run(self, context: bpy.types.Context) -> str:
+        if not Path(self.path).exists():
+            raise InputError(f"{self.path} is gone")
+        if not bpy.app.background:
+            bpy.ops.wm.path_open(filepath=self.path)
+        return f"Opened {self.path}"

@@ -8,18 +8,37 @@ import bpy
 from ..blender import colors
 from ..body.garments import is_dressed
 from ..body.objects import active_body
+from ..files.specs import without_folders
+from ..properties import settings_of
 from ..session import session
 from ..training import run_list
+from ..training.runs import run_of
 from ..translations import said
 from ..ui.drawing import short
-from ..ui.panel_parts import CloakPanel, figure, wrapped
+from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
 from ..ui.thumbnails import icon_of
+from . import eye
+from .evaluations import CONTROLS, Evaluation, Judged
+from .eye_drawing import KINDS
+from .outputs import made
 from .reasons import result_reason
 from .render_check import Verdict
 
 PICTURES_A_ROW = 3
-KINDS = ("With the cloak", "Without")
+RENDERS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
+LATEST = 4
+"""Most outputs to list."""
+SUCCESS = (
+    "Share of the images in which the detector reports no person (from this score on), and the interval that holds the "
+    "true share in 95 of 100 such measurements"
+)
+CONTROL = {
+    "logo": "The run's colours on the logo",
+    "clothing": "The control: the body in its own clothing, on the same images. A cloak is worth what it has more",
+    "grey": "The control: plain grey on the logo's faces, on the same images",
+    "random": "The control: random colours on the logo's faces, on the same images",
+}
 
 
 class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
@@ -54,7 +73,7 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
             words = f"{short(check.spec, 30)}: {said(check.describe())}" if len(checks) > 1 else check.describe()
             wrapped(self.layout, context, words, icon="CHECKMARK" if check.holds else "ERROR")
         half = len(checks[0].with_cloak)
-        for name, chosen in zip(KINDS, (slice(half), slice(half, None)), strict=True):
+        for name, chosen in zip(RENDERS, (slice(half), slice(half, None)), strict=True):
             self.layout.label(text=name, icon="RENDER_RESULT")
             grid = self.layout.grid_flow(row_major=True, columns=PICTURES_A_ROW, even_columns=True)
             for number, path in list(enumerate(checks[0].images))[chosen]:
@@ -63,3 +82,118 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
                 for check in checks:
                     score = check.scores[number]
                     figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score >= check.threshold else "HIDE_ON")
+
+
+class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
+    """What the cloak is worth where training never saw it"""
+
+    bl_label = "Evaluation"
+    bl_parent_id = "CLOAK_PT_result"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        judging = settings_of(context).judging
+        column = settings_column(self.layout)
+        column.prop(judging, "bodies")
+        if judging.bodies == "FRAMES":
+            frames = column.column(align=True)
+            for name in ("frame_start", "frame_end", "frame_step"):
+                frames.prop(judging, name)
+        column.prop(judging, "backgrounds")
+        pair = column.column(align=True)
+        pair.prop(judging, "images")
+        pair.prop(judging, "angle")
+        self.layout.operator("cloak.evaluate", icon="VIEWZOOM")
+        self.progress(context, "Evaluation")
+        state = run_list.selected(context)
+        if state is not None and state.evaluation is not None:
+            self._result(context, state.evaluation)
+
+    def _result(self, context: bpy.types.Context, found: Evaluation) -> None:
+        if found.outdated:
+            wrapped(self.layout, context, "The run has newer colours: evaluate again", icon="ERROR")
+        job = session.job_of("Evaluation")
+        if job is None or found.describe() not in job.message:  # which stands above
+            wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
+        for judged in found.detectors:
+            self._table(judged, found.threshold)
+        self.layout.prop(settings_of(context).judging, "ring", text="Ring around the Body")
+
+    def _table(self, judged: Judged, threshold: float) -> None:
+        """At the common threshold, and at the detector's own below that: side by side the figures would be clipped."""
+        self.layout.label(text=short(without_folders(judged.spec), 36), icon="HIDE_OFF")
+        heads = [f"at {threshold:g}"]
+        if judged.operating_point is not None and judged.operating_point != threshold:
+            heads.append(f"at its own {judged.operating_point:g}")
+        for index, head in enumerate(heads):
+            table = self.layout.column(align=True)
+            figure(table, head, SUCCESS, "NONE")
+            for name, rates in judged.rates.items():
+                split = table.split(factor=0.45)
+                figure(split.column(), CONTROLS[name], CONTROL[name], "NONE")
+                split.label(text=rates[index].describe())
+
+
+class CLOAK_PT_take_along(CloakPanel, bpy.types.Panel):
+    """The cloak on paper, on film, in an image"""
+
+    bl_label = "Take Along"
+    bl_parent_id = "CLOAK_PT_result"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        judging = settings_of(context).judging
+        column = self.layout.column(align=True)
+        column.operator("cloak.print_sheets", icon="FILE_BLANK")
+        column.operator("cloak.bake", icon="IMAGE_DATA")
+        column.operator("cloak.turntable", icon="CON_ROTLIKE")
+        column.operator("cloak.film", icon="VIEW_CAMERA")
+        settings = settings_column(self.layout)
+        settings.prop(judging, "film_format")
+        settings.prop(judging, "film_seconds")
+        self.progress(context, "Print Sheets", "Turntable", "Film with Camera")
+        if result_reason(context):
+            return
+        for path in made(run_of(active_body(context)))[:LATEST]:
+            row = self.layout.row(align=True)
+            row.label(text=path.name, icon="FILE_FOLDER" if path.is_dir() else "FILE_MOVIE")
+            row.operator("cloak.show_made", text="Open").path = str(path)
+
+
+class CLOAK_PT_eye(CloakPanel, bpy.types.Panel):
+    """What the detector makes of the body from where you look"""
+
+    bl_label = "Detector's Eye"
+    bl_options = CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        judging, watching = settings_of(context).judging, session.eye
+        open_ = watching is not None
+        text = "Close the Eye" if open_ else "Look"
+        self.layout.operator("cloak.eye", text=text, icon="HIDE_OFF" if open_ else "HIDE_ON", depress=open_)
+        column = settings_column(self.layout)
+        column.prop(judging, "eye_from")
+        column.prop(judging, "eye_background")
+        if watching is None:
+            if session.eye_closed_because:
+                wrapped(self.layout, context, session.eye_closed_because, icon="ERROR")
+            return
+        if watching.message:
+            wrapped(self.layout, context, watching.message, icon="ERROR")
+        elif watching.seen is None:
+            wrapped(self.layout, context, "The detector is getting ready...", icon="INFO")
+        if watching.seen is not None:
+            self._pictures(watching)
+
+    def _pictures(self, watching: eye.Eye) -> None:
+        """Draw the pictures that the detectors saw, with their answers."""
+        row = self.layout.row()
+        for kind, path in watching.seen.pictures.items():
+            cell = row.column(align=True)
+            cell.template_icon(icon_of(path), scale=6.0)
+            cell.label(text=KINDS[kind][0])
+            for glances in watching.seen.glances.values():
+                if kind in glances:
+                    cell.label(
+                        text=said(glances[kind].describe()), icon="HIDE_OFF" if glances[kind].found else "HIDE_ON"
+                    )

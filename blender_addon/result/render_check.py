@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -83,7 +83,7 @@ def prepare(plan: Plan) -> list[str]:
 
 
 def run_plan(path: Path) -> None:
-    """What the second Blender does."""
+    """Render a plan; runs in the second Blender."""
     record = read_json(path)
     plan = Plan(record["object"], Path(record["folder"]), tuple(record["angles"]), record["backgrounds"])
     bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
@@ -102,14 +102,14 @@ def run_plan(path: Path) -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one detector said about the renders."""
+    """One detector's scores of the renders."""
 
     with_cloak: tuple[float, ...]
     """Highest person score of each render with the cloak."""
     without: tuple[float, ...]
-    """The same without it: the control."""
+    """Highest person score of each render without the cloak (control)."""
     images: tuple[Path, ...] = ()
-    """The renders, in the order of the scores, those with the cloak first."""
+    """The renders in the order of the scores; those with the cloak come first."""
     threshold: float = THRESHOLD
     """The detector reports a person from this score on."""
     spec: str = ""
@@ -148,27 +148,29 @@ def verdicts(plan: Plan, thresholds: dict[str, float], answers: list[str]) -> li
         scores = [float(json.loads(text)["max_person"]) for text in answers]
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
-    images, count = image_paths(plan), len(plan.angles)
-    found = []
-    for number, (spec, threshold) in enumerate(thresholds.items()):
-        own = scores[number * len(images) : (number + 1) * len(images)]
-        found.append(Verdict(tuple(own[:count]), tuple(own[count:]), tuple(images), threshold, spec))
+    images = tuple(image_paths(plan))
+    by_detector = zip(*[iter(scores)] * len(images), strict=True)
+    found = [_verdict(own, images, *one) for own, one in zip(by_detector, thresholds.items(), strict=True)]
     record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
     write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
     return found
 
 
+def _verdict(scores: Iterable[float], images: tuple[Path, ...], spec: str, threshold: float) -> Verdict:
+    scores = tuple(scores)
+    half = len(scores) // 2
+    return Verdict(scores[:half], scores[half:], images, threshold, spec)
+
+
 def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
-    """Those of the latest render check in a folder; none where there was none."""
+    """Read the verdicts of the latest render check in a folder; empty if there is none."""
     files = sorted(parent.glob(f"render check */{VERDICT}"), key=lambda path: path.stat().st_mtime)
     try:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
         told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
-        found = []
-        for spec, one in told.items():
-            scores, half = tuple(map(float, one["scores"])), len(one["scores"]) // 2
-            found.append(Verdict(scores[:half], scores[half:], images, float(one.get("threshold", THRESHOLD)), spec))
+        threshold = lambda one: float(one.get("threshold", THRESHOLD))
+        found = [_verdict(map(float, one["scores"]), images, spec, threshold(one)) for spec, one in told.items()]
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     return tuple(verdict for verdict in found if verdict.with_cloak)
@@ -205,12 +207,7 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
     finally:
-        for holder in holders:
-            bpy.data.objects.remove(holder)
-        bpy.data.scenes.remove(scene)
-        bpy.data.cameras.remove(camera)
-        bpy.data.lights.remove(sun)
-        bpy.data.worlds.remove(world)
+        bpy.data.batch_remove([*holders, scene, camera, sun, world])
     if not path.exists():
         raise InputError(f"{path}: the render was not written")
 

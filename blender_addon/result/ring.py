@@ -13,14 +13,15 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from ..blender import colors
 from ..blender.mesh_arrays import box_of
 from ..body.garments import is_dressed
 from ..properties import settings_of
 from ..training import run_list
-from ..ui.drawing import fill, short, size_of_words, width_of, write
+from ..ui.drawing import Shape, fill, short, size_of_words, width_of, write
+from ..ui.window import Hooks
 from .evaluations import Evaluation, Sector
 
 FOUND, EVEN, HIDDEN = (0.84, 0.37, 0.0), (0.93, 0.90, 0.82), (0.0, 0.45, 0.70)
@@ -46,7 +47,7 @@ class Arc:
 
 
 def arcs(sectors: Sequence[Sector]) -> list[Arc]:
-    """Each azimuth's share of the circle: half the way to its neighbours, and no farther than `WIDEST` lets it."""
+    """Split the circle at half the distance between azimuths, at most `WIDEST` wide."""
     if not sectors:
         return []
     once = {sector.azimuth % 360: sector for sector in sectors}
@@ -100,7 +101,7 @@ def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
-    """Where the ring lies: the middle below the body, and the body's largest extent, in Blender's units."""
+    """Return the ring's centre on the ground and the body's largest extent, in Blender's units."""
     low, high = box_of(obj)
     middle = (low + high) / 2
     return Vector((middle[0], middle[1], low[2])), float((high - low).max())
@@ -109,6 +110,8 @@ def stand(obj: bpy.types.Object) -> tuple[Vector, float]:
 def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | None:
     """The body that wears its cloak, and the evaluation to draw; None for nothing."""
     obj, state = context.object, run_list.selected(context)
+    if context.space_data is not None and not context.space_data.overlay.show_overlays:
+        return None
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
     if not settings_of(context).judging.ring or not obj.visible_get() or not obj.data.polygons:
@@ -121,43 +124,31 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
-_handles: list[object] = []
-_batch: tuple[object, object | None] = (None, None)
+_kept: tuple[object, Shape | None] = (None, None)
+"""The evaluation that was drawn last, and its ring."""
 
 
 def draw_ring() -> None:
     """Viewport callback, in the space of the scene."""
-    global _batch
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
+    global _kept
     found = shown(bpy.context)
-    if found is None or not bpy.context.space_data.overlay.show_overlays:
+    if found is None:
         return
     obj, evaluation = found
-    shader = gpu.shader.from_builtin("SMOOTH_COLOR")
-    if _batch[0] is not evaluation:
+    if _kept[0] is not evaluation:
         places, paints = ring_triangles(evaluation.worst_sectors())
-        corners = np.concatenate([places, np.zeros((len(places), 1))], 1).astype(np.float32)
-        _batch = evaluation, batch_for_shader(shader, "TRIS", {"pos": corners, "color": paints.astype(np.float32)})
+        _kept = evaluation, Shape("TRIS", np.concatenate([places, np.zeros((len(places), 1))], 1), paints)
     place, extent = stand(obj)
-    gpu.state.depth_test_set("LESS_EQUAL")
-    gpu.state.blend_set("ALPHA")
-    with gpu.matrix.push_pop():
-        gpu.matrix.translate(place)
-        gpu.matrix.scale_uniform(extent)
-        _batch[1].draw(shader)
-    gpu.state.blend_set("NONE")
-    gpu.state.depth_test_set("NONE")
+    _kept[1].draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
 
 
 def draw_words() -> None:
     """Viewport callback, in pixels: figures at the ring, and its legend."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
-    found = shown(bpy.context)
     context = bpy.context
-    if found is None or not context.space_data.overlay.show_overlays:
+    found = shown(context)
+    if found is None:
         return
     obj, evaluation = found
     scale = size_of_words(context)
@@ -190,15 +181,9 @@ def _legend(evaluation: Evaluation, scale: float) -> None:
         write(line, x, y + number * step + 4 * scale)
 
 
-def register() -> None:
-    if not bpy.app.background:
-        add = bpy.types.SpaceView3D.draw_handler_add
-        _handles.append(add(draw_ring, (), "WINDOW", "POST_VIEW"))
-        _handles.append(add(draw_words, (), "WINDOW", "POST_PIXEL"))
+def _forget() -> None:
+    global _kept
+    _kept = None, None
 
 
-def unregister() -> None:
-    global _batch
-    while _handles:
-        bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
-    _batch = (None, None)
+HOOKS = Hooks(drawing=((draw_ring, "POST_VIEW"), (draw_words, "POST_PIXEL")), closing=_forget)

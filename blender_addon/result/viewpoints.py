@@ -18,9 +18,9 @@ from ..body.objects import scene_axes
 from ..files.errors import InputError
 
 ROLL = 2e-3
-"""How far a camera's horizon may lean (as a sine) and still count as level."""
+"""Largest roll of a level camera, as a sine."""
 NEAREST = 0.05
-"""Metres from the camera to what it looks at, at least."""
+"""Smallest distance of camera and pivot, in metres."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Viewpoint:
     height: int
 
     def sized(self, longest: int) -> Viewpoint:
-        """The same with so many pixels along its longer side."""
+        """Scale the picture to this many pixels along its longer side."""
         scale = longest / max(self.width, self.height)
         return replace(self, width=max(1, round(self.width * scale)), height=max(1, round(self.height * scale)))
 
@@ -45,14 +45,14 @@ class Viewpoint:
         return asdict(self) | {"pivot": list(self.pivot)}
 
     def is_like(self, other: Viewpoint) -> bool:
-        """Whether both show the same: what was drawn for one fits the other."""
+        """Whether both viewpoints show the same picture."""
         mine, theirs = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
         turn = abs((mine[0] - theirs[0] + 180) % 360 - 180)
         aspect = abs(self.width / self.height - other.width / other.height)
         return bool(turn < 0.02 and np.abs(mine[1:] - theirs[1:]).max() < 0.02 and aspect < 0.02)
 
     def place(self) -> np.ndarray:
-        """[3] where it stands."""
+        """Return the camera's position [3]."""
         a, e = math.radians(self.azimuth), math.radians(self.elevation)
         back = np.array([math.cos(e) * math.sin(a), math.sin(e), math.cos(e) * math.cos(a)])
         return np.array(self.pivot) + self.distance * back
@@ -86,16 +86,21 @@ def viewpoint(
     )
 
 
-def of_region(region: bpy.types.Region, view: bpy.types.RegionView3D, middle: Vector, metre: float) -> Viewpoint:
-    """That of a viewport that is looked into freely."""
+def of_view(
+    scene: bpy.types.Scene, region: bpy.types.Region, view: bpy.types.RegionView3D, obj: bpy.types.Object
+) -> Viewpoint:
+    """That of a viewport: the camera's where it is looked through, else of the view that looks in freely."""
+    if view.view_perspective == "CAMERA":
+        return of_camera(scene, obj)
     if view.view_perspective != "PERSP":
         raise InputError("This view has no perspective: press Numpad 5, or let the detector look through the camera")
     field = 2 * math.degrees(math.atan(1 / view.window_matrix[1][1]))
-    return viewpoint(view.view_matrix.inverted(), field, region.width, region.height, middle, metre)
+    size, metre = (region.width, region.height), 1 / scene.unit_settings.scale_length
+    return viewpoint(view.view_matrix.inverted(), field, *size, middle_of(obj), metre)
 
 
-def of_camera(scene: bpy.types.Scene, middle: Vector, metre: float) -> Viewpoint:
-    """That of the scene's camera."""
+def of_camera(scene: bpy.types.Scene, obj: bpy.types.Object) -> Viewpoint:
+    """That of the scene's camera, which looks at a body."""
     holder = scene.camera
     if holder is None or holder.type != "CAMERA":
         raise InputError("The scene has no camera: add one (Shift A), or let the detector look from the view")
@@ -108,7 +113,8 @@ def of_camera(scene: bpy.types.Scene, middle: Vector, metre: float) -> Viewpoint
     height = render.resolution_y * render.pixel_aspect_y
     top, _, low, _ = camera.view_frame(scene=scene)[:4]
     field = 2 * math.degrees(math.atan(abs(top.y - low.y) / 2 / abs(top.z)))
-    return viewpoint(holder.matrix_world, field, round(width), round(height), middle, metre)
+    metre = 1 / scene.unit_settings.scale_length
+    return viewpoint(holder.matrix_world, field, round(width), round(height), middle_of(obj), metre)
 
 
 def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:

@@ -10,17 +10,16 @@ from pathlib import Path
 import bpy
 
 from ..blender.blend_paths import absolute
-from ..body.objects import active_body
-from ..body.reasons import refusal
+from ..body.objects import active_body, refusal
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
 from ..properties import settings_of
-from ..trainer.command_lines import wear_command
-from ..trainer.jobs import Job, run_command
-from ..trainer.preferences import chosen_python
+from ..trainer.command_lines import detector_options
+from ..trainer.jobs import Job, run_cloak
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
+from ..ui import props
 from ..ui.drawing import short
 from ..ui.operator import CloakOperator
 from ..ui.panel_parts import CLOSED, CloakPanel, settings_column, wrapped
@@ -97,8 +96,9 @@ class CLOAK_OT_wear(CloakOperator):
     def run(self, context: bpy.types.Context) -> str:
         settings, run = settings_of(context), run_of(active_body(context))
         people, place = people_file(settings.judging.people), new_place(run, WEAR)
-        command = wear_command(chosen_python(), run, people, judges(settings), settings.device, place)
-        waits = run_command("Wear", command, side_folder(run), "wear", lambda job: _ended(job, place))
+        options = [f"--people={people}", *detector_options(judges(settings)), f"--device={settings.device}"]
+        words, ended = ["wear", run, *options, "--out", place], lambda job: _ended(job, place)
+        waits = run_cloak("Wear", words, side_folder(run), "wear", ended)
         return f"{run.name} is put on by the people of {people.name}{waits}"
 
 
@@ -120,7 +120,7 @@ class CLOAK_OT_wear_page(CloakOperator):
 
     bl_label = "Turn the Page"
 
-    step: bpy.props.IntProperty(name="Step", description="Pages to turn", default=1)
+    step: props.whole("Step", "Pages to turn", 1)
 
     def run(self, context: bpy.types.Context) -> str:
         judging = settings_of(context).judging

@@ -13,8 +13,7 @@ from ..exchange.bodies import Bodies
 from ..exchange.face_lists import read_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
-from ..files.reading import read_json
-from ..poses.export import RECORD, export_bodies
+from ..poses.export import RECORD, export_bodies, read_export
 from ..poses.poses import PoseChoice
 from ..training.run_states import read_state
 from ..training.runs import input_folder
@@ -41,12 +40,11 @@ def export_worn(
 
 
 def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
-    """Raise `InputError` where the camera sees other pieces than in the training. Runs that do not tell pass."""
-    record = input_folder(run) / RECORD if run else None
-    names = read_json(record).get("objects") if record is not None and record.is_file() else None
-    if not isinstance(names, list):
+    """Raise `InputError` if the visible objects differ from those of the training, where the run records them."""
+    if run is None or not (input_folder(run) / RECORD).is_file():
         return
-    then, now = set(names[1:]), {o.name for o in worn_by(obj)}
+    names = read_export(input_folder(run)).objects
+    then, now = set(names[1:]), {o.name for o in worn_by(obj) if names}
     if now - then:
         raise InputError(f"{run.name} was trained without '{min(now - then)}': leave it out (step 1), or train again")
     if then - now:

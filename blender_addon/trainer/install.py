@@ -24,8 +24,7 @@ PYTHON_NEEDED, TORCH_NEEDED = (3, 11), (2, 14)
 PIP_FOR_OTHERS = (22, 3)
 """From here on, pip can fill an environment that has none of its own: its option --python."""
 GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6
-"""On disk: 5.4 GB are torch and torchvision with what they bring for CUDA."""
-LABEL = "Installation"
+"""Size on disk; torch, torchvision and CUDA take 5.4 GB of it."""
 
 _PROBE = """
 import importlib.util, json, platform, sys, venv
@@ -143,7 +142,7 @@ def gigabytes(base: Base, share_torch: bool) -> float:
 
 
 def require_room(folder: Path, needed: float) -> None:
-    """`InputError` unless the folder's disk has so many gigabytes free and the folder can be written."""
+    """Raise `InputError` unless the folder is writable and its disk has this many gigabytes free."""
     try:
         free = shutil.disk_usage(folder).free / 1e9
     except OSError as error:
@@ -193,11 +192,9 @@ def sweep(folder: Path, keep: Path | None) -> threading.Thread:
 class InstallJob(Job):
     """The commands of an installation; what pip says last is its description."""
 
-    def describe(self) -> str:
-        if not self.running or self._cancelled:
-            return super().describe()
-        said = self.tail(1)
-        return f"{super().describe()}: {said[-1][:80]}" if said else super().describe()
+    def _describe_running(self) -> str:
+        said = [] if self._cancelled else self.tail(1)
+        return super()._describe_running() + (f": {said[-1][:80]}" if said else "")
 
     def tail(self, count: int) -> list[str]:
         """The last lines that the commands said."""

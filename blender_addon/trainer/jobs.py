@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work done outside Blender: a process, a thread that reads its events, and a timer that looks in on both.
+"""Work done outside Blender: processes that a timer looks in on.
 
 Blender itself never waits: the timer's function (`tick`) takes what has arrived and returns. One job runs at a time,
 others wait their turn.
@@ -12,9 +12,8 @@ import contextlib
 import math
 import os
 import subprocess
-import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -23,21 +22,18 @@ import bpy
 from ..files.errors import InputError
 from ..session import session
 from ..ui.window import redraw
+from .command_lines import cloak_command
+from .preferences import chosen_python, through
 from .progress import Progress, take_event
 from .python import clean_environment, no_window
 
 TICK_SECONDS = 0.25
-READ_SECONDS = 0.1
-MAX_LINE = 1 << 20
+MAX_READ = 1 << 20
+"""Bytes of events that one look takes; a longer line is none."""
 STOPPED = 3
-"""Exit code of a trainer that ended early but in order."""
-
-
-# --- one or several commands, one after the other ---------------------------------------------------------------------
-
-
+"""Exit code of a trainer that was stopped, with a valid checkpoint."""
 OnEnd = Callable[["Job"], str | None]
-"""Called when a job has ended, in whatever way. It may return another message; an `InputError` fails the job."""
+"""Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
 
 
 class Process(Protocol):
@@ -53,7 +49,8 @@ class Process(Protocol):
 class Job:
     """Commands that run one after the other outside Blender; `poll` moves it on.
 
-    `state` is "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
+    `state` is "waiting" or "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
+    events: the file that the commands log their progress to, where they do.
     """
 
     def __init__(
@@ -63,37 +60,25 @@ class Job:
         folder: Path,
         name: str,
         on_end: OnEnd | None = None,
+        events: Path | None = None,
         process: Process | None = None,
     ) -> None:
-        self.label = label
-        self.state = "waiting"
-        self.message = ""
+        self.label, self.state, self.message = label, "waiting", ""
         self.notice = ""
-        """What should be known at once, while it runs."""
+        """Warning to show while it runs."""
         self.is_bad_news = False
-        """It ended as it should, but what it found out is no success."""
+        """The job succeeded, but its result is a failure."""
         self.code: int | None = None
         self.outputs: list[str] = []
-        self._on_end = on_end
-        self._commands = list(commands)
-        self._files = (folder / f"{name}.out", folder / f"{name}.log")
-        self._cancelled = False
-        self._process = process
+        self.progress = Progress()
         self.on_tick: Callable[[Job], None] | None = None
         """Called at every look while it runs: live colours."""
+        self._on_end, self._commands, self._process = on_end, list(commands), process
+        self._files = (folder / f"{name}.out", folder / f"{name}.log")
+        self._events, self._position = events, 0
+        self._cancelled = False
 
-    def start(self) -> Job:
-        """Start its first command; raises `InputError` where that cannot be."""
-        self._process = self._process or self._start(self._commands[0])
-        self.state = "running"
-        return self
-
-    def start_or_fail(self) -> None:
-        """Start it; where that cannot be, it has failed."""
-        try:
-            self.start()
-        except InputError as error:
-            self._finish("failed", str(error))
+    # --- what it says ---
 
     @property
     def log(self) -> Path:
@@ -112,20 +97,38 @@ class Job:
     @property
     def fraction(self) -> float:
         """How much is done, 0 to 1."""
-        return len(self.outputs) / max(1, len(self._commands))
+        return self.progress.fraction if self._events else len(self.outputs) / max(1, len(self._commands))
 
     def describe(self) -> str:
         """One line for the panel."""
         if self.state == "waiting":
             return f"Waits for {session.job.label}"
-        if not self.running:
-            return self.message
+        return self._describe_running() if self.running else self.message
+
+    def _describe_running(self) -> str:
         of = f" {len(self.outputs) + 1}/{len(self._commands)}" if len(self._commands) > 1 else ""
-        return f"{self.label}{of}{' (stopping)' if self._cancelled else ''}"
+        if self._cancelled:
+            return f"{self.label}{of} (stopping)"
+        if not self._events:
+            return f"{self.label}{of}"
+        return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
+
+    # --- its course ---
+
+    def start(self) -> Job:
+        """Start its next command; raises `InputError` where that cannot be."""
+        self._process = self._process or self._start(self._commands[len(self.outputs)])
+        self.state = "running"
+        return self
+
+    def start_or_fail(self) -> None:
+        """Start it; where that cannot be, it has failed."""
+        try:
+            self.start()
+        except InputError as error:
+            self._finish("failed", str(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
-        from .preferences import through  # which looks after jobs of its own
-
         try:
             with self._files[0].open("wb") as out, self._files[1].open("ab") as log:
                 return subprocess.Popen(
@@ -147,17 +150,33 @@ class Job:
             return False
         code = self.code = self._process.poll()
         if code is None:
+            self._read_events()
             return True
         self.outputs.append(self._said())
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
-            try:
-                self._process = self._start(self._commands[len(self.outputs)])
-                return True
-            except InputError as error:
-                self._finish("failed", str(error))
-                return False
+            self._process = None
+            self.start_or_fail()
+            return self.running
         self._finish(*self._verdict(code))
         return False
+
+    def _read_events(self) -> bool:
+        """Take the whole lines that the event log has got since the last look; whether there were any."""
+        if self._events is None:
+            return False
+        try:
+            with self._events.open("rb") as file:
+                if self._events.stat().st_size < self._position:  # a resumed run rewinds its log
+                    self._position = 0
+                file.seek(self._position)
+                chunk = file.read(MAX_READ)
+        except OSError:  # not there yet
+            return False
+        whole = chunk if len(chunk) == MAX_READ and b"\n" not in chunk else chunk[: chunk.rfind(b"\n") + 1]
+        self._position += len(whole)
+        for line in whole.splitlines():
+            self.progress = take_event(self.progress, line)
+        return bool(whole)
 
     def _said(self) -> str:
         """What the command that has ended said on standard output."""
@@ -179,15 +198,23 @@ class Job:
         return "failed", f"{self.label} failed (exit code {code}): {said or 'no message'}"
 
     def _finish(self, state: str, message: str) -> None:
-        self.state, self.message = state, message
+        while self._read_events():
+            pass  # the last events belong into the message
+        self.state, self.message = state, self._last_message(state, message)
         if self._on_end is not None:
             try:
-                self.message = self._on_end(self) or message
+                self.message = self._on_end(self) or self.message
             except InputError as error:
                 self.state, self.message = "failed", str(error)
 
+    def _last_message(self, state: str, message: str) -> str:
+        """What is said of how it ended."""
+        return message
+
+    # --- its early end ---
+
     def cancel(self) -> None:
-        """Ask the process to end, which may take a moment; one that waits has ended at once."""
+        """Ask the process to stop, which may take a moment; a queued job stops at once."""
         self._cancelled = True
         if self.running:
             self._ask_to_stop()
@@ -216,90 +243,7 @@ class Job:
         return self
 
 
-def last_words(log: Path) -> str:
-    """The last line of a log, without the program's name."""
-    try:
-        with log.open("rb") as file:
-            file.seek(max(0, log.stat().st_size - 8192))
-            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
-    except OSError:
-        return ""
-    return lines[-1].removeprefix("cloak: ")[:300] if lines else ""
-
-
-# --- work that tells how far it is ------------------------------------------------------------------------------------
-
-
-class FollowedJob(Job):
-    """One command that logs events: `cloak train` does, and `cloak evaluate`, `film`, `logo heatmap` with --events."""
-
-    def __init__(
-        self,
-        label: str,
-        commands: Sequence[list[str]],
-        folder: Path,
-        name: str,
-        events: Path,
-        on_end: OnEnd | None = None,
-        process: Process | None = None,
-    ) -> None:
-        self.progress = Progress()
-        self._events = events
-        self._ended = threading.Event()
-        super().__init__(label, commands, folder, name, on_end, process)
-        self._reader = threading.Thread(target=self._read_events, name="cloak events", daemon=True)
-
-    def start(self) -> Job:
-        super().start()
-        self._reader.start()
-        return self
-
-    @property
-    def fraction(self) -> float:
-        return self.progress.fraction
-
-    def describe(self) -> str:
-        if not self.running:
-            return super().describe()
-        if self._cancelled:
-            return f"{self.label} (stopping)"
-        return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
-
-    def abandon(self) -> None:
-        self._ended.set()
-        super().abandon()
-
-    def _finish(self, state: str, message: str) -> None:
-        self._end_reading()
-        super()._finish(state, message)
-
-    def _end_reading(self) -> None:
-        self._ended.set()
-        if self._reader.is_alive():
-            self._reader.join(timeout=5)
-
-    def _read_events(self) -> None:
-        """Follow the events from their start. The thread only replaces `progress`, a frozen record."""
-        path, position, pending = self._events, 0, b""
-        while True:
-            last_round = self._ended.is_set()
-            with contextlib.suppress(OSError), path.open("rb") as file:
-                if path.stat().st_size < position:  # a resumed run rewinds its log
-                    position, pending = 0, b""
-                file.seek(position)
-                chunk = file.read()
-                position += len(chunk)
-                *lines, pending = (pending + chunk).split(b"\n")
-                for line in lines:
-                    self.progress = take_event(self.progress, line)
-                if len(pending) > MAX_LINE:
-                    pending = b""
-            if last_round:
-                return
-            self._ended.wait(READ_SECONDS)
-
-
-class TrainingJob(FollowedJob):
+class TrainingJob(Job):
     """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
 
     def __init__(
@@ -307,12 +251,15 @@ class TrainingJob(FollowedJob):
     ) -> None:
         self.run = run
         self.is_ours = process is None
-        """Blender ends the trainers it started when it closes; it only takes its eyes off those it found."""
-        super().__init__("Training", [command], folder, "train", run / "events.jsonl", on_end, process)
+        """Whether this Blender started the trainer; only then it stops it when it closes."""
+        super().__init__("Training", [command], folder, "train", on_end, run / "events.jsonl", process)
 
-    def describe(self) -> str:
-        if not self.running:
-            return super().describe()
+    def _start(self, command: list[str]) -> subprocess.Popen:
+        with contextlib.suppress(OSError):
+            (self.run / "cancel").unlink()  # meant for an earlier process that ended while it was asked again
+        return super()._start(command)
+
+    def _describe_running(self) -> str:
         if self._cancelled:
             return "Stopping after this step..."
         return self.progress.describe() if self.progress.steps else "Preparing..."
@@ -323,7 +270,6 @@ class TrainingJob(FollowedJob):
         return super().poll()
 
     def abandon(self) -> None:
-        self._ended.set()
         if not self.is_ours:
             return
         super().abandon()
@@ -337,34 +283,36 @@ class TrainingJob(FollowedJob):
         with contextlib.suppress(OSError):
             (self.run / "cancel").touch()
 
-    def _finish(self, state: str, message: str) -> None:
-        self._end_reading()  # the last events belong into the message
+    def _last_message(self, state: str, message: str) -> str:
         if state == "done":
-            message = f"Training done: {self.progress.describe()}, {self.progress.figures()}"
-        elif state == "stopped":
-            message = f"Stopped at step {self.progress.step}: Resume goes on from there"
-        elif self.progress.step:
-            message += "; Resume goes on from the last checkpoint"
-        super()._finish(state, message)
+            return f"Training done: {self.progress.describe()}, {self.progress.figures()}"
+        if state == "stopped":
+            return f"Stopped at step {self.progress.step}: Resume goes on from there"
+        return message + ("; Resume goes on from the last checkpoint" if self.progress.step else "")
+
+
+def last_words(log: Path) -> str:
+    """The last line of a log, without the program's name."""
+    try:
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - 8192))
+            lines = [line.strip() for line in file.read().decode("utf-8", "replace").splitlines() if line.strip()]
+    except OSError:
+        return ""
+    return lines[-1].removeprefix("cloak: ")[:300] if lines else ""
 
 
 # --- the jobs of this Blender: one runs, the others wait their turn ---------------------------------------------------
 
 
 def busy() -> str:
-    """Why nothing may start now that cannot wait its turn; "" when it may."""
+    """Why a job that cannot be queued may not start now; "" if it may."""
     job = session.job
     return f"{job.label} is running: wait for it, or cancel it" if job is not None and job.active else ""
 
 
-def require_idle() -> None:
-    """Raise `InputError` while a job runs."""
-    if busy():
-        raise InputError(busy())
-
-
 def launch(job: Job) -> Job:
-    """Start the job, or let it wait for those before it; the timer looks after both. Raises `InputError`."""
+    """Start the job or queue it; the timer polls it. Raises `InputError`."""
     ahead = session.job
     if ahead is None or not ahead.active:
         job.start()
@@ -375,19 +323,21 @@ def launch(job: Job) -> Job:
     return job
 
 
-def run_command(label: str, command: list[str], folder: Path, name: str, on_end: OnEnd, follow: str = "") -> str:
-    """Launch a job of one command; `follow` is the file in `folder` that its events go to.
+def run_cloak(label: str, words: Iterable[object], folder: Path, name: str, on_end: OnEnd, follow: bool = False) -> str:
+    """Launch one command of the trainer, `cloak WORDS...`; with `follow` it logs its progress into the folder.
 
     Returns what its launcher adds to its message: ", after Training" where it waits its turn.
     """
-    if follow:
-        (folder / follow).unlink(missing_ok=True)
-        return waits(launch(FollowedJob(label, [command], folder, name, folder / follow, on_end)))
-    return waits(launch(Job(label, [command], folder, name, on_end)))
+    events = folder / f"{name}.jsonl" if follow else None
+    if events:
+        events.unlink(missing_ok=True)
+        words = [*words, "--events", events]
+    command = cloak_command(chosen_python(), *words)
+    return waits(launch(Job(label, [command], folder, name, on_end, events)))
 
 
 def waits(job: Job) -> str:
-    """ ", after Training" for a job that waits its turn, for the message of who launched it."""
+    """Return ", after Training" for a queued job, to be added to a message."""
     return f", after {session.job.label}" if job.state == "waiting" else ""
 
 
@@ -399,27 +349,21 @@ def tick() -> float | None:
         if job.on_tick is not None:
             job.on_tick(job)
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
-    _start_next()
+    for waiting in [job for job in session.jobs if job.state == "waiting"]:
+        if not session.job.running:
+            waiting.start_or_fail()
     return TICK_SECONDS if session.job is not None and session.job.active else None
 
 
-def _start_next() -> None:
-    """Start the next waiting job, if none runs; a job that cannot be started has failed."""
-    for job in [job for job in session.jobs if job.state == "waiting"]:
-        if session.job.running:
-            return
-        job.start_or_fail()
-
-
 def shut_down() -> None:
-    """The add-on is going (or Blender is closing): end the job in order and forget it."""
+    """End all jobs: the add-on is being disabled, or Blender is closing."""
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     forget()
 
 
 def forget() -> None:
-    """Let go of all jobs: what Blender started ends in order, a training that it found goes on."""
+    """Drop all jobs: those that Blender started are stopped, a training that it attached to continues."""
     for job in session.jobs:
         if job.running:
             job.abandon()

@@ -1,33 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Preferences: the Python that has `cloak_core`; found, tested, or installed."""
+"""Preferences: the Python that has `cloak_core`, and the machine that it runs on."""
 
 from __future__ import annotations
 
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
-from bpy.props import StringProperty
 
-from ..files.errors import InputError
 from ..session import session
 from ..translations import said
-from ..ui.operator import CloakOperator
-from .install import InstallJob
-from .jobs import Job, busy, last_words, require_idle, run_command
-from .python import INSTALL_LINE, about_command, ask_ahead, find_python, forget_answers, known_reason, parse_about
+from ..ui import props
+from .python import INSTALL_LINE, ask_ahead, find_python, forget_answers, known_reason
 
 PACKAGE = __package__.rpartition(".")[0]
 """The add-on's name in Blender."""
 CLICK_SECONDS = 0.2
+INSTALLATION = "Installation"
+"""The label of the job that installs the trainer."""
 LOG_LINES = 5
 
 
-def preferences() -> CloakPreferences | None:
-    """The add-on's preferences; None where it runs without being installed."""
+def preferences() -> CloakPreferences | SimpleNamespace:
+    """Return the add-on's preferences; empty ones that are not stored if it is not installed."""
     addon = bpy.context.preferences.addons.get(PACKAGE)
-    return addon.preferences if addon else None
+    return addon.preferences if addon else SimpleNamespace(python="", source="", remote="", answer="")
 
 
 def user_folder(name: str) -> Path:
@@ -37,53 +36,40 @@ def user_folder(name: str) -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path=f"cloak/{name}", create=True))
 
 
-def look_ahead() -> None:
-    """Begin to look for the trainer's Python, so that nobody waits when it is needed."""
-    kept = preferences()
+def look_ahead(kept: object = None, context: object = None) -> None:
+    """Start to look for the trainer's Python in the background."""
     if not bpy.app.background:
-        ask_ahead(kept.python if kept else "")
+        ask_ahead(preferences().python)
 
 
-def _patience() -> float:
-    """Seconds that a click may wait for a Python to answer; without a window there is nobody to keep waiting."""
-    return threading.TIMEOUT_MAX if bpy.app.background else CLICK_SECONDS
+def local_python(chosen: str | None = None) -> str:
+    """The Python of this machine to train with: the chosen one, that of the preferences unless given, or one found.
+
+    Without a window nobody is kept waiting, so that it may take its time. Raises `InputError` with what to do.
+    """
+    patience = threading.TIMEOUT_MAX if bpy.app.background else CLICK_SECONDS
+    return find_python(preferences().python if chosen is None else chosen, patience)
 
 
 def chosen_python() -> str:
-    """The Python to train with; remembered once found. Raises `InputError` with what to do."""
+    """The Python to train with, on whichever machine; remembered once found. Raises `InputError` with what to do."""
     kept = preferences()
-    if kept and kept.remote.strip():
+    if kept.remote.strip():
         return kept.remote_python
-    python = find_python(kept.python if kept else "", _patience())
-    if kept and not kept.python:
-        kept.python = python
+    python = local_python()
+    kept.python = kept.python or python
     return python
 
 
 def trainer_reason() -> str | None:
     """Why there is no trainer to start, "" when there is one, None while that is being found out. Never waits."""
-    kept = preferences()
-    if kept and kept.remote.strip():
-        return ""
-    return known_reason(kept.python if kept else "")
-
-
-def trainer_answer() -> str:
-    """What the trainer said when it was last tested."""
-    kept = preferences()
-    return kept.answer if kept else ""
-
-
-def local_python() -> str:
-    """The Python of this machine, for what has to answer at once."""
-    kept = preferences()
-    return find_python(kept.python if kept else "", _patience())
+    return "" if preferences().remote.strip() else known_reason(preferences().python)
 
 
 def through(command: list[str]) -> list[str]:
     """A command of the trainer, on the machine that the preferences name."""
     kept = preferences()
-    if not kept or not kept.remote.strip() or command[0] != kept.remote_python:
+    if not kept.remote.strip() or command[0] != kept.remote_python:
         return command
     script = str(Path(__file__).with_name("remote.py"))
     shared = bpy.path.abspath(kept.remote_shared)
@@ -93,14 +79,8 @@ def through(command: list[str]) -> list[str]:
 def use_python(python: str) -> None:
     """Train with this Python from now on, also after Blender was closed."""
     forget_answers()
-    kept = preferences()
-    if kept:
-        kept.python = python
-        bpy.context.preferences.is_dirty = True
-
-
-def _python_chosen(kept: CloakPreferences, context: bpy.types.Context) -> None:
-    look_ahead()
+    preferences().python = python
+    bpy.context.preferences.is_dirty = True
 
 
 class CloakPreferences(bpy.types.AddonPreferences):
@@ -108,43 +88,38 @@ class CloakPreferences(bpy.types.AddonPreferences):
 
     bl_idname = PACKAGE
 
-    python: StringProperty(
-        name="Trainer's Python",
-        description="Python executable that has cloak_core installed; empty to look for one",
-        subtype="FILE_PATH",
-        update=_python_chosen,
+    python: props.path(
+        "Trainer's Python",
+        "Python executable that has cloak_core installed; empty to look for one",
+        relative=False,
+        update=look_ahead,
     )
-    source: StringProperty(
-        name="Source",
-        description="What is installed: the trainer's wheel (.whl), or the folder of Cloak's sources; empty for the "
-        "wheel that came with the add-on",
-        subtype="FILE_PATH",
+    source: props.path(
+        "Source",
+        "What is installed: the trainer's wheel (.whl), or the folder of Cloak's sources; empty for the wheel that "
+        "came with the add-on",
+        relative=False,
     )
-    remote: StringProperty(
-        name="Other Machine",
-        description="What runs a line of shell on another machine, such as: ssh gpu-box. Empty: train on this one",
+    remote: props.text(
+        "Other Machine",
+        "What runs a line of shell on another machine, such as: ssh gpu-box. Empty: train on this one",
     )
-    remote_folder: StringProperty(
-        name="Folder There", description="Folder on the other machine for scenes and runs", default="/tmp/cloak"
+    remote_folder: props.text("Folder There", "Folder on the other machine for scenes and runs", "/tmp/cloak")
+    remote_shared: props.path(
+        "The Same Folder Here",
+        "Where this machine sees the other's folder, when they share it; empty: files go by the command",
+        "DIR_PATH",
+        relative=False,
     )
-    remote_shared: StringProperty(
-        name="The Same Folder Here",
-        description="Where this machine sees the other's folder, when they share it; empty: files go by the command",
-        subtype="DIR_PATH",
-    )
-    remote_python: StringProperty(
-        name="Python There", description="Python on the other machine that has cloak_core", default="python3"
-    )
-    answer: StringProperty(
-        name="Answer", description="What the trainer said when it was last tested", options={"SKIP_SAVE"}
-    )
+    remote_python: props.text("Python There", "Python on the other machine that has cloak_core", "python3")
+    answer: props.text("Answer", "What the trainer said when it was last tested", options={"SKIP_SAVE"})
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         row = layout.row(align=True)
         row.prop(self, "python")
-        row.operator(CLOAK_OT_find_python.bl_idname, text="", icon="VIEWZOOM")
-        row.operator(CLOAK_OT_test_python.bl_idname, text="Test")
+        row.operator("cloak.find_python", text="", icon="VIEWZOOM")
+        row.operator("cloak.test_python", text="Test")
         if self.answer:
             layout.label(text=said(self.answer), icon="INFO")
         self._draw_install(layout.box())
@@ -157,7 +132,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         box.label(text="Or run this in the folder of Cloak's sources:")
         row = box.row(align=True)
         row.label(text=INSTALL_LINE)
-        row.operator(CLOAK_OT_copy_install_line.bl_idname, text="", icon="COPYDOWN")
+        row.operator("cloak.copy_install_line", text="", icon="COPYDOWN")
 
     def _draw_install(self, layout: bpy.types.UILayout) -> None:
         layout.prop(self, "source")
@@ -165,7 +140,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
         row.operator("cloak.show_install_log", text="", icon="TEXT")
         job = session.job
-        if not isinstance(job, InstallJob):
+        if job is None or job.label != INSTALLATION:
             return
         row = layout.row(align=True)
         row.progress(factor=job.fraction, text=said(job.describe()))
@@ -174,64 +149,3 @@ class CloakPreferences(bpy.types.AddonPreferences):
         column = layout.column(align=True)
         for line in job.tail(LOG_LINES):
             column.label(text=line[:120])
-
-
-class CLOAK_OT_find_python(CloakOperator):
-    """Look for a Python that has cloak_core"""
-
-    bl_label = "Find Python"
-
-    def run(self, context: bpy.types.Context) -> str:
-        kept = preferences()
-        forget_answers()
-        python = find_python("", _patience())
-        if kept:
-            kept.python = python
-        return f"Trainer's Python: {python}"
-
-
-class CLOAK_OT_test_python(CloakOperator):
-    """Start the trainer and show its version and device"""
-
-    bl_label = "Test Trainer"
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return busy()
-
-    def run(self, context: bpy.types.Context) -> str:
-        require_idle()
-        python = chosen_python()
-        kept = preferences()
-        if kept:
-            kept.answer = "Starting the trainer..."
-        command = about_command(python)
-        run_command("Test", command, user_folder("test"), "test", lambda job: _show_answer(job, python))
-        return "Testing the trainer: the answer appears in the preferences"
-
-
-def describe_trainer(python: str, done: bool, stdout: str, last_line: str) -> str:
-    """One line about a trainer, from what `about_command` said; `InputError` where it does not work."""
-    facts = parse_about(python, done, stdout, last_line)
-    return f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
-
-
-def _show_answer(job: Job, python: str) -> str:
-    try:
-        answer = describe_trainer(python, job.state == "done", "".join(job.outputs), last_words(job.log))
-    except InputError as error:
-        answer = str(error)
-    kept = preferences()
-    if kept:
-        kept.answer = answer
-    return answer
-
-
-class CLOAK_OT_copy_install_line(CloakOperator):
-    """Copy the line that installs the trainer to the clipboard"""
-
-    bl_label = "Copy Installation Line"
-
-    def run(self, context: bpy.types.Context) -> str:
-        context.window_manager.clipboard = INSTALL_LINE
-        return "Copied: paste it into a terminal in the folder of Cloak's sources"

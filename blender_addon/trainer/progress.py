@@ -20,6 +20,10 @@ class Progress:
     seconds: float = 0.0
     """Of training, as the trainer counts them."""
     seconds_per_step: float | None = None
+    outcome: str = ""
+    """"done", "stopped" or "failed" when its log has ended so; "" else."""
+    why: str = ""
+    """What a failed run said of itself."""
     broken_lines: int = 0
 
     @property
@@ -62,6 +66,12 @@ def take_event(progress: Progress, line: bytes) -> Progress:
     except (ValueError, KeyError, TypeError, RecursionError):
         return replace(progress, broken_lines=progress.broken_lines + 1)
     step, seconds = _number(event.get("step")), _number(event.get("time"))
+    if kind == "end":
+        return replace(progress, outcome="done" if event.get("outcome") == "done" else "stopped")
+    if kind == "error":
+        return replace(progress, outcome="failed", why=str(event.get("message", ""))[:200])
+    if kind in ("start", "resume", "step"):
+        progress = replace(progress, outcome="", why="")
     if kind in ("start", "resume") and _number(event.get("steps")) is not None:
         progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
     if kind != "step" or step is None:

@@ -95,7 +95,7 @@ def _first_found() -> str:
 
 
 class Question(threading.Thread):
-    """Asks Pythons about themselves without keeping Blender waiting; `answer` is None until it is known."""
+    """Asks Pythons about themselves in a thread; `answer` is None until it is known, or the `InputError` of asking."""
 
     def __init__(self, ask: Callable[[], Any]) -> None:
         super().__init__(name="cloak asks for a trainer", daemon=True)
@@ -104,44 +104,49 @@ class Question(threading.Thread):
         self.start()
 
     def run(self) -> None:
-        self.answer = self._ask()
+        try:
+            self.answer = self._ask()
+        except InputError as error:
+            self.answer = error
 
 
 _questions: dict[str, Question] = {}
 """By the chosen Python's path; "" is the search for any."""
 
 
+def _path_of(chosen: str) -> str | None:
+    """The chosen Python's path, None where it cannot be run; "" where none is chosen."""
+    return shutil.which(os.path.expanduser(chosen)) if chosen else ""
+
+
+def _question(path: str) -> Question:
+    """What is being found out, or known: why this Python cannot train; of "" which Python can, "" for none."""
+    if path not in _questions:
+        _questions[path] = Question(functools.partial(trainer_reason, path) if path else _first_found)
+    return _questions[path]
+
+
 def ask_ahead(chosen: str = "") -> None:
     """Begin to find out what `find_python` will want to know."""
-    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
-    if path is not None and path not in _questions:
-        _questions[path] = Question(functools.partial(trainer_reason, path) if path else _first_found)
+    path = _path_of(chosen)
+    if path is not None:
+        _question(path)
 
 
 def known_reason(chosen: str = "") -> str | None:
     """Why `find_python` would refuse, "" when it would not, None while the answer is on its way. Never waits."""
-    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    path = _path_of(chosen)
     if path is None:
         return f"The trainer's Python '{chosen}' cannot be run"
-    ask_ahead(chosen)
-    answer = _questions[path].answer
-    if answer is None or bool(answer) != bool(path):
-        return None if answer is None else ""
-    return f"The trainer's Python '{chosen}' {answer}" if path else "No trainer yet: install it, or choose its Python"
+    answer = _question(path).answer
+    if not path and answer is not None:
+        return "" if answer else "No trainer yet: install it, or choose its Python"
+    return f"The trainer's Python '{chosen}' {answer}" if answer else answer
 
 
 def forget_answers() -> None:
-    """Ask again: something may have been installed."""
+    """Forget what is known of Pythons: something may have been installed."""
     _questions.clear()
-
-
-def _answer(path: str, seconds: float) -> str | None:
-    ask_ahead(path)
-    question = _questions[path]
-    question.join(min(seconds, threading.TIMEOUT_MAX))
-    if question.answer is not None and bool(question.answer) == bool(path):
-        del _questions[path]  # a refusal, or nothing found: ask again the next time
-    return question.answer
 
 
 def find_python(chosen: str = "", seconds: float = threading.TIMEOUT_MAX) -> str:
@@ -150,20 +155,21 @@ def find_python(chosen: str = "", seconds: float = threading.TIMEOUT_MAX) -> str
     Waits so many seconds at most. A chosen Python that has not answered by then is taken at its word. Raises
     `InputError` with what to do when there is none, or none yet.
     """
-    if chosen:
-        path = shutil.which(os.path.expanduser(chosen))
-        if path is None:
-            raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
-        reason = _answer(path, seconds)
-        if reason:
-            raise InputError(f"Python '{chosen}' {reason}: install it there, or choose another in the preferences")
-        return path
-    python = _answer("", seconds)
-    if python is None:
+    path = _path_of(chosen)
+    if path is None:
+        raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
+    question = _question(path)
+    question.join(min(seconds, threading.TIMEOUT_MAX))
+    answer = question.answer
+    if answer is not None and bool(answer) == bool(path):
+        del _questions[path]  # a refusal, or nothing found: ask again the next time
+    if path and answer:
+        raise InputError(f"Python '{chosen}' {answer}: install it there, or choose another in the preferences")
+    if not path and answer is None:
         raise InputError("Still looking for a Python with cloak_core: try again in a moment")
-    if not python:
+    if not path and not answer:
         raise InputError("No Python with cloak_core found: install it, then choose it in the add-on's preferences")
-    return python
+    return path or answer
 
 
 def about_command(python: str) -> list[str]:

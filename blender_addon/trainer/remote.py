@@ -47,7 +47,7 @@ class Remote:
         return subprocess.Popen([*self.prefix, line], **streams)
 
     def do(self, line: str) -> int:
-        """The same, waited for; its exit code."""
+        """Run a line of shell over there and return its exit code."""
         return self.start(line, stdin=subprocess.DEVNULL).wait()
 
     def here(self, remote: str) -> Path:
@@ -55,7 +55,7 @@ class Remote:
         return Path(self.shared, os.path.relpath(remote, self.folder))
 
     def send(self, path: Path) -> str:
-        """Where a file or folder lies over there; sent unless one that looks the same is there."""
+        """Send a file or folder unless an unchanged copy is there; return its remote path."""
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else beside(path)
         files = [p for p in files if p.name not in OWN]
         look = [f"{p} {p.stat().st_size} {p.stat().st_mtime_ns}" for p in files]
@@ -215,7 +215,7 @@ def main(prefix: str, folder: str, shared: str, python: str, *words: str) -> int
 
 
 def _hold(run: Path) -> object:
-    """The run's lock: who looks at the folder sees that somebody trains in it."""
+    """Hold the run's lock, so that the folder counts as being trained."""
     if os.name != "posix":
         return True
     import fcntl

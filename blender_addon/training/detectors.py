@@ -11,14 +11,14 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, StringProperty
+from bpy.props import CollectionProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from ..blender.blend_paths import RELATIVE, absolute, blend_folder, portable
+from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
-from ..trainer.command_lines import verify_command
-from ..trainer.jobs import Job, run_command
-from ..trainer.preferences import chosen_python, user_folder
+from ..trainer.jobs import Job, run_cloak
+from ..trainer.preferences import user_folder
+from ..ui import props
 from ..ui.operator import CloakOperator
 
 BUILTIN = "builtin"
@@ -37,53 +37,42 @@ CHECK = "Detector check"
 
 
 def _changed(self: CloakDetector, context: bpy.types.Context) -> None:
-    """What was found out about another file, or another size, counts no more."""
+    """Discard the check of another file or size."""
     self.checked, self.gradients = "", True
 
 
 class CloakDetector(bpy.types.PropertyGroup):
     """One detector of the list."""
 
-    file: StringProperty(
-        name="File",
-        description="The detector's file: .onnx, .pt, .xml, .tflite, .cfg (with its .weights) or .py",
-        subtype="FILE_PATH",
-        options={"ANIMATABLE"} | RELATIVE,
+    file: props.path(
+        "File", "The detector's file: .onnx, .pt, .xml, .tflite, .cfg (with its .weights) or .py", update=_changed
+    )
+    weights: props.path("Weights", "Of a .cfg: its .weights file", update=_changed)
+    spec: props.text(
+        "Name",
+        "A detector without a file of its own, as the command line names it: builtin, torchvision:NAME",
         update=_changed,
     )
-    weights: StringProperty(
-        name="Weights",
-        description="Of a .cfg: its .weights file",
-        subtype="FILE_PATH",
-        options={"ANIMATABLE"} | RELATIVE,
+    options: props.text(
+        "Options",
+        "What the trainer cannot tell from the file: input size (640 or 320x544), person=CLASS, bgr",
         update=_changed,
     )
-    spec: StringProperty(
-        name="Name",
-        description="A detector without a file of its own, as the command line names it: builtin, torchvision:NAME",
-        update=_changed,
-    )
-    options: StringProperty(
-        name="Options",
-        description="What the trainer cannot tell from the file: input size (640 or 320x544), person=CLASS, bgr",
-        update=_changed,
-    )
-    threshold: FloatProperty(
-        name="Reports From",
-        description="Score from which on this detector reports a person; 0 for its own",
+    threshold: props.number(
+        "Reports From",
+        "Score from which on this detector reports a person; 0 for its own",
         min=0,
         max=0.999,
         precision=2,
         step=1,
     )
-    judges: BoolProperty(
-        name="Only Judges",
-        description="Training does not see it: it only judges, in Render Check, evaluation and Detector's Eye",
+    judges: props.switch(
+        "Only Judges", "Training does not see it: it only judges, in Render Check, evaluation and Detector's Eye"
     )
-    checked: StringProperty(name="Checked", description="The detector that the answer is about")
-    answer: StringProperty(name="Answer", description="What the trainer found out about it")
-    works: BoolProperty(name="Works", description="Whether it passed the check")
-    gradients: BoolProperty(name="Gradients", description="Whether it gives gradients to train with", default=True)
+    checked: props.text("Checked", "The detector that the answer is about")
+    answer: props.text("Answer", "What the trainer found out about it")
+    works: props.switch("Works", "Whether it passed the check")
+    gradients: props.switch("Gradients", "Whether it gives gradients to train with", True)
 
     @property
     def black_box(self) -> bool:
@@ -97,7 +86,7 @@ class CloakDetector(bpy.types.PropertyGroup):
 
     @property
     def title(self) -> str:
-        """Its file's name, or what it is called."""
+        """Name of the file, or of the detector without a file."""
         return Path(self.file.replace("\\", "/")).name if self.file else self.spec or BUILTIN
 
     @property
@@ -117,7 +106,7 @@ class CloakDetector(bpy.types.PropertyGroup):
 
     @property
     def full(self) -> str:
-        """The same with its threshold."""
+        """Detector as the command line names it, with its threshold."""
         joined = "," if self.options.strip() else "@"
         return self.bare + (f"{joined}conf={self.threshold:.3g}" if self.threshold else "")
 
@@ -141,7 +130,7 @@ def trained_against(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
 
 
 def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
-    """All detectors of the list, those to hide from first."""
+    """List all detectors, those to train against first."""
     ordered = sorted(settings.detectors, key=lambda detector: detector.only_judges)
     return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
 
@@ -224,7 +213,7 @@ class CLOAK_OT_detector_add_named(CloakOperator):
 
     bl_label = "Add by Name"
 
-    spec: StringProperty(name="Name", description="As the command line names it", default=BUILTIN)
+    spec: props.text("Name", "As the command line names it", BUILTIN)
 
     def run(self, context: bpy.types.Context) -> str:
         settings = context.scene.cloak
@@ -267,8 +256,9 @@ def check(detector: CloakDetector) -> str:
     """Ask the trainer about a detector; its answer comes into the list. Returns ", after ..." where that waits."""
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
-    command = verify_command(chosen_python(), spec)
-    return run_command(CHECK, command, folder, "check", lambda job: _told(job, spec))
+    # One render is enough to know whether, and from which score on, it works.
+    words = ("detectors", "verify", spec, "--renders", 1)
+    return run_cloak(CHECK, words, folder, "check", lambda job: _told(job, spec))
 
 
 def _told(job: Job, spec: str) -> str | None:

@@ -10,22 +10,32 @@ import bpy
 import numpy as np
 
 from ..blender.blend_paths import blend_folder, portable
-from ..blender.faces import logo_names
-from ..body.objects import active_body
-from ..body.reasons import refusal
+from ..blender.faces import active_logo, logo_names
+from ..body.objects import active_body, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from ..logo.operators import active_logo
 from ..poses.export import export, read_export
 from ..properties import output_folder, pose_choice, settings_of, train_request
 from ..session import session
 from ..trainer.command_lines import train_command
 from ..trainer.jobs import Job, TrainingJob, launch, waits
 from ..trainer.preferences import chosen_python
+from ..ui import props
 from ..ui.operator import CloakOperator, push_undo
 from . import run_list, runs
-from .reasons import cancel_reason, extend_reason, kept_reason, resume_reason, selected_run, train_reason
-from .run_states import RunState
+from .reasons import (
+    attach_reason,
+    cancel_reason,
+    delete_reason,
+    extend_reason,
+    kept_reason,
+    resume_reason,
+    selected_run,
+    stop_reason,
+    train_reason,
+)
+from .run_states import FoundTrainer, RunState, request_stop
+from .runs import run_of
 
 
 class CLOAK_OT_train_start(CloakOperator):
@@ -69,7 +79,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
 
 
 def _remove_failed_start() -> None:
-    """What the last Start left when its training never began: the panel has told why, the next one takes its place."""
+    """Remove what the last Start left if its training never began."""
     for job in session.jobs:
         ended = isinstance(job, TrainingJob) and not job.active
         if ended and not job.run.exists() and runs.input_folder(job.run).is_dir():
@@ -82,7 +92,7 @@ class CLOAK_OT_train_cancel(CloakOperator):
     bl_label = "Cancel"
     needs = staticmethod(cancel_reason)
 
-    number: bpy.props.IntProperty(name="Job", description="Its place in the queue; -1: the one that runs", default=-1)
+    number: props.whole("Job", "Its place in the queue; -1: the one that runs", -1)
 
     def run(self, context: bpy.types.Context) -> str:
         job = session.jobs[self.number] if 0 <= self.number < len(session.jobs) else session.job
@@ -140,7 +150,7 @@ class Watch:
         self._last = time.monotonic()
 
     def wear(self, obj: bpy.types.Object) -> None:
-        """Let the body wear this run from now on."""
+        """Assign this run to the body."""
         obj.cloak.run, obj.cloak.verdict = portable(str(self._run), blend_folder()), ""
         self._worn = True
 
@@ -179,7 +189,7 @@ class Watch:
         job.notice = self._refused
 
     def finish(self, job: Job) -> str | None:
-        """Called at the end: the list of runs knows it, and whatever colours there are come onto the model."""
+        """At the end: refresh the list of runs and import the last colours."""
         run_list.refresh(bpy.context)
         if not (self._run / "colors.npy").exists():
             return None
@@ -197,3 +207,58 @@ class Watch:
         except InputError as error:
             return f"{job.message}; no colours imported: {error}"
         return None
+
+
+class CLOAK_OT_run_attach(CloakOperator):
+    """Follow a training that this Blender did not start, or lost in a crash: its progress in the panel, its colours \
+on the body. When Blender closes it goes on"""
+
+    bl_label = "Attach"
+    needs = staticmethod(attach_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        run = selected_run(context).path
+        face_ids, topology = runs.trained_faces(run)
+        obj = runs.body_of(run, topology)
+        if obj is None:
+            raise InputError(f"No body of this file has the faces that {run.name} is trained on: open its own file")
+        context.view_layer.objects.active = obj
+        watch = Watch(obj, run, face_ids, topology)
+        follow(obj, TrainingJob([], run, runs.side_folder(run), watch.finish, FoundTrainer(run)), watch)
+        return f"Following {run.name}"
+
+
+class CLOAK_OT_run_stop(CloakOperator):
+    """End the training of the chosen run after its current step, whoever started it; Resume goes on with it"""
+
+    bl_label = "Stop"
+    needs = staticmethod(stop_reason)
+
+    def run(self, context: bpy.types.Context) -> str:
+        run = selected_run(context).path
+        mine = [job for job in session.jobs if isinstance(job, TrainingJob) and job.active and job.run == run]
+        for job in mine:
+            job.cancel()
+        if not mine:
+            request_stop(run)
+        return f"Stopping {run.name} after its current step"
+
+
+class CLOAK_OT_run_delete(CloakOperator):
+    """Delete the folders of the chosen run from the disk; bodies keep the colours they wear. This cannot be undone"""
+
+    bl_label = "Delete Run"
+    needs = staticmethod(delete_reason)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(self, event)
+
+    def run(self, context: bpy.types.Context) -> str:
+        run = selected_run(context).path
+        runs.remove(run)
+        for obj in bpy.data.objects:
+            if run_of(obj) == run:
+                obj.cloak.run = ""
+        run_list.select(context, None)
+        run_list.refresh(context)
+        return f"Deleted {run}"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from ..body.reasons import body_reason, logo_reason, of_the_body, refusal
+from ..body.objects import body_reason, logo_reason, of_the_body, refusal
 from ..poses.reasons import poses_reason
 from ..properties import settings_of, train_request
 from ..session import session
@@ -24,7 +24,7 @@ def train_reason(context: bpy.types.Context) -> str:
 
 
 def selected_run(context: bpy.types.Context) -> RunState | None:
-    """The run chosen in the list, as its folder tells it now."""
+    """Read the state of the run that is chosen in the list."""
     chosen = run_list.selected_path(context)
     return read_state(Path(chosen)) if chosen else None
 
@@ -74,7 +74,7 @@ def extend_reason(context: bpy.types.Context) -> str:
 
 
 def kept_reason(context: bpy.types.Context) -> str:
-    """What Resume keeps of the chosen run though the panel says something else by now; "" when all is the same."""
+    """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
     state = selected_run(context)
     if state is None or not state.resumable or refusal(train_request, settings_of(context)):
         return ""

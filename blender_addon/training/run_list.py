@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import CollectionProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import CollectionProperty, PointerProperty
 
 from ..blender.blend_paths import blend_folder, portable
 from ..body.garments import is_dressed
@@ -22,13 +22,14 @@ from ..files.errors import InputError
 from ..properties import output_folder, settings_of
 from ..session import session
 from ..trainer import jobs
+from ..ui import props
 from ..ui.window import redraw
 from .run_states import RunState, find_runs, read_state
 from .runs import import_colors, input_folder, run_of
 
 REFRESH_SECONDS = 2.0
 WATCHED_SECONDS = 5.0
-"""The list is not read any more when it was not drawn for so long."""
+"""The list is refreshed for this long after it was last drawn."""
 
 
 def places(context: bpy.types.Context) -> list[Path]:
@@ -105,15 +106,15 @@ def _set_index(self: CloakWindow, index: int) -> None:
 class CloakRun(bpy.types.PropertyGroup):
     """A line of the list."""
 
-    path: StringProperty(name="Path", description="Folder of the run", options={"SKIP_SAVE"})
+    path: props.text("Path", "Folder of the run", options={"SKIP_SAVE"})
 
 
 class CloakWindow(bpy.types.PropertyGroup):
     """What Cloak keeps for this session, out of reach of undo."""
 
     runs: CollectionProperty(name="Runs", description="The runs that were found", type=CloakRun, options={"SKIP_SAVE"})
-    run_index: IntProperty(
-        name="Run", description="The run whose colours the active body wears, or will wear", get=_index, set=_set_index
+    run_index: props.whole(
+        "Run", "The run whose colours the active body wears, or will wear", get=_index, set=_set_index
     )
 
 
@@ -121,7 +122,7 @@ class CloakWindow(bpy.types.PropertyGroup):
 
 
 def is_drawn() -> None:
-    """Somebody looks at the list: it is worth reading."""
+    """Note that the list is visible, so that it is refreshed."""
     session.runs_drawn = time.monotonic()
 
 
@@ -134,7 +135,7 @@ def _watch() -> float:
 
 @persistent
 def _forget_click(*_: object) -> None:
-    """Another file is open: what was clicked in the last one counts no more, nor how its jobs ended."""
+    """After loading a file: forget the clicked run and the finished jobs."""
     session.clicked_run = ""
     session.given_runs.clear()
     session.jobs = [job for job in session.jobs if job.active]

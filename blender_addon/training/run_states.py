@@ -8,13 +8,15 @@ process number (which a container may hide), and ends with the process, however 
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..files.errors import InputError
 from ..files.locks import is_held
-from ..files.reading import parse_json, read_json
+from ..files.reading import read_json
 from ..poses.export import RECORD, read_export
 from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
 from ..result.render_check import Verdict, last_verdicts
@@ -32,7 +34,7 @@ TAIL_BYTES = 64 << 10
 
 @dataclass(frozen=True)
 class RunState:
-    """One run as its folders tell it."""
+    """State of one run, read from its folders."""
 
     path: Path
     state: str
@@ -44,10 +46,7 @@ class RunState:
     detectors: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
     """Of `cloak train`, as the add-on gave them; Resume repeats them."""
-    unseen: dict[str, float] = field(default_factory=dict)
-    """Of the run's evaluation, if there is one: worst success over the detectors by control ("logo", "clothing")."""
     evaluation: Evaluation | None = None
-    """The same in full."""
     checks: tuple[Verdict, ...] = ()
     """Of its latest render check, by detector."""
     why: str = ""
@@ -58,6 +57,11 @@ class RunState:
     @property
     def title(self) -> str:
         return self.path.name
+
+    @property
+    def unseen(self) -> dict[str, float]:
+        """Worst success over the detectors of its evaluation, by control ("logo", "clothing")."""
+        return self.evaluation.worst_rates() if self.evaluation else {}
 
     @property
     def exists(self) -> bool:
@@ -71,7 +75,7 @@ class RunState:
 
 
 def find_runs(place: Path) -> list[Path]:
-    """The runs in a folder, and those whose training never began: of these there is only the input."""
+    """Find the runs in a folder, including those that have an input only because their training never began."""
     found: dict[Path, float] = {}
     try:
         with os.scandir(place) as entries:
@@ -89,7 +93,7 @@ def find_runs(place: Path) -> list[Path]:
 
 
 def is_running(run: Path) -> bool:
-    """Whether a trainer works in this folder, whoever started it."""
+    """Whether a trainer works in this folder, started here or elsewhere."""
     if any(isinstance(job, jobs.TrainingJob) and job.active and job.run == run for job in session.jobs):
         return True  # not asked of the lock: a trainer that is just starting must not find it taken
     return is_held(run / ".lock")
@@ -128,25 +132,25 @@ def _read(run: Path) -> RunState:
     folder = input_folder(run)
     names = {}
     if (folder / RECORD).is_file():
-        try:
+        with contextlib.suppress(InputError):  # half an input: the run can still be looked at, but not resumed
             record = read_export(folder)
             names = {"object": record.object, "logo": record.logo, "options": tuple(remembered_options(run))}
-        except InputError:
-            names = {}  # half an input: the run can still be looked at, but not resumed
-    progress, state, why = _read_events(run / "events.jsonl")
+    progress = _read_events(run / "events.jsonl")
+    state, why = progress.outcome or FAILED, progress.why
     if not run.is_dir():
         why = jobs.last_words(folder / "train.log") or "its training never began"
     elif not (run / "events.jsonl").exists() and (run / "colors.npy").is_file() and not names:
         state = DONE  # colours without a training's log, such as the zoo's
     elif state == FAILED and not why:
         why = f"its process ended without a word after step {progress.step}"
-    found = {"detectors": _detectors(run / "config.json"), "unseen": _unseen(run / SUMMARY)}
-    found["evaluation"] = read_evaluation(run)
-    return RunState(run, state, progress, why=why, begun=_begun(run), **found, **names)
+    detectors, evaluation = _detectors(run / "config.json"), read_evaluation(run)
+    return RunState(
+        run, state, progress, why=why, begun=_begun(run), detectors=detectors, evaluation=evaluation, **names
+    )
 
 
-def _read_events(path: Path) -> tuple[Progress, str, str]:
-    """Progress, state and reason by an event log that nobody writes to."""
+def _read_events(path: Path) -> Progress:
+    """Read the first and last lines of an event log."""
     try:
         with path.open("rb") as file:
             head = file.read(TAIL_BYTES)
@@ -154,27 +158,10 @@ def _read_events(path: Path) -> tuple[Progress, str, str]:
             file.seek(start)
             tail = file.read(TAIL_BYTES)
     except OSError:
-        return Progress(), FAILED, ""
-    if len(head) < start:  # whole lines only
+        return Progress()
+    if len(head) < start:
         head, tail = head[: head.rfind(b"\n") + 1], tail[tail.find(b"\n") + 1 :]
-    progress, state, why = Progress(), FAILED, ""
-    for line in (head + tail).splitlines():
-        progress = take_event(progress, line)
-        event = _parse(line)
-        if event.get("type") == "end":
-            state = DONE if event.get("outcome") == "done" else STOPPED
-        elif event.get("type") == "error":
-            state, why = FAILED, str(event.get("message", ""))[:200]
-        elif event.get("type") in ("start", "resume", "step"):
-            state, why = FAILED, ""
-    return progress, state, why
-
-
-def _parse(line: bytes) -> dict:
-    try:
-        return parse_json(line, "an event")
-    except InputError:
-        return {}
+    return functools.reduce(take_event, (head + tail).splitlines(), Progress())
 
 
 def _detectors(config: Path) -> tuple[str, ...]:
@@ -184,32 +171,20 @@ def _detectors(config: Path) -> tuple[str, ...]:
         return ()
 
 
-def _unseen(summary: Path) -> dict[str, float]:
-    worst: dict[str, float] = {}
-    try:
-        for controls in read_json(summary)["detectors"].values():
-            for name, rates in controls.items():
-                if isinstance(rates, dict) and isinstance(rates.get("success"), (int, float)):
-                    worst[name] = min(worst.get(name, 1.0), float(rates["success"]))
-    except (InputError, KeyError, TypeError, AttributeError):
-        return {}
-    return worst
-
-
 # --- following a trainer that this Blender did not start --------------------------------------------------------------
 
 
 class FoundTrainer:
-    """Stands for the process of a trainer that somebody else started: alive while it holds the run's lock."""
+    """Process of a trainer that another program started: it runs as long as it holds the run's lock."""
 
     def __init__(self, run: Path) -> None:
         self._run = run
 
     def poll(self) -> int | None:
-        """None while it lives, then its exit code as far as the event log tells it."""
+        """Return None while it runs, then the exit code according to the event log."""
         if is_held(self._run / ".lock"):
             return None
-        return {DONE: 0, STOPPED: jobs.STOPPED}.get(_read_events(self._run / "events.jsonl")[1], 1)
+        return {DONE: 0, STOPPED: jobs.STOPPED}.get(_read_events(self._run / "events.jsonl").outcome, 1)
 
     def terminate(self) -> None:
         """Ask it to end after its current step."""
@@ -217,7 +192,7 @@ class FoundTrainer:
 
 
 def request_stop(run: Path) -> None:
-    """Ask whoever trains in this folder to end in order. Raises `InputError` when nobody does."""
+    """Ask the trainer of this run to stop. Raises `InputError` if none runs."""
     if not is_running(run):
         raise InputError(f"{run.name} is not being trained")
     try:

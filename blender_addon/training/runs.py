@@ -19,8 +19,9 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free
-from ..body.garments import WornColors, read_garments
-from ..body.objects import object_of, require_body, topology
+from ..blender.mesh_arrays import topology
+from ..body.garments import write_worn
+from ..body.objects import object_of, require_body
 from ..exchange.colors import read_colors
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
@@ -57,7 +58,7 @@ PROJECT = "{project}"
 
 
 def input_folder(run: Path) -> Path:
-    """Where a run's input lies."""
+    """Return the folder of a run's input."""
     return run.with_name(run.name + ".input")
 
 
@@ -73,7 +74,7 @@ def side_folder(run: Path) -> Path:
 
 
 def remember_options(run: Path, options: list[str]) -> None:
-    """Keep the options a run was started with, for Resume; what lies in the project stays found when that moves."""
+    """Store a run's options for Resume; paths inside the project are stored relative to it."""
     folder, project = input_folder(run), blend_folder()
     record: dict[str, object] = {"options": options}
     if project is not None and folder.is_relative_to(project):
@@ -139,7 +140,7 @@ def trained_faces(run: Path) -> tuple[np.ndarray, str]:
 
 
 def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
-    """Raise `InputError` when the object's faces are not those that were exported."""
+    """Raise `InputError` unless the object has the exported faces."""
     now = topology(obj)
     if now != expected:
         raise InputError(
@@ -154,34 +155,28 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
     if obj.mode == "EDIT":
         raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
     result = read_run(run)
-    require_same_topology(obj, result.topology)
-    worn = WornColors(read_garments(input_folder(run) / RECORD), result.face_ids)
-    mine = worn.on_body(len(obj.data.polygons))
-    ids = result.face_ids[mine]
-    if len(ids) and ids[-1] >= len(obj.data.polygons):
-        raise InputError(f"{run}: face {ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
-    worn.write(result.colors, dress=True)
-    colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, ids, result.colors[mine]))
-    colors.dress(obj, ids)
-    colors.show_attribute(context, obj, colors.CLOAK)
-    obj.cloak.worn = str(run)
+    LiveColors(obj, run, result.topology, result.face_ids).write(context, result.colors, dress=True)
     return result
 
 
 class LiveColors:
-    """Shows a growing run's colours on its object. What can be prepared is, so that an update only writes."""
+    """Shows a run's colours on its object, also while they grow. What can be prepared is, so that writing is quick."""
 
     def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
         self._run, self._topology, self._uid = run, body_topology, obj.session_uid
-        self._worn = WornColors(read_garments(input_folder(run) / RECORD), face_ids)
-        self._mine = self._worn.on_body(len(obj.data.polygons))
+        known = (input_folder(run) / RECORD).exists()
+        self._garments, self._all = read_export(input_folder(run)).garments if known else [], face_ids
+        self._mine = (face_ids < len(obj.data.polygons)) | (not self._garments)
         self._ids = face_ids[self._mine]
+        require_same_topology(obj, body_topology)
+        if len(self._ids) and self._ids[-1] >= len(obj.data.polygons):
+            raise InputError(f"{run}: face {self._ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
         self._seen = 0
         self._base = colors.own_face_colors(obj)
 
     @property
     def object(self) -> bpy.types.Object | None:
-        """The object, found by its identity: it may have been renamed."""
+        """The object, found by its session id because it may have been renamed."""
         return object_of(self._uid)
 
     def update(self, context: bpy.types.Context) -> bool:
@@ -196,14 +191,18 @@ class LiveColors:
         naked = not self._seen or colors.lost_its_cloak(obj)
         if stamp == self._seen and not naked:
             return False
+        self.write(context, read_colors(path, count=len(self._mine)), dress=naked)
+        self._seen = stamp
+        return True
+
+    def write(self, context: bpy.types.Context, values: np.ndarray, dress: bool) -> None:
+        """Colours [L, 3] onto the object and its garments; with `dress` their faces get the cloak's material."""
+        obj = self.object
         require_same_topology(obj, self._topology)
-        values = read_colors(path, count=len(self._mine))
-        self._worn.write(values, dress=naked)
+        write_worn(self._garments, self._all, values, dress)
         self._base[self._ids] = values[self._mine]
         colors.write_face_colors(obj, colors.CLOAK, self._base)
-        if naked:
+        if dress:
             colors.dress(obj, self._ids)
             colors.show_attribute(context, obj, colors.CLOAK)
         obj.cloak.worn = str(self._run)
-        self._seen = stamp
-        return True

@@ -16,7 +16,7 @@ import bpy
 
 LANGUAGES = {"de_DE": "de", "fr_FR": "fr"}
 CONTEXTS = ("*", "Operator")
-"""Blender looks up what stands on an operator's button apart from everything else."""
+"""Blender has a separate context for the text on operator buttons."""
 
 
 @functools.cache
@@ -38,7 +38,7 @@ def dictionaries() -> dict[str, dict[tuple[str, str], str]]:
 
 
 def said(sentence: str) -> str:
-    """A sentence in the language of Blender's interface; as it is where nobody translated it."""
+    """Translate a sentence into the language of Blender's interface, if a translation exists."""
     language = bpy.app.translations.locale[:2]
     view = bpy.context.preferences.view
     if language not in LANGUAGES.values() or not view.use_translate_interface:
@@ -48,7 +48,7 @@ def said(sentence: str) -> str:
 
 @functools.lru_cache(2048)
 def translate(sentence: str, language: str) -> str:
-    """A sentence in "de" or "fr", with whatever it is told about put where that language wants it."""
+    """Translate a sentence into "de" or "fr", with its names and numbers in that language's order."""
     if sentence in words():
         return words()[sentence][language]
     for pattern, text in _patterns():

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Words, rectangles and frames over a viewport, in pixels from its lower left."""
+"""Drawing over a viewport: words and rectangles in pixels from its lower left, triangles and lines in space."""
 
 from __future__ import annotations
 
 import bpy
+import numpy as np
+from mathutils import Matrix
 
 from ..translations import said
 
 Color = tuple[float, float, float]
 """sRGB in [0, 1]."""
 POINTS = 12
+LINE_PIXELS = 2.0
 WHITE: Color = (1.0, 1.0, 1.0)
 
 
@@ -23,7 +26,7 @@ def size_of_words(context: bpy.types.Context) -> float:
 
 
 def short(words: str, most: int = 60) -> str:
-    """The end of long words: of a path, that is what tells."""
+    """Shorten a text to its end, which identifies a path."""
     return words if len(words) <= most else f"…{words[1 - most :]}"
 
 
@@ -43,24 +46,48 @@ def write(words: str, x: float, y: float, color: Color = WHITE, centered: bool =
 
 
 def width_of(words: str) -> float:
-    """Of words as `write` draws them, pixels."""
+    """Width in pixels of words drawn by `write`."""
     import blf
 
     return blf.dimensions(0, said(words))[0]
 
 
+class Shape:
+    """Triangles ("TRIS") or lines ("LINES") over a viewport: corners [n, 3]; one RGBA colour, or one each [n, 4]."""
+
+    def __init__(self, kind: str, corners: np.ndarray, color: np.ndarray | tuple[float, ...]) -> None:
+        import gpu
+        from gpu_extras.batch import batch_for_shader
+
+        self._lines, self._color = kind == "LINES", color if np.ndim(color) == 1 else None
+        name = "POLYLINE_UNIFORM_COLOR" if self._lines else "UNIFORM_COLOR" if self._color else "SMOOTH_COLOR"
+        self._shader = gpu.shader.from_builtin(name)
+        colors = {} if self._color else {"color": np.asarray(color, np.float32)}
+        self._batch = batch_for_shader(self._shader, kind, {"pos": np.asarray(corners, np.float32), **colors})
+
+    def draw(self, matrix: Matrix | None = None, on_top: bool = False) -> None:
+        """Draw it through a matrix; behind what lies before it, unless `on_top`."""
+        import gpu
+
+        gpu.state.depth_test_set("NONE" if on_top else "LESS_EQUAL")
+        gpu.state.blend_set("ALPHA")
+        with gpu.matrix.push_pop():
+            gpu.matrix.multiply_matrix(matrix or Matrix())
+            if self._lines:
+                region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+                self._shader.uniform_float("viewportSize", (region.width, region.height))
+                self._shader.uniform_float("lineWidth", LINE_PIXELS * scale)
+            if self._color:
+                self._shader.uniform_float("color", self._color)
+            self._batch.draw(self._shader)
+        gpu.state.blend_set("NONE")
+        gpu.state.depth_test_set("NONE")
+
+
 def fill(x: float, y: float, width: float, height: float, color: Color, alpha: float = 1.0) -> None:
     """A filled rectangle."""
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
-    batch = batch_for_shader(shader, "TRIS", {"pos": corners}, indices=[(0, 1, 2), (0, 2, 3)])
-    gpu.state.blend_set("ALPHA")
-    shader.uniform_float("color", (*color, alpha))
-    batch.draw(shader)
-    gpu.state.blend_set("NONE")
+    a, b, c, d = (x, y, 0), (x + width, y, 0), (x + width, y + height, 0), (x, y + height, 0)
+    Shape("TRIS", np.array([a, b, c, a, c, d]), (*color, alpha)).draw(on_top=True)
 
 
 def frame(x1: float, y1: float, x2: float, y2: float, color: Color, thickness: float) -> None:

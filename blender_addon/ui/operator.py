@@ -44,7 +44,7 @@ class CloakOperator(bpy.types.Operator):
         return self.attempt(self.run, context)
 
     def attempt(self, work: Callable[..., str | set[str]], *arguments: object) -> set[str]:
-        """Do the work and report what it says. Returns Blender's answer; work may give another one itself."""
+        """Do the work and report its message. Returns Blender's result set, or the one that the work returns."""
         try:
             message = work(*arguments)
         except InputError as error:

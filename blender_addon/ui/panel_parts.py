@@ -7,7 +7,7 @@ import textwrap
 
 import bpy
 
-from ..body.reasons import NO_BODY, body_reason
+from ..body.objects import NO_BODY, body_reason
 from ..session import session
 from ..trainer import jobs
 from ..translations import said
@@ -20,7 +20,7 @@ FIGURES = (
 
 
 def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "INFO") -> None:
-    """A message over as many lines as the sidebar's width asks for."""
+    """Draw a message, wrapped to the width of the sidebar."""
     scale = context.preferences.system.ui_scale
     width = max(20, int((context.region.width / scale - 60) / 6.2)) if context.region else 48
     column = layout.column(align=True)
@@ -37,7 +37,7 @@ def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
 
 
 def figure(layout: bpy.types.UILayout, text: str, tip: str, icon: str = "BLANK1") -> None:
-    """A figure, and what it means when the mouse rests on it."""
+    """Draw a figure with a tooltip that explains it."""
     row = layout.row(align=True)
     row.alignment = "LEFT"
     row.operator("cloak.explain", text=said(text), icon=icon, emboss=False).tip = tip
@@ -59,6 +59,12 @@ class CloakPanel:
         if self.is_done(context):
             self.layout.label(icon="CHECKMARK")
 
+    def body_column(self, context: bpy.types.Context) -> bpy.types.UILayout:
+        """A column of settings that is greyed out without a body."""
+        column = settings_column(self.layout)
+        column.enabled = not body_reason(context)
+        return column
+
     def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
         """A column to draw into, greyed out below its reason when there is one."""
         if reason:
@@ -68,11 +74,11 @@ class CloakPanel:
         return column
 
     def say(self, context: bpy.types.Context, reason: str) -> None:
-        """Why a step cannot run; what is wrong with the body stands in step 1."""
+        """Draw why a step cannot run; problems of the body are described in step 1."""
         wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
-        """The jobs that were started from this panel: how far they are, what they wait for, or how the last ended."""
+        """Draw this panel's jobs: progress, place in the queue, or how the last one ended."""
         mine = [(number, job) for number, job in enumerate(session.jobs) if job.label in labels]
         for number, job in mine:
             if job.active:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's window: progress at the mouse pointer for work that it has to wait for, and drawing it again."""
+"""Blender's window: its viewports, what is drawn over them, its handlers, and progress at the mouse pointer."""
 
 from __future__ import annotations
 
@@ -7,6 +7,60 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import bpy
+
+
+class Hooks:
+    """Handlers of Blender and drawing over its viewports, from `register` until `unregister`.
+
+    handlers: names in `bpy.app.handlers` and functions. drawing: functions and when they draw ("POST_VIEW",
+    "POST_PIXEL"); without a window nothing is drawn. closing: called at the end.
+    """
+
+    def __init__(
+        self,
+        *handlers: tuple[str, Callable],
+        drawing: tuple[tuple[Callable, str], ...] = (),
+        closing: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._handlers, self._drawing, self._closing = handlers, drawing, closing
+        self._drawn: list[object] = []
+
+    def register(self) -> None:
+        for name, handler in self._handlers:
+            getattr(bpy.app.handlers, name).append(handler)
+        if not bpy.app.background:
+            add = bpy.types.SpaceView3D.draw_handler_add
+            self._drawn = [add(draw, (), "WINDOW", when) for draw, when in self._drawing]
+
+    def unregister(self) -> None:
+        while self._drawn:
+            bpy.types.SpaceView3D.draw_handler_remove(self._drawn.pop(), "WINDOW")
+        for name, handler in self._handlers:
+            getattr(bpy.app.handlers, name).remove(handler)
+        self._closing()
+
+
+def areas(*kinds: str) -> Iterator[tuple[bpy.types.Window, bpy.types.Area]]:
+    """Every area of these kinds ("VIEW_3D") in every window."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager else ():
+        yield from ((window, area) for area in window.screen.areas if area.type in kinds)
+
+
+def main_region(area: bpy.types.Area) -> bpy.types.Region | None:
+    """The region of an area that shows its content."""
+    return next((region for region in area.regions if region.type == "WINDOW"), None)
+
+
+def redraw(panels_alone: bool = False) -> None:
+    """Redraw the 3D viewports and the preferences; of the viewports the sidebars alone, which is much less work."""
+    for _, area in areas("VIEW_3D", "PREFERENCES"):
+        if panels_alone and area.type == "VIEW_3D":
+            for region in area.regions:
+                if region.type == "UI":
+                    region.tag_redraw()
+        else:
+            area.tag_redraw()
 
 
 @contextmanager
@@ -18,15 +72,3 @@ def progress_cursor(context: bpy.types.Context) -> Iterator[Callable[[float], No
         yield lambda fraction: manager.progress_update(round(100 * fraction))
     finally:
         manager.progress_end()
-
-
-def redraw(panels_alone: bool = False) -> None:
-    """Redraw the 3D viewports and the preferences; of the viewports the sidebars alone, which is much less work."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D" and panels_alone:
-                for region in area.regions:
-                    if region.type == "UI":
-                        region.tag_redraw()
-            elif area.type in ("VIEW_3D", "PREFERENCES"):
-                area.tag_redraw()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "blender_tutorial.md").read_text("utf-8")
-SCRIPT = (ROOT / "tests" / "blender" / "real" / "show_newcomer.py").read_text("utf-8")
+SCRIPT = (ROOT / "tools" / "blender" / "show_newcomer.py").read_text("utf-8")
 CLICKS = re.findall(r'\bclick\(\s*"([^"]+)",\s*"([^"]+)"', SCRIPT)
 """The words that are clicked on, and the names of the pictures."""
 

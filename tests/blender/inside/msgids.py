@@ -6,15 +6,16 @@ from pathlib import Path
 
 import bpy
 import cloak
-from cloak.logo import tools
-from cloak.result import evaluations, eye_drawing, judge_panels, judging, panel
-from cloak.training import detectors, run_panels
+from cloak.logo import paint
+from cloak.result import evaluations, eye_drawing, judging, panel
+from cloak.training import detectors
+from cloak.training import panel as training_panel
 
 ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
 TABLES = (
-    *(run_panels.COLUMNS, run_panels.COLUMNS.values(), evaluations.CONTROLS.values(), judge_panels.CONTROL.values()),
-    *(panel.KINDS, [name for name, _ in eye_drawing.KINDS.values()]),
+    *(training_panel.COLUMNS, training_panel.COLUMNS.values(), evaluations.CONTROLS.values(), panel.CONTROL.values()),
+    *(panel.RENDERS, [name for name, _ in eye_drawing.KINDS.values()]),
 )
 """What panels go through."""
 BLENDERS = {"filepath", "check_existing"}
@@ -42,7 +43,7 @@ def of_classes() -> Iterator[str]:
                 yield from (prop.name, prop.description)
                 for item in getattr(prop, "enum_items", ()) if prop.type == "ENUM" else ():
                     yield from (item.name, item.description)
-    yield from (tools.PaintInEditMode.bl_label, tools.PaintInEditMode.bl_description)
+    yield from (paint.PaintInEditMode.bl_label, paint.PaintInEditMode.bl_description)
 
 
 def of_drawing() -> Iterator[str]:
@@ -98,8 +99,8 @@ def sentences() -> list[str]:
                 found |= {_pattern(node.args[0]): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
-            elif isinstance(node, ast.Return) and path.name == "reasons.py" and isinstance(node.value, ast.Constant):
-                found |= {_pattern(node.value): None}
+            elif isinstance(node, ast.FunctionDef) and (node.name.endswith("_reason") or node.name == "needs"):
+                found |= {_pattern(said.value): None for said in ast.walk(node) if isinstance(said, ast.Return)}
     return [text for text in found if text and sum(map(str.isalpha, text)) > 5]
 
 

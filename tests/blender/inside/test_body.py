@@ -4,8 +4,9 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.blender.mesh_arrays import read
+from cloak.blender.mesh_arrays import read, topology
 from cloak.body import objects as body
+from cloak.body import samples
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
 from cloak.poses.reasons import poses_reason
@@ -189,9 +190,9 @@ def test_a_scene_becomes_a_body_and_back():
     from cloak.poses.poses import PoseChoice
 
     bodies = made_bodies()
-    obj = body.add_from_scene(bpy.context, bodies)
+    obj = samples.add_from_scene(bpy.context, bodies)
     assert faces.logo_names(obj.data) == ["chest"]
-    assert body.topology(obj) == bodies.topology
+    assert topology(obj) == bodies.topology
     again = export_bodies(bpy.context, obj, PoseChoice("RANGE", 1, 3, 1))
     assert np.allclose(again.vertices, bodies.vertices, atol=1e-6)
     assert np.allclose(again.face_colors, bodies.face_colors, atol=1e-3)

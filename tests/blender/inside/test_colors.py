@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces
+from cloak.blender import colors, faces, mesh_arrays
 from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import write_face_list
@@ -16,7 +16,7 @@ from made import add_ngons, make_egg, set_mode
 def made_run(folder, obj, ids, values, topology=None):
     run = folder / "run ä"
     run.mkdir()
-    write_face_list(run / "logo.npy", np.asarray(ids), topology or body.topology(obj))
+    write_face_list(run / "logo.npy", np.asarray(ids), topology or mesh_arrays.topology(obj))
     write_colors(run / "colors.npy", values)
     return run
 
@@ -191,7 +191,7 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     import os
 
     obj, run = dressed_body(tmp_path)
-    live = runs.LiveColors(obj, run, body.topology(obj), np.array([3, 4, 50]))
+    live = runs.LiveColors(obj, run, mesh_arrays.topology(obj), np.array([3, 4, 50]))
     obj.name = "Renamed"
     assert live.update(bpy.context) and not live.update(bpy.context)
     write_colors(run / "colors.npy", np.tile(np.float32([0, 1, 0]), (3, 1)))

@@ -8,7 +8,7 @@ import pytest
 from cloak.blender import faces
 from cloak.blender.occlusion import seen
 from cloak.blender.surface import read_surface
-from cloak.logo import placing, stamp
+from cloak.logo import stamp
 from made import centers, make_egg, make_fine_egg, make_grid, set_mode
 from mathutils import Matrix
 
@@ -81,10 +81,10 @@ def test_moving_over_a_body_hides_what_lies_behind_as_a_fresh_look_does():
         bpy.ops.object.join()
     bpy.context.view_layer.objects.active = obj
     surface, ink = read_surface(bpy.context, obj), stamp.smiley_stamp()
-    moving = placing.Placed(surface, ink)
+    moving = stamp.Placed(surface, ink)
     for x, height, angle in ((-0.1, 0.3, 0), (0, 0.35, 0.3), (0.1, 0.5, 0.6), (0.05, 0.5, 0.6)):
-        placement = placing.laid(np.array([x, -0.3, 0.9]), np.array([0.2, 1, 0]), height, 1.0, angle)
-        fresh = placing.Placed(surface, ink).faces(placement)
+        placement = stamp.laid(np.array([x, -0.3, 0.9]), np.array([0.2, 1, 0]), height, 1.0, angle)
+        fresh = stamp.Placed(surface, ink).faces(placement)
         assert np.array_equal(np.sort(moving.faces(placement)), np.sort(fresh)) and len(fresh) >= 40
     assert (surface.centers[fresh][:, 1] < -0.4).any()
 
@@ -93,7 +93,7 @@ def test_the_preview_looks_at_little_of_300_000_faces(monkeypatch):
     """What makes it quick: what may hide is looked for near by, and from one side no face is asked about twice."""
     obj = make_fine_egg(300_000)
     set_mode("EDIT")
-    placed = placing.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
+    placed = stamp.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
     asked, hiding = [], []
 
     def look(centers, own, points, triangles, face):
@@ -101,12 +101,12 @@ def test_the_preview_looks_at_little_of_300_000_faces(monkeypatch):
         hiding.append(len(triangles))
         return seen(centers, own, points, triangles, face)
 
-    monkeypatch.setattr(placing, "seen", look)
+    monkeypatch.setattr(stamp, "seen", look)
     for step in range(5):  # a perspective view: the direction changes with every move
         place, direction = np.array([0.02 * step, -0.25, 1]), np.array([0.02 * step, 1, 0])
-        assert len(placed.faces(placing.laid(place, direction, 0.5, placed.aspect))) > 3000
+        assert len(placed.faces(stamp.laid(place, direction, 0.5, placed.aspect))) > 3000
     assert len(hiding) == 5 and max(hiding) < 300_000 < len(placed.surface.centers) * 2
     asked.clear()
     for step in range(5):  # the mouse wheel and R: it does not
-        assert len(placed.faces(placing.laid(place, direction, 0.5 - 0.01 * step, placed.aspect, 0.1 * step))) > 3000
+        assert len(placed.faces(stamp.laid(place, direction, 0.5 - 0.01 * step, placed.aspect, 0.1 * step))) > 3000
     assert asked and len(set(asked)) == len(asked) < 30_000

@@ -4,8 +4,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces
+from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
-from cloak.body import objects as body
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
@@ -60,7 +60,7 @@ def test_axes_units_and_transform():
     bodies = export(obj)
     assert np.allclose(bodies.vertices[0, 0], [0.6, 1.5, 0.5], atol=1e-6)  # y up, facing +z, metres
     assert bodies.name == "Body" and bodies.pose_count == 1
-    assert bodies.topology == body.topology(obj)
+    assert bodies.topology == topology(obj)
 
 
 def test_triangles_keep_their_polygon_and_their_winding():
@@ -160,7 +160,7 @@ def test_clothing_follows_the_body_and_keeps_its_faces_ids(tmp_path):
     assert bodies.face_count == count + shirt_faces == done.faces
     face_list = read_face_list(done.face_list, bodies)
     assert face_list.ids.tolist() == list(range(count - 5, count))
-    assert done.topology == body.topology(obj) != bodies.topology
+    assert done.topology == topology(obj) != bodies.topology
     assert "with Shirt" in export_summary(bpy.context)
 
 
@@ -308,7 +308,7 @@ def test_what_is_written_is_what_the_trainer_reads(tmp_path):
 
 
 def test_twelve_poses_of_55000_faces_take_no_minute():
-    """A guard only; tests/blender/real/measure.py measures."""
+    """A guard only; tools/blender/measure.py measures."""
     import time
 
     obj = make_grid(55_000)

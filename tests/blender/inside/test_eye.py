@@ -57,10 +57,10 @@ def seen_at(view: viewpoints.Viewpoint, point: tuple) -> tuple[float, float]:
 def test_the_scenes_camera(dressed):
     scene = bpy.context.scene
     with pytest.raises(InputError, match="no camera"):
-        viewpoints.of_camera(scene, Vector(), 1.0)
+        viewpoints.of_camera(scene, dressed)
     camera = add_camera((2, 0, 0.9))
     scene.render.resolution_x, scene.render.resolution_y = 1920, 1080
-    found = viewpoints.of_camera(scene, Vector((0, 0, 0.9)), 1.0)
+    found = viewpoints.of_camera(scene, dressed)
     assert math.isclose(found.azimuth, 90, abs_tol=1e-3) and math.isclose(found.distance, 2, rel_tol=1e-5)
     for point in ((0.3, 0.2, 1.5), (-0.4, -0.5, 0.1)):
         wanted = world_to_camera_view(scene, camera, Vector(point))
@@ -68,10 +68,10 @@ def test_the_scenes_camera(dressed):
     assert (found.sized(640).width, found.sized(640).height) == (640, 360)
     camera.data.shift_x = 0.1
     with pytest.raises(InputError, match="lens shift"):
-        viewpoints.of_camera(scene, Vector(), 1.0)
+        viewpoints.of_camera(scene, dressed)
     camera.data.type = "ORTHO"
     with pytest.raises(InputError, match="no perspective"):
-        viewpoints.of_camera(scene, Vector(), 1.0)
+        viewpoints.of_camera(scene, dressed)
 
 
 # --- the detector's eye ----------------------------------------------------------------------------------------------

@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.body import objects as body
-from cloak.body.reasons import logo_reason
+from cloak.blender.mesh_arrays import topology
+from cloak.body.objects import logo_reason
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.files.errors import InputError
 from cloak.logo import overlay
@@ -129,7 +129,7 @@ def test_figures():
     obj.scale = (2, 2, 2)
     bpy.context.view_layer.update()
     mask = centers(obj)[:, 0] < 0
-    stats = faces.logo_stats(obj, mask)
+    stats = overlay.worn_stats(obj, mask)
     assert stats.faces == mask.sum() and stats.hidden == 0
     assert stats.area_share == pytest.approx(mask.mean(), abs=0.01)
     assert stats.projected_area == pytest.approx(16 * mask.mean(), rel=0.01)  # 4 m x 4 m, seen squarely
@@ -141,7 +141,7 @@ def test_hidden_faces_are_said_not_taken():
     faces.new_logo(obj, "a", np.arange(len(obj.data.polygons)) < 30)
     hidden = np.arange(len(obj.data.polygons)) < 10
     obj.data.polygons.foreach_set("hide", hidden)
-    assert faces.logo_stats(obj, faces.read_faces(obj, "a")).hidden == 10
+    assert overlay.worn_stats(obj, faces.read_faces(obj, "a")).hidden == 10
     assert faces.select_faces(obj, faces.read_faces(obj, "a")) == 10
     assert faces.read_selection(obj).sum() == 20
 
@@ -177,18 +177,18 @@ def test_export_and_import_of_a_face_list(tmp_path):
     ids = np.load(path)
     assert ids.dtype == np.int64 and ids.tolist() == [3, 5, 99]
     sidecar = json.loads(path.with_suffix(".json").read_text())
-    assert sidecar["topology"] == body.topology(obj) and sidecar["index_of"] == "polygon"
+    assert sidecar["topology"] == topology(obj) and sidecar["index_of"] == "polygon"
     bpy.ops.cloak.logo_import(filepath=str(path))
     assert np.flatnonzero(faces.read_faces(obj, obj.cloak.logo)).tolist() == [3, 5, 99]
 
 
 def test_a_foreign_face_list_is_refused_with_both_hashes(tmp_path):
     stranger = make_egg(rings=10, name="Stranger")
-    write_face_list(tmp_path / "list.npy", np.array([1]), body.topology(stranger))
+    write_face_list(tmp_path / "list.npy", np.array([1]), topology(stranger))
     obj = make_egg()
     with pytest.raises(InputError) as caught:
         faces.import_face_list(obj, tmp_path / "list.npy")
-    assert body.topology(obj) in str(caught.value) and body.topology(stranger) in str(caught.value)
+    assert topology(obj) in str(caught.value) and topology(stranger) in str(caught.value)
     np.save(tmp_path / "bare.npy", np.array([10**6]))
     with pytest.raises(InputError, match="beyond the"):
         faces.import_face_list(obj, tmp_path / "bare.npy")

@@ -8,10 +8,11 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces
+from cloak.blender.mesh_arrays import topology
 from cloak.blender.surface import read_surface
-from cloak.body import objects as body
-from cloak.logo import placing, stamp
-from cloak.logo.heat import show_heat
+from cloak.body import samples
+from cloak.logo import stamp
+from cloak.logo.heat import heatmap_words, show_heat
 from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
 
@@ -127,7 +128,7 @@ def test_a_face_list_a_sample_body_and_several_logos(tmp_path, stub):
     assert done.returncode == 0 and np.load(tmp_path / "B" / "logo.npy").tolist() == [4, 5, 6, 9], done.stderr
     from cloak.exchange.face_lists import write_face_list
 
-    write_face_list(tmp_path / "list.npy", np.array([7, 8]), body.topology(obj))
+    write_face_list(tmp_path / "list.npy", np.array([7, 8]), topology(obj))
     done = train(tmp_path, "--blend", "two.blend", "--logo", "list.npy", "--out", "C", "--steps", 2, python=stub)
     assert done.returncode == 0 and np.load(tmp_path / "C" / "logo.npy").tolist() == [7, 8], done.stderr
 
@@ -140,8 +141,8 @@ def test_a_letter_trained_to_pure_red_comes_back_red_on_exactly_its_faces(tmp_pa
     """Quads, triangles and n-gons; stamped before subdivision; through saving and reopening; by the real trainer."""
     obj = make_egg(rings=40)
     add_ngons(obj)
-    placed = placing.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
-    mask = placed.own_mask(placing.front_projection(obj, 0.35, 0.55, 0.0, 1.0))
+    placed = stamp.Placed(read_surface(bpy.context, obj), stamp.text_stamp("G"))
+    mask = placed.own_mask(stamp.front_projection(obj, 0.35, 0.55, 0.0, 1.0))
     faces.new_logo(obj, "G", mask)
     sizes = {len(obj.data.polygons[i].vertices) for i in np.flatnonzero(mask)}
     assert {4, 6} <= sizes and mask.sum() > 50
@@ -165,8 +166,8 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     from cloak.files.reading import read_npy
     from cloak.poses.export import export_bodies
     from cloak.poses.poses import PoseChoice
-    from cloak.trainer import command_lines
     from cloak.trainer import python as trainer_python
+    from cloak.trainer.command_lines import TrainRequest, cloak_command, sample_words
     from cloak.trainer.jobs import Job
 
     python = str(real_trainer)
@@ -178,13 +179,13 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
 
     facts = trainer_python.parse_about(python, True, answer("Test", trainer_python.about_command(python)), "")
     assert facts["torch"][0].isdigit() and facts["device"]
-    answer("Sample", command_lines.sample_command(python, tmp_path / "sample"))
-    obj = body.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
+    answer("Sample", cloak_command(python, *sample_words(tmp_path / "sample")))
+    obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
-    write_scene(tmp_path / "one", export_bodies(bpy.context, obj, PoseChoice()))
-    request = command_lines.TrainRequest((f"python:{RED}:load",), "procedural:train:2", "0:0:1")
-    command = command_lines.heatmap_command(python, request, tmp_path / "one", tmp_path / "heat.npy", tmp_path / "e")
-    answer("Heatmap", [*command, "--pick", "0.1"])
+    write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice()))
+    request = TrainRequest((f"python:{RED}:load",), "procedural:train:2", "0:0:1")
+    words = [*heatmap_words(request, tmp_path), "--events", tmp_path / "e"]
+    answer("Heatmap", cloak_command(python, *words, "--pick", "0.1"))
     show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
     bpy.context.scene.cloak.heat_share = 0.1
     bpy.ops.cloak.logo_from_heat()
@@ -193,5 +194,6 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     image = bpy.data.images.new("grey", 32, 32)
     image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
     image.save()
-    said = answer("Check", command_lines.check_command(python, request.detectors[0], tmp_path / "grey.png"))
+    words = ("detectors", "check", request.detectors[0], "--image", tmp_path / "grey.png")
+    said = answer("Check", cloak_command(python, *words))
     assert 0 <= json.loads(said)["max_person"] <= 1

@@ -12,9 +12,9 @@ import pytest
 from cloak.files.errors import InputError
 from cloak.session import session
 from cloak.trainer import install as trainer_install
-from cloak.trainer import install_operators as install
 from cloak.trainer import jobs
-from cloak.trainer.install_operators import trainer_folder
+from cloak.trainer import operators as install
+from cloak.trainer.operators import trainer_folder
 from cloak.trainer.preferences import preferences, trainer_reason
 from conftest import EXTENSION, ROOT, STUB, make_launcher, run_job, wait_for
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from cloak.blender.mesh_arrays import topology
 from cloak.exchange.colors import write_colors
 from cloak.result import evaluations, outputs, ring
 from cloak.result.evaluations import Sector
@@ -93,7 +94,7 @@ def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeyp
     from cloak.body import objects as body
 
     bpy.context.scene.cloak.steps = 2
-    ready.cloak.made_from = f"sample:train|{body.topology(ready)}"
+    ready.cloak.made_from = f"sample:train|{topology(ready)}"
     bpy.ops.cloak.train_start()
     run_job()
     assert "--made-from=sample:train" in runs.remembered_options(folder_of(ready))

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces, modifiers
-from cloak.body import objects as body
+from cloak.blender.mesh_arrays import topology
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
@@ -103,7 +103,7 @@ def test_modifiers_that_change_no_face_do_not_block(add, tmp_path):
     bpy.context.view_layer.update()
     assert poses_reason(bpy.context) == ""
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
-    assert read_scene(done.scene).topology == done.topology == body.topology(obj)
+    assert read_scene(done.scene).topology == done.topology == topology(obj)
 
 
 # --- logos are carried -----------------------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     done = scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
     bodies = read_scene(done.scene)
     assert np.array_equal(read_face_list(done.face_list, bodies).ids, ids)
-    assert bodies.face_count == own and done.topology == body.topology(obj)
+    assert bodies.face_count == own and done.topology == topology(obj)
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert len(evaluated.polygons) > own
     assert bodies.triangle_count == sum(len(p.vertices) - 2 for p in evaluated.polygons)

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.logo import regions
+from cloak.logo import overlay, pick
 from made import centers, make_egg, make_grid, select_only, set_mode
 
 
@@ -56,7 +56,7 @@ def test_a_logo_of_a_face_set_or_of_any_integer_attribute(mode, name, title):
     values = obj.data.attributes.new(name, "INT", "FACE").data
     values.foreach_set("value", np.where(upper, 7, -1).astype(np.int32))
     set_mode(mode)
-    assert regions.face_sets(obj) == [(name, -1), (name, 7)]
+    assert pick.face_sets(obj) == [(name, -1), (name, 7)]
     bpy.ops.cloak.logo_from_face_set(face_set=f"7 {name}")
     assert np.array_equal(taken(obj, title), np.flatnonzero(upper))
 
@@ -69,7 +69,7 @@ def test_a_logo_of_the_island_between_seams(mode):
         heights = [obj.data.vertices[v].co.z for v in edge.vertices]
         edge.use_seam = max(abs(h - middle) for h in heights) < 1e-3
     above = centers(obj)[:, 2] > middle
-    assert len(np.unique(regions.seam_islands(obj))) == 2
+    assert len(np.unique(pick.seam_islands(obj))) == 2
     select_only(obj, [int(np.flatnonzero(above)[0])])
     set_mode(mode)
     bpy.ops.cloak.logo_from_island()
@@ -78,7 +78,7 @@ def test_a_logo_of_the_island_between_seams(mode):
 
 def test_islands_of_a_large_winding_mesh():
     obj = make_grid(60_000)
-    assert not regions.seam_islands(obj).any()
+    assert not pick.seam_islands(obj).any()
 
 
 def test_without_materials_or_groups_the_button_says_so():
@@ -97,6 +97,6 @@ def test_the_papers_logos_take_the_papers_share_of_the_body(kind, name):
     obj = make_egg(60)
     bpy.ops.cloak.stamp_paper(kind=kind)
     mask = faces.read_faces(obj, name)
-    assert faces.logo_stats(obj, mask).area_share == pytest.approx(0.044, rel=0.1)
+    assert overlay.worn_stats(obj, mask).area_share == pytest.approx(0.044, rel=0.1)
     assert (centers(obj)[mask][:, 1] < 0).all()
     assert bpy.context.scene.cloak.stamp_kind == kind

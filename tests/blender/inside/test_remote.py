@@ -5,7 +5,7 @@ Files go through the prefix, or through a folder that both machines see at place
 
 import bpy
 import pytest
-from cloak.body.objects import topology
+from cloak.blender.mesh_arrays import topology
 from cloak.session import session
 from cloak.trainer.preferences import preferences
 from cloak.training import run_states

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from cloak import translations
 from cloak.blender import colors
+from cloak.blender.mesh_arrays import topology
 from cloak.exchange.face_lists import write_face_list
 from cloak.files.errors import InputError
 from cloak.result.reasons import result_reason
@@ -254,12 +255,11 @@ def test_closing_blender_lets_a_found_training_go_on(orphan):
 
 def command_line_run(folder: Path, obj: bpy.types.Object) -> Path:
     """A finished run that has no input beside it."""
-    from cloak.body import objects as body
     from cloak.exchange.colors import write_colors
 
     run = folder / "from the command line"
     run.mkdir(parents=True)
-    write_face_list(run / "logo.npy", np.array(LOGO_FACES), body.topology(obj))
+    write_face_list(run / "logo.npy", np.array(LOGO_FACES), topology(obj))
     write_colors(run / "colors.npy", np.tile(np.float32([1, 0, 0]), (len(LOGO_FACES), 1)))
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
     events = [

@@ -4,8 +4,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces
+from cloak.blender.mesh_arrays import topology
 from cloak.body import garments
-from cloak.body.objects import topology
 from cloak.body.samples import CLOTHES, add_people, part_of
 from cloak.exchange.bodies import Bodies
 from cloak.exchange.colors import write_colors
@@ -15,7 +15,7 @@ from cloak.files.errors import InputError
 from cloak.logo import heat, overlay
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
-from cloak.result.reasons import check_reason
+from cloak.result.operators import check_reason
 from cloak.training import runs
 
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)

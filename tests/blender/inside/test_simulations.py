@@ -6,7 +6,7 @@ import pytest
 from cloak.blender import faces
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
-from cloak.poses import simulations
+from cloak.poses import poses
 from cloak.poses.poses import PoseChoice
 from cloak.poses.reasons import poses_reason
 from made import make_egg
@@ -95,10 +95,10 @@ def test_a_baked_simulation_is_not_played_again():
     sheet = make_sheet(obj, "CLOTH")
     expected = played(sheet)
     cache = sheet.modifiers["Falls"].point_cache
-    assert simulations.first_frame(bpy.context.scene, [obj, sheet]) == 1
+    assert poses.first_frame(bpy.context.scene, [obj, sheet]) == 1
     with bpy.context.temp_override(scene=bpy.context.scene, object=sheet, active_object=sheet, point_cache=cache):
         bpy.ops.ptcache.bake(bake=True)
-    assert cache.is_baked and simulations.first_frame(bpy.context.scene, [obj, sheet]) is None
+    assert cache.is_baked and poses.first_frame(bpy.context.scene, [obj, sheet]) is None
     bodies = scene_export.export_bodies(bpy.context, obj, FRAMES)
     assert np.abs(heights(bodies, obj) - expected).max() < 2e-3
 

@@ -1,13 +1,13 @@
-"""What makes picking quick on large meshes gives the same answers as the plain way; real/latencies.py measures."""
+"""What makes picking quick on large meshes answers as the plain way does; tools/blender/latencies.py measures."""
 
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import faces, mesh_arrays, occlusion, symmetry
+from cloak.blender import faces, mesh_arrays, occlusion
 from cloak.exchange.face_lists import read_face_list
 from cloak.logo import overlay
 from cloak.session import session
-from made import add_ngons, make_egg, make_fine_egg, select_only, set_mode
+from made import make_egg, make_fine_egg, select_only, set_mode
 
 FACES = 100_000
 
@@ -70,32 +70,13 @@ def test_the_copy_of_an_edited_mesh_ages_with_each_change():
     assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
 
 
-def test_faces_are_split_as_blender_splits_them():
-    obj = make_egg(10)
-    add_ngons(obj)
-    rng = np.random.default_rng(0)
-    for vertex in obj.data.vertices:
-        vertex.co.x += rng.normal(0, 0.15)  # many quads fold over
-    obj.data.update()
-
-    def as_set(triangles, face) -> set:
-        return {(int(f), frozenset(t)) for t, f in zip(triangles.tolist(), face.tolist(), strict=True)}
-
-    theirs = mesh_arrays.mesh_triangles(obj.data)
-    ours = mesh_arrays.face_triangles(obj.data)
-    assert as_set(*ours) == as_set(*theirs)
-    mask = rng.random(len(obj.data.polygons)) < 0.3
-    chosen = mask[theirs[1]]
-    assert as_set(*mesh_arrays.face_triangles(obj.data, mask)) == as_set(theirs[0][chosen], theirs[1][chosen])
-
-
 def test_the_nearest_point_within_reach():
     rng = np.random.default_rng(1)
     points, queries = rng.normal(size=(500, 3)), rng.normal(size=(300, 3))
     reach = 10.0 ** rng.uniform(-3, 0.3, 300)
     distance = np.linalg.norm(points[None] - queries[:, None], axis=-1)
     expected = np.where(distance.min(1) <= reach, distance.argmin(1), -1)
-    assert np.array_equal(symmetry.nearest_within(points, queries, reach), expected)
+    assert np.array_equal(faces.nearest_within(points, queries, reach), expected)
     assert 50 < (expected >= 0).sum() < 290
 
 

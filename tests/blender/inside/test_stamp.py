@@ -6,7 +6,7 @@ import pytest
 from cloak.blender import faces
 from cloak.blender.surface import read_surface
 from cloak.files.errors import InputError
-from cloak.logo import placing, stamp
+from cloak.logo import stamp
 from made import centers, make_egg, make_grid
 from mathutils import Matrix
 
@@ -60,14 +60,14 @@ def test_a_letter_on_a_wall_reads_the_right_way_round():
     assert abs(points[:, 0].min() + points[:, 0].max()) < 0.04
 
 
-def covered(obj, ink: np.ndarray, projection: placing.Projection) -> np.ndarray:
-    return placing.Placed(read_surface(bpy.context, obj), ink).own_mask(projection)
+def covered(obj, ink: np.ndarray, projection: stamp.Projection) -> np.ndarray:
+    return stamp.Placed(read_surface(bpy.context, obj), ink).own_mask(projection)
 
 
 def test_only_faces_that_are_seen_are_taken():
     obj = make_egg()
     wall = np.ones((8, 8), bool)
-    projection = placing.front_projection(obj, 0.5, 0.5, 0.0, 1.0)
+    projection = stamp.front_projection(obj, 0.5, 0.5, 0.0, 1.0)
     mask = covered(obj, wall, projection)
     assert mask.any() and (centers(obj)[mask][:, 1] < 0).all()
     hidden = np.zeros(len(mask), bool)
@@ -86,7 +86,7 @@ def test_a_front_part_hides_what_lies_behind_it():
     with bpy.context.temp_override(active_object=obj, selected_editable_objects=[obj, front]):
         bpy.ops.object.join()
     wall = np.ones((8, 8), bool)
-    mask = covered(obj, wall, placing.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
+    mask = covered(obj, wall, stamp.front_projection(obj, 1.0, 0.5, 0.0, 1.0))
     taken = centers(obj)[mask]
     assert (np.abs(taken[taken[:, 1] > -0.25][:, 0]) > 0.45).all() and (taken[:, 1] < -0.25).any()
 
@@ -105,7 +105,7 @@ def test_from_a_perspective_view():
     window = Matrix.Diagonal((1 / (2 * tangent), 1 / tangent, -(far + near) / (far - near), 0))
     window[2][3], window[3][2], window[3][3] = -2 * far * near / (far - near), -1, 0
     View.perspective_matrix = window @ View.view_matrix
-    projection = placing.view_projection(Region, View, 0.25, 1.0)
+    projection = stamp.view_projection(Region, View, 0.25, 1.0)
     assert projection.eye == pytest.approx([0, -4, 0.9]) and projection.direction == pytest.approx([0, 1, 0], abs=1e-6)
     mask = covered(obj, np.ones((4, 4), bool), projection)
     points = centers(obj)[mask]

@@ -52,7 +52,7 @@ def test_tooltips_end_as_blender_wants_and_are_no_copies(language):
 
 
 def test_blender_is_told_under_every_name_it_gives_the_languages():
-    """What it shows is looked at in a window, by real/show_first_look.py: the bpy package knows no language."""
+    """In a window it is looked at by tools/blender/show_first_look.py: the bpy package knows no language."""
     words = translations.dictionaries()
     assert set(words) == {"de_DE", "de", "fr_FR", "fr"} and words["de"] == words["de_DE"]
     for context in ("Operator", "*"):
@@ -61,7 +61,7 @@ def test_blender_is_told_under_every_name_it_gives_the_languages():
 
 
 def test_labels_beside_their_values_fit_in_every_language():
-    """At the sidebar's own width; looked at in a window of 1366 x 768 by real/story_clothed.py."""
+    """At the sidebar's own width; looked at in a window of 1366 x 768 by tools/blender/story_clothed.py."""
     found = set(labels())
     assert len(found) > 25
     said = [text for label in found for text in (label, *translations.words().get(label, {}).values())]

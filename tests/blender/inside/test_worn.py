@@ -12,7 +12,8 @@ from cloak.logo import overlay
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
 from cloak.poses.reasons import export_summary, poses_reason
-from cloak.result.reasons import check_reason, judged_reason
+from cloak.result.operators import check_reason
+from cloak.result.reasons import judged_reason
 from cloak.result.worn_scenes import export_worn
 from cloak.training import runs
 from conftest import folder_of, run_job

@@ -1,7 +1,7 @@
 """Measures what a user waits for while picking a logo in Edit Mode, in a real Blender or under the bpy package.
 
-    python tests/blender/real/latencies.py -- ZIP SCENE [FACES ...]                       (a Python with bpy)
-    window.sh tests/blender/real/latencies.py ZIP SCENE [FACES ...]      (with the window)
+    python tools/blender/latencies.py -- ZIP SCENE [FACES ...]                       (a Python with bpy)
+    window.sh tools/blender/latencies.py ZIP SCENE [FACES ...]      (with the window)
 
 SCENE is a scene package whose poses become shape keys (`cloak scene sample --out SCENE`); FACES are the sizes of the
 other bodies, 55,000 and 300,000 where none is given. Prints one JSON object of milliseconds: the median of REPEATS by
@@ -39,10 +39,10 @@ def summary(values: list[tuple[float, float]]) -> str:
 
 
 def sample() -> bpy.types.Object:
-    from cloak.body import objects as body
+    from cloak.body import samples
     from cloak.exchange.scenes import read_scene
 
-    return body.add_from_scene(bpy.context, read_scene(Path(SCENE)))
+    return samples.add_from_scene(bpy.context, read_scene(Path(SCENE)))
 
 
 def touch(obj: bpy.types.Object) -> None:
@@ -59,8 +59,7 @@ def waits(obj: bpy.types.Object) -> dict[str, str]:
     from cloak.blender.mesh_arrays import current_mesh
     from cloak.blender.surface import read_surface
     from cloak.logo import overlay
-    from cloak.logo.placing import Placed, laid
-    from cloak.logo.stamp import text_stamp
+    from cloak.logo.stamp import Placed, laid, text_stamp
     from made import select_only, set_mode, stroke
 
     print(obj.name, file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
 """From an own clothed body to a worn cloak and a verdict, click by click, with a picture of the window after each.
 
-    window.sh tests/blender/real/story_clothed.py ZIP PYTHON FOLDER [LANGUAGE] [DETECTOR ...]
+    window.sh tools/blender/story_clothed.py ZIP PYTHON FOLDER [LANGUAGE] [DETECTOR ...]
 
 PYTHON has cloak_core; pictures go to FOLDER/NN name.png; DETECTORS are files that are added through the browser's
 operator. Every step that a user would click is counted and printed; an error ends Blender with exit code 3.

@@ -1,12 +1,12 @@
 #!/bin/bash
 # Blender's window on a screen of its own (Xvfb, OpenGL in software), and a script that runs in it.
 #
-#   tests/blender/real/window.sh [OUT.png] SCRIPT.py [ARG ...]
+#   tools/blender/window.sh [OUT.png] SCRIPT.py [ARG ...]
 #
 # OUT.png is a picture of the screen when the script makes the file that $SHOT_READY names; scripts may take more of
 # their own. Ends with Blender's exit code: 3 after an error in the script, 124 past the limit. BLENDER names another
 # `blender`, SCREEN another size than 1600x1000, SECONDS_LIMIT another limit than 1800. Needs Xvfb, xdotool, and
-# ImageMagick's `import`. In a chroot that has all of it: `real_blender.sh run sid tests/blender/real/window.sh ...`.
+# ImageMagick's `import`. In a chroot that has all of it: `real_blender.sh run sid tools/blender/window.sh ...`.
 set -euo pipefail
 OUT=""; [[ $1 == *.png ]] && { OUT=$(realpath -m "$1"); shift; }
 SCRIPT=$(realpath "$1"); shift

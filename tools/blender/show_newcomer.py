@@ -1,6 +1,6 @@
 """A newcomer: from a new file to a cloaked turntable, with a mouse that clicks on words, and a picture of each click.
 
-    window.sh tests/blender/real/show_newcomer.py ZIP PYTHON OUT [STEPS]
+    window.sh tools/blender/show_newcomer.py ZIP PYTHON OUT [STEPS]
 
 The extension is installed and PYTHON has cloak_core; all else is as Blender and the panel begin with (of STEPS other
 than the panel's own the words tell). A click goes where the words stand on the screen, so what is clipped, covered or

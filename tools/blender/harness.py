@@ -13,7 +13,7 @@ import bpy
 HIDDEN = []
 """Panels that `sidebar` took away."""
 MODULE = "bl_ext.user_default.cloak"
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "inside"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "blender" / "inside"))
 
 
 def install(package: str, python: str = "", empty: bool = True) -> None:

@@ -1,6 +1,6 @@
 """The first look: a new file with its cube, the sample body added beside it, and the panel as a newcomer finds it.
 
-    window.sh OUT.png tests/blender/real/show_first_look.py ZIP PYTHON [de|fr]
+    window.sh OUT.png tools/blender/show_first_look.py ZIP PYTHON [de|fr]
 
 The window is as large as the screen of the machine that draws it; in 1600 x 1000, Start must stand above the fold.
 """

@@ -1,6 +1,6 @@
 """What only a window can show of picking: the brush and the dragged stamp under a real mouse.
 
-    window.sh OUT.png tests/blender/real/check_pick.py ZIP [FACES [brush|drag]]
+    window.sh OUT.png tools/blender/check_pick.py ZIP [FACES [brush|drag]]
 
 Ends Blender with exit code 3 at the first check that fails; the picture is taken in the middle of a stroke, or of
 a drag. Prints the milliseconds that events took on a body of FACES faces (300,000 where none is given).
@@ -111,9 +111,9 @@ def check_brush():
 
 
 def check_drag():
-    from cloak.logo import placing
+    from cloak.logo import stamp
 
-    timed(placing.Placed, "faces")
+    timed(stamp.Placed, "faces")
     yield from move(0.5, 0.6)
     window, area = bpy.context.window_manager.windows[0], view_area()
     region = next(r for r in area.regions if r.type == "UI")  # as the panel's button does

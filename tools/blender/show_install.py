@@ -1,6 +1,6 @@
 """The question that installing the trainer asks, and the preferences behind it, for a screenshot.
 
-    window.sh OUT.png tests/blender/real/show_install.py ZIP WHEEL
+    window.sh OUT.png tools/blender/show_install.py ZIP WHEEL
 
 The Python it offers is made up: what installs is tested in inside/test_install_trainer.py.
 """

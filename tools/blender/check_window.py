@@ -1,6 +1,6 @@
 """What only a window can show: undo and redo, Edit Mode, closing Blender while it trains.
 
-    window.sh OUT.png tests/blender/real/check_window.py ZIP PYTHON FOLDER
+    window.sh OUT.png tools/blender/check_window.py ZIP PYTHON FOLDER
 
 Ends Blender with exit code 3 at the first check that fails; the picture shows a logo in Edit Mode.
 """

@@ -1,7 +1,7 @@
 """Measures the add-on's figures on 55,000 faces, in a real Blender window or under the bpy package.
 
-    window.sh tests/blender/real/measure.py ZIP        (with the window's redraw)
-    python tests/blender/real/measure.py -- ZIP                                 (a Python with bpy)
+    window.sh tools/blender/measure.py ZIP        (with the window's redraw)
+    python tools/blender/measure.py -- ZIP                                 (a Python with bpy)
 
 Prints one JSON object; medians and maxima of REPEATS, in milliseconds.
 """
@@ -95,13 +95,13 @@ def export(obj: bpy.types.Object, folder: Path) -> None:
 def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     """A run's colours onto the object: at once, and live."""
     from cloak.blender import colors
-    from cloak.body import objects as body
+    from cloak.blender.mesh_arrays import topology
     from cloak.exchange.colors import write_colors
     from cloak.exchange.face_lists import write_face_list
     from cloak.training import runs
 
     run.mkdir()
-    write_face_list(run / "logo.npy", ids, body.topology(obj))
+    write_face_list(run / "logo.npy", ids, topology(obj))
     rng = np.random.default_rng(0)
 
     def timed_with_new_colors(call) -> tuple[float, float]:
@@ -112,7 +112,7 @@ def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     figures = {"import_colors": summary(imports)}
     colors.undress(obj)
     obj.data.attributes.remove(obj.data.attributes["Cloak"])
-    live = runs.LiveColors(obj, run, body.topology(obj), ids)
+    live = runs.LiveColors(obj, run, topology(obj), ids)
 
     def update(show) -> tuple[float, float]:
         return timed_with_new_colors(lambda: live.update(bpy.context) and show())

@@ -1,6 +1,6 @@
 """Opens the panel in one of its five states, in a real Blender window, for a screenshot.
 
-    window.sh OUT.png tests/blender/real/show_panel.py ZIP STATE PYTHON FOLDER
+    window.sh OUT.png tools/blender/show_panel.py ZIP STATE PYTHON FOLDER
 
 STATE is body, logo, poses, train or result; PYTHON has cloak_core; FOLDER is for runs (for result it may be a finished
 run on sample:train). When the window shows the state, the file named by $SHOT_READY is made; a little later Blender

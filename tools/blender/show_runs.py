@@ -1,6 +1,6 @@
 """Opens the panel on runs in every state, in a real Blender window, for a screenshot.
 
-    window.sh OUT.png tests/blender/real/show_runs.py ZIP FOLDER [PANEL ...]
+    window.sh OUT.png tools/blender/show_runs.py ZIP FOLDER [PANEL ...]
 
 The runs are made by hand, so no trainer is needed; FOLDER is for them. PANEL are the panels to show (default: runs and
 compare; all of them with `all`). Every panel is drawn, so one that cannot be drawn ends Blender with exit code 3.
@@ -23,13 +23,13 @@ ZIP, FOLDER, *PANELS = sys.argv[sys.argv.index("--") + 1 :]
 def make_run(obj, name: str, last: int, success: float, end: str = "", unseen: tuple = ()) -> Path:
     """A run folder as the trainer leaves it."""
     from cloak.blender import faces
-    from cloak.body import objects as body
+    from cloak.blender.mesh_arrays import topology
     from cloak.exchange.colors import write_colors
     from cloak.exchange.face_lists import write_face_list
 
     run, ids = Path(FOLDER, "cloak runs", name), np.flatnonzero(faces.read_faces(obj, "chest"))
     run.mkdir(parents=True)
-    write_face_list(run / "logo.npy", ids, body.topology(obj))
+    write_face_list(run / "logo.npy", ids, topology(obj))
     write_colors(run / "colors.npy", np.random.default_rng(0).random((len(ids), 3)))
     (run / "config.json").write_text(json.dumps({"format": "cloak run", "detectors": [{"spec": "builtin"}]}))
     events = [{"type": "start", "step": 0, "time": 0, "steps": 600}]

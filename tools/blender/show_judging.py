@@ -1,6 +1,6 @@
 """Opens the panels that judge a cloak, in a real Blender window, for a screenshot.
 
-    window.sh OUT.png tests/blender/real/show_judging.py ZIP STATE PYTHON RUN
+    window.sh OUT.png tools/blender/show_judging.py ZIP STATE PYTHON RUN
 
 STATE is ring (the evaluation, with its ring around the body), eye (the detector's eye), heat (the heat map with the
 logo's outline) or along (what is taken along: a turntable is made). PYTHON has cloak_core; RUN is a finished run on

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Properties of Blender, as the add-on declares them."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set()
+"""Options of paths: the file browser may put in "//" paths. Older Blenders always let it."""
+
+
+def text(name: str, description: str, default: str = "", **options: object) -> object:
+    """A string."""
+    return StringProperty(name=name, description=description, default=default, **options)
+
+
+def path(name: str, description: str, subtype: str = "FILE_PATH", relative: bool = True, **options: object) -> object:
+    """A file or folder; it may lie beside the .blend file ("//"), unless not `relative`."""
+    options |= {"options": {"ANIMATABLE"} | RELATIVE} if relative else {}
+    return StringProperty(name=name, description=description, subtype=subtype, **options)
+
+
+def switch(name: str, description: str, default: bool = False, **options: object) -> object:
+    """A check box."""
+    return BoolProperty(name=name, description=description, default=default, **options)
+
+
+def whole(name: str, description: str, default: int = 0, **options: object) -> object:
+    """A whole number."""
+    return IntProperty(name=name, description=description, default=default, **options)
+
+
+def number(name: str, description: str, default: float = 0.0, **options: object) -> object:
+    """A number with a fraction."""
+    return FloatProperty(name=name, description=description, default=default, **options)
+
+
+def share(name: str, description: str, default: float, least: float = 0.0, most: float = 1.0) -> object:
+    """A slider from `least` to `most`."""
+    return number(name, description, default, min=least, max=most, subtype="FACTOR")
+
+
+def choice(name: str, description: str, *items: tuple[str, str, str], **options: object) -> object:
+    """One of some items: value, name, description; the first is the default."""
+    return EnumProperty(name=name, description=description, items=items, **options)
