@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.channels import order_channels
+from cloak_core.detectors.onnx_family.end_to_end import before_choice
 from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
@@ -25,6 +26,8 @@ from cloak_core.detectors.resizing import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError, first_line
 
+END_TO_END = "end2end"
+CHOSEN_ALONE = "only the boxes that the file chooses have one"
 COCO_91 = (90, 91, 92)
 """Numbers of classes of exports that count COCO's own ids, where "nothing" may be among them."""
 PACKAGES = ("onnx", "onnx2torch", "onnxruntime")
@@ -59,6 +62,8 @@ class OnnxDetector(Detector):
         file = read_model(self.path)
         if file.digest != self.source["file"]:
             raise InputError(f"{self.path}: changed since it was loaded")
+        if self.source["layout"] == END_TO_END:
+            file = before_choice(file, self.input_size)
         session = Session(file.session(torch.get_num_threads()), file)
         made = OnnxDetector(session, self.decode, self.input_size, self.pixels, self.letterbox, self.spec)
         made.person, made.path, made.source = self.person, self.path, self.source
@@ -84,9 +89,13 @@ def load_onnx(request: Request) -> OnnxDetector:
         raise InputError(f"detector {request.spec!r}: names its layout already; drop --layout")
     file = read_model(Path(name).expanduser())
     size = file.input_size(request.input_size)
+    if (request.layout or named or END_TO_END) == END_TO_END:
+        file = before_choice(file, size)
     try:
         detector = _assemble(request, named, file, _converted(file, size))
         _compare(detector, file)
+        if detector.partial_gradient:
+            _log.warning("%s: of its gradient, %s; its graph shows no others", file.path, detector.partial_gradient)
     except NotConvertible as error:
         session = Session(file.session(torch.get_num_threads()), file)
         detector = _assemble(request, named, file, session)
@@ -124,7 +133,9 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
     detector = OnnxDetector(network, decode, size, pixels or layout.pixels, letterbox, request.spec)
     detector.name, detector.pixels_assumed = file.path.stem, pixels is None
     detector.path = file.path
-    count = len(file.names) if layout_name == "end2end" and file.names else decode(outputs, size).classes.shape[-1]
+    if layout_name == END_TO_END and not file.before_choice and detector.differentiable:
+        detector.partial_gradient = CHOSEN_ALONE
+    count = len(file.names) if layout_name == END_TO_END and file.names else decode(outputs, size).classes.shape[-1]
     detector.class_names = _names(file, count)
     # Among 91 and more of COCO's own numbering the first is nothing.
     detector.first_class = int(detector.class_names is COCO_IDS and count != COCO_91[0])
@@ -153,7 +164,8 @@ def _layout(
 ) -> tuple[str, Decode]:
     """Find the layout's name, and what decodes such outputs."""
     labelled = dict(zip(file.output_names, outputs, strict=True))
-    name = request.layout or named or guess_layout(labelled, size, file.names and len(file.names))
+    name = request.layout or named or (END_TO_END if file.before_choice else "")
+    name = name or guess_layout(labelled, size, file.names and len(file.names))
     if not name and file.described.layout in LAYOUTS:
         name = file.described.layout
     shapes = ", ".join(f"{label} {list(output.shape)}" for label, output in labelled.items())

@@ -46,10 +46,17 @@ def to_torch(model: onnx.ModelProto) -> fx.GraphModule:
 
 
 def _lift_constants(model: onnx.ModelProto) -> None:
-    """Make Constant nodes weights, in place: onnx2torch looks for kernels and biases among the weights alone."""
+    """Make Constant nodes and copies of weights weights, in place: onnx2torch looks for kernels and biases there alone.
+
+    Exporters write equal biases once, and copy them by Identity nodes.
+    """
     graph = model.graph
-    for node in [n for n in graph.node if n.op_type == "Constant"]:
-        value = next((a.t for a in node.attribute if a.name == "value"), None)
+    weights = {weight.name: weight for weight in graph.initializer}
+    for node in [n for n in graph.node if n.op_type in ("Constant", "Identity")]:
+        if node.op_type == "Identity":
+            value = weights.get(node.input[0])
+        else:
+            value = next((a.t for a in node.attribute if a.name == "value"), None)
         if value is not None:
             lifted = graph.initializer.add()
             lifted.CopyFrom(value)

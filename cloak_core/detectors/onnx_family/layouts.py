@@ -102,7 +102,12 @@ def rtdetr(outputs: Sequence[Tensor], size: Size) -> Decoded:
 
 
 def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
-    """Decode [B, N, 6]: xyxy in input pixels, the best class's score and number; YOLOv10 and later."""
+    """Decode [B, N, 6]: xyxy in input pixels, the best class's score and number; YOLOv10 and later.
+
+    Of a graph cut before it chooses the best: boxes [B, N, 4] and scores [B, N, K].
+    """
+    if len(outputs) == 2:
+        return Decoded(*outputs)
     rows = outputs[0]
     number = rows[..., 5].detach().round().long()
     count = max(COCO_CLASSES, int(number.max()) + 1)

@@ -59,6 +59,8 @@ class ModelFile:
     """Names of its first nodes that compute in integers."""
     suppresses: str
     """Name of a node that suppresses boxes; "" for none."""
+    before_choice: bool = False
+    """The outputs are all boxes and scores of an end-to-end export, before it chooses the best."""
 
     def input_size(self, wanted: tuple[int, int] | None) -> tuple[int, int]:
         """Choose the size to run it at. InputError: it is fixed to another."""

@@ -7,7 +7,7 @@ x * sigmoid(x) one operation.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -68,18 +68,33 @@ def _silu(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
 
 def _slice(node: fx.Node, module: nn.Module, graph: fx.GraphModule) -> Plainer:
     x, *given = node.args
-    known = [_constant(value, graph) for value in given]
-    if any(value is None for value in known[:2]):
+    known = [_numbers(_constant(value, graph)) for value in given]
+    starts, ends, axes, steps = (*known, None, None)[:4]
+    if None in known[2:] or min(steps or (1,)) < 1:
         return None
-    starts, ends = known[:2]
-    axes = known[2] if len(known) > 2 and known[2] is not None else np.arange(len(starts))
-    steps = known[3] if len(known) > 3 and known[3] is not None else np.ones(len(starts), int)
-    if (len(given) > 2 and known[2] is None) or (len(given) > 3 and known[3] is None) or (steps < 1).any():
-        return None
-    return cut, (
-        x,
-        tuple((int(a), int(b), int(e), int(s)) for a, b, e, s in zip(axes, starts, ends, steps, strict=True)),
-    )
+    if starts is None or ends is None:
+        return cut_between, (x, *given[:2], axes, steps)
+    return cut, (x, _slices(starts, ends, axes, steps))
+
+
+def cut_between(
+    x: Tensor, starts: Tensor, ends: Tensor, axes: tuple[int, ...] | None, steps: tuple[int, ...] | None
+) -> Tensor:
+    """Like `cut`, where the graph itself computes from where to where."""
+    return cut(x, _slices(starts.tolist(), ends.tolist(), axes, steps))
+
+
+def _slices(
+    starts: Sequence[int], ends: Sequence[int], axes: Sequence[int] | None, steps: Sequence[int] | None
+) -> tuple[tuple[int, int, int, int], ...]:
+    """(axis, start, end, step) of each; every axis from the first and every element unless told."""
+    axes = range(len(starts)) if axes is None else axes
+    steps = [1] * len(starts) if steps is None else steps
+    return tuple((int(a), int(b), int(e), int(s)) for a, b, e, s in zip(axes, starts, ends, steps, strict=True))
+
+
+def _numbers(values: np.ndarray | None) -> tuple[int, ...] | None:
+    return None if values is None else tuple(values.tolist())
 
 
 def cut(x: Tensor, slices: tuple[tuple[int, int, int, int], ...]) -> Tensor:

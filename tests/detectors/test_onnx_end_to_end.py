@@ -1,0 +1,124 @@
+"""End-to-end exports: boxes and scores are read before the graph chooses its best, and a gradient reaches them all."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.verification import verify
+from cloak_core.files.errors import InputError
+from tests.detectors.helpers import images
+from tests.detectors.test_gradients import lowers_score
+
+onnx = pytest.importorskip("onnx", reason="pip install 'cloak-core[onnx]'")
+pytest.importorskip("onnxruntime", reason="pip install 'cloak-core[onnx]'")
+pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
+from tests.detectors.test_onnx import SIDE, Made  # noqa: E402
+
+INT = onnx.TensorProto.INT64
+KEPT = 5
+"""Boxes that the small export chooses, of 64."""
+
+
+def end_to_end(path: Path, scale: float = 1.0, bias: str = "bias") -> Path:
+    """Save a network that answers [N, 5, 6]: YOLOv10's choice by TopK, first of boxes, then of boxes and classes.
+
+    scale: of boxes, after they are chosen.
+    """
+    made = Made()
+    if bias == "copied":
+        made.node("Identity", "bias", "copied")
+    made.body(bias=bias)
+    made.head()
+    made.nodes.pop()  # the joined output
+    for name, values in {"k": [KEPT], "last": [2], "two": [2]}.items():
+        made.weight(name, np.array(values), INT)
+    made.weight("span", np.array([16.0]))
+    made.weight("least", np.array([0.0, 0, 40, 40]))
+    made.weight("scale", np.array(scale))
+    made.node("Transpose", "boxes", "offsets", perm=[0, 2, 1])
+    made.node("Sigmoid", "offsets", "parts")
+    made.node("Mul", "parts span", "spans")
+    made.node("Add", "spans least", "corners")
+    made.node("Transpose", "scores", "classes", perm=[0, 2, 1])
+    made.node("ReduceMax", "classes", "best", axes=[-1], keepdims=0)
+    made.node("TopK", "best k", "top index")
+    made.node("Unsqueeze", "index last", "column")
+    for kept, data, width in (("these", "classes", 2), ("places", "corners", 4)):
+        made.weight(f"wide{width}", np.array([1, 1, width]), INT)
+        made.node("Expand", f"column wide{width}", f"index{width}")
+        made.node("GatherElements", f"{data} index{width}", kept, axis=1)
+    made.node("Flatten", "these", "spread")
+    made.node("TopK", "spread k", "score number")
+    made.node("Mod", "number two", "kind")
+    made.node("Div", "number two", "row")
+    made.node("Unsqueeze", "row last", "rows1")
+    made.node("Expand", "rows1 wide4", "rows4")
+    made.node("GatherElements", "places rows4", "chosen", axis=1)
+    made.node("Mul", "chosen scale", "scaled")
+    made.node("Unsqueeze", "score last", "score1")
+    made.node("Unsqueeze", "kind last", "kind1")
+    made.node("Cast", "kind1", "kind2", to=onnx.TensorProto.FLOAT)
+    made.node("Concat", "scaled score1 kind2", "output", axis=2)
+    return made.save(path)
+
+
+@pytest.mark.parametrize("bias", ["bias", "copied"])
+def test_all_boxes_are_read_and_trained_against(bias: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = end_to_end(tmp_path / "e.onnx", bias=bias)
+    detector = load_detector(f"onnx:{path}")
+    assert not caplog.records and detector.differentiable and not detector.partial_gradient
+    assert detector.source["layout"] == "end2end" and detector.class_names == ("cat", "person")
+    batch = images(3, SIDE, SIDE)
+    found = detector(batch)
+    assert found.scores.shape == (3, 64) and found.other.shape == (3, 64)
+    before, after = lowers_score(detector, batch)
+    assert bool((after < before).all())
+    assert verify(detector, images(4, SIDE, SIDE))["failed"] == []
+
+
+def test_a_person_that_is_not_chosen_still_has_a_gradient(tmp_path: Path) -> None:
+    detector = load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}")
+    inputs = images(1, SIDE, SIDE).requires_grad_()
+    scores = detector(inputs).scores
+    (gradient,) = torch.autograd.grad(scores.sort().values[0, 0], inputs)  # of 64 the least, of which 5 are chosen
+    assert float(gradient.abs().max()) > 0
+
+
+def test_what_changes_boxes_after_the_choice_is_read_as_the_file_answers(tmp_path: Path, caplog) -> None:
+    with caplog.at_level(logging.WARNING):
+        detector = load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx', scale=2.0)}")
+    assert "only the boxes that the file chooses have one" in caplog.text
+    assert detector.differentiable and "chooses" in detector.partial_gradient
+    found = detector(images(2, SIDE, SIDE))
+    assert found.scores.shape == (2, KEPT) and detector.source["layout"] == "end2end"
+
+
+def test_another_layout_that_is_asked_for_is_not_cut(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="not laid out as nanodet"):
+        load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}:nanodet")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["yolov10n", "yolo26n"])
+def test_what_ultralytics_exports(name: str, tmp_path: Path) -> None:
+    """Random weights, exported as the package does it, whose biases are equal and so written once."""
+    pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]'")
+    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture
+    from cloak_core.detectors.ultralytics_family.random_weights import settle_batch_norm
+
+    model, side = build(read_architecture(f"{name}.yaml"), name), 128
+    settle_batch_norm(model)
+    head, path = model.model[-1], tmp_path / f"{name}.onnx"
+    head.end2end, head.export, head.format, head.dynamic = True, True, "onnx", False
+    torch.onnx.export(model, images(1, side, side), str(path), opset_version=17, dynamo=False)
+    assert [d.dim_value for d in onnx.load(path).graph.output[0].type.tensor_type.shape.dim] == [1, 300, 6]
+    detector = load_detector(f"onnx:{path}")
+    assert detector.differentiable and not detector.partial_gradient and detector.source["layout"] == "end2end"
+    found = detector(images(2, 80, 60))
+    assert found.scores.shape == (2, 16 * 16 + 8 * 8 + 4 * 4) and found.other is not None
+    before, after = lowers_score(detector, images(2, 80, 60))
+    assert bool((after < before).all())
