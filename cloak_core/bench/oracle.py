@@ -56,9 +56,8 @@ def pieces(screen: Screen, triangles: Tensor) -> list[Piece]:
                 result.append(Piece(view, triangle, corners))
                 continue
             view_space = torch.stack([axis[view, vertices] for axis in screen.view], -1).unsqueeze(-1)
-            soup, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
-            near = soup.inverse_depth[soup.corner]
-            for part in zip(*(t.T.tolist() for t in (soup.x, soup.y, near)), strict=True):
+            *parts, _ = clip(view_space, screen.focal[view], screen.near[view], screen.width, screen.height)
+            for part in zip(*(t.T.tolist() for t in parts), strict=True):
                 result.append(Piece(view, triangle, tuple(Corner(*c) for c in zip(*part, strict=True))))
     return result
 

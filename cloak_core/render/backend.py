@@ -10,17 +10,14 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, cast, runtime_checkable
 
 import torch
-from jaxtyping import Float, Float32, Float64, Int64, Integer, UInt8
+from jaxtyping import Float32, Float64, Int64, Integer, UInt8
 from torch import Tensor
 
+from cloak_core.render import cpu as cpu_stages
+from cloak_core.render import torch as torch_stages
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.cpu import stages as cpu_stages
-from cloak_core.render.torch import stages as torch_stages
 from cloak_core.render.types import BakedView, FlatTriangles, Fragments, Photometric, Screen, Surface, View, Window
 from cloak_core.scene.cameras import Vector
-
-Found = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float[Tensor, " N"], Float64[Tensor, "2 N"]]
-"""Pixel, triangle, share of the pixel, and the centroid of the visible part, pixels; sorted by pixel and triangle."""
 
 
 @runtime_checkable
@@ -55,24 +52,26 @@ class Backend(Protocol):
         shift: there are 2^shift grid units between samples.
         """
 
-    def visible_areas(self, flat: FlatTriangles, window: Window, width: int) -> Iterable[Found]:
-        """Find each triangle's exact visible share in each pixel of a window of an image `width` pixels wide."""
+    def visible_areas(self, flat: FlatTriangles, window: Window, width: int) -> Iterable[Fragments]:
+        """Find each triangle's exact visible share in each pixel of a window of an image `width` pixels wide.
+
+        In parts from top to bottom. Warns of `CrowdedPixels`.
+        """
 
     def merge_samples(self, packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
         """Merge the visible samples of every (pixel, triangle) of one view; packed: [rows, columns]."""
 
     def build_view(
         self,
-        bands: Sequence[Fragments],
+        found: Fragments,
         screen: Screen,
         surface: Surface,
         normals: Float32[Tensor, "3 V"],
         light_position: Float32[Tensor, " 3"],
-        count: int,
     ) -> View:
-        """Light the fragments of one view, in bands from top to bottom, and sum them up to its matrix.
+        """Light the fragments of one view, or a band of it, and sum them up to its matrix.
 
-        normals (of the vertices) and light position are in view space; count: CPU threads that may share the bands.
+        normals (of the vertices) and light position are in view space.
         """
 
     def split(

@@ -5,8 +5,6 @@ Clipping is done in view space, float64. Triangles that share an edge stay water
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float64, Int32, Int64
 from torch import Tensor
@@ -16,27 +14,17 @@ from cloak_core.render.torch.polygons import cut
 from cloak_core.render.types import Cull, FlatTriangles, Screen
 
 
-@dataclass(frozen=True)
-class Soup:
-    """N snapped triangles, corner by corner."""
-
-    x: Int32[Tensor, "3 N"]
-    y: Int32[Tensor, "3 N"]
-    corner: Int64[Tensor, "3 N"]
-    """Where each corner's inverse_depth stands in `inverse_depth`."""
-    inverse_depth: Float64[Tensor, " K"]
-
-
 def clip(
     corners: Float64[Tensor, "3 xyz=3 N"],
     focal: Float64[Tensor, " N"],
     near: Float64[Tensor, " N"],
     width: int,
     height: int,
-) -> tuple[Soup, Int64[Tensor, " M"]]:
+) -> tuple[Int32[Tensor, "3 M"], Int32[Tensor, "3 M"], Float64[Tensor, "3 M"], Int64[Tensor, " M"]]:
     """Cut triangles given in view space to what lies before the near plane and inside the guard band.
 
-    Returns M snapped triangles (none, one or several for each) and the index of the triangle each is a part of.
+    Returns x, y and inverse depth of the corners of M snapped triangles (none, one or several for each), and the index
+    of the triangle each is a part of.
     """
     polygon, size = cut(corners, corners[:, 2] - near)
     for axis, center in ((0, width / 2), (1, height / 2)):
@@ -49,8 +37,7 @@ def clip(
     fan = fan + 1
     pieces = torch.stack([polygon[corner, :, owner] for corner in (torch.zeros_like(fan), fan, fan + 1)])
     x, y = snap(pieces.unbind(-1), focal[owner], near[owner], width, height)
-    inverse_depth = (near[owner] / pieces[..., 2]).view(-1)
-    return Soup(x, y, torch.arange(x.numel(), device=x.device).view(x.shape), inverse_depth), owner
+    return x, y, near[owner] / pieces[..., 2], owner
 
 
 def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cull = None) -> FlatTriangles:
@@ -68,12 +55,11 @@ def flatten(screen: Screen, triangles: Int64[Tensor, "3 T"], view: int, cull: Cu
     crossing = (ahead & ~whole).nonzero().view(-1)
     corners = torch.stack([axis[view][triangles[:, crossing]] for axis in screen.view], 1)
     focal, near = (t[view].expand(len(crossing)) for t in (screen.focal, screen.near))
-    soup, owner = clip(corners, focal, near, screen.width, screen.height)
+    *parts, owner = clip(corners, focal, near, screen.width, screen.height)
+    corner = torch.arange(len(x), len(x) + 3 * len(owner), device=x.device).view(3, -1)
     return FlatTriangles(
-        torch.cat([x, soup.x.view(-1)]),
-        torch.cat([y, soup.y.view(-1)]),
-        torch.cat([inverse_depth, soup.inverse_depth]),
-        torch.cat([triangles[:, whole], soup.corner + len(x)], 1),
+        *(torch.cat([one, part.view(-1)]) for one, part in zip((x, y, inverse_depth), parts, strict=True)),
+        torch.cat([triangles[:, whole], corner], 1),
         torch.cat([ids[whole], crossing[owner]]),
         torch.cat([one_sided[whole], one_sided[crossing[owner]]]),
     )

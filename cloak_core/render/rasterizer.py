@@ -19,7 +19,6 @@ from cloak_core.render.backend import backend
 from cloak_core.render.clipping import flatten
 from cloak_core.render.packing import EMPTY, ID_BITS
 from cloak_core.render.screen import GRID
-from cloak_core.render.threads import even, spread
 from cloak_core.render.types import Cull, Fragments, Screen, Visibility, Window
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
@@ -32,7 +31,6 @@ def rasterize(
     grid: int = 1,
     cull: Cull = None,
     window: Window | None = None,
-    workers: int = 1,
 ) -> Visibility:
     """Find the nearest triangle at every sample.
 
@@ -40,7 +38,6 @@ def rasterize(
     grid: n, for n * n samples per pixel: 1, 2, 4 or 8.
     cull: the triangles that are dropped where they show their back.
     window: the part of the image to work on; where absent, the bounding box of the bodies on the screen.
-    workers: CPU threads that share the views, or one view's rows.
 
     Nothing is differentiable. Memory follows the window's samples plus a few arrays of `triangles.chunk_size` elements.
     """
@@ -51,34 +48,12 @@ def rasterize(
     window = window or bounding_window(screen)
     rows, columns = (window.y1 - window.y0) * grid, (window.x1 - window.x0) * grid
     packed = torch.full((len(screen.x), rows, columns), EMPTY, dtype=torch.int64, device=screen.x.device)
-
-    def cover_part(part: tuple[slice, Window]) -> None:
-        views, band = part
-        own = packed[views, (band.y0 - window.y0) * grid : (band.y1 - window.y0) * grid]
-        culled = None if cull is None else cull[views]
-        _cover(own, screen.part(views), triangles, band, grid, culled)
-
     if packed.numel():
-        if len(packed) > 1:
-            parts = [(views, window) for views in even(len(packed), workers)]
-        else:
-            parts = [(slice(0, 1), band) for band in row_bands(screen, window, workers)]
-        spread(cover_part, parts, workers)
+        for view, own in enumerate(packed):
+            flat = flatten(screen, triangles, view, cull)
+            shift = (GRID // grid).bit_length() - 1
+            backend(packed.device).cover(own, flat, window.y0 * grid, window.x0 * grid, shift)
     return Visibility(packed, window, screen.width, screen.height, grid)
-
-
-def _cover(
-    packed: Int64[Tensor, "B rows columns"],
-    screen: Screen,
-    triangles: Int64[Tensor, "3 T"],
-    band: Window,
-    grid: int,
-    cull: Cull,
-) -> None:
-    shift = (GRID // grid).bit_length() - 1
-    for view, own in enumerate(packed):
-        flat = flatten(screen, triangles, view, cull)
-        backend(packed.device).cover(own, flat, band.y0 * grid, band.x0 * grid, shift)
 
 
 def area_fragments(screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Cull, window: Window) -> Fragments:
@@ -87,11 +62,8 @@ def area_fragments(screen: Screen, triangles: Int64[Tensor, "3 T"], cull: Cull, 
     Every triangle is cut by the pixels that it touches, and where pieces overlap, by the nearer ones. triangles, cull
     and window as for `rasterize`. Warns of `CrowdedPixels`.
     """
-    whole = torch.zeros(0, dtype=torch.int64, device=screen.x.device)
-    none = whole, whole, whole.to(torch.float32), whole.new_zeros(2, 0).to(torch.float64)
-    found = backend(whole.device).visible_areas(flatten(screen, triangles, 0, cull), window, screen.width)
-    pixel, triangle, area, center = (torch.cat(column, -1) for column in zip(none, *found, strict=True))
-    return Fragments(pixel, triangle, area.float(), *center)
+    flat = flatten(screen, triangles, 0, cull)
+    return Fragments.join(backend(screen.x.device).visible_areas(flat, window, screen.width), screen.x.device)
 
 
 def merge_samples(visibility: Visibility) -> Fragments:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -75,9 +74,3 @@ def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) ->
         for other in others:
             other.result()
     return results
-
-
-def even(length: int, parts: int) -> list[slice]:
-    """0 .. length cut into up to `parts` runs of about the same length."""
-    cuts = sorted({length * i // parts for i in range(parts + 1)})
-    return [slice(*pair) for pair in itertools.pairwise(cuts)]

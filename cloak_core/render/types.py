@@ -6,7 +6,8 @@ camera), and photographs of people onto whose clothes faces are laid (`baking.ba
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
@@ -67,14 +68,6 @@ class Screen:
     focal: Float64[Tensor, "B 1"]
     near: Float64[Tensor, "B 1"]
 
-    def part(self, views: slice) -> Screen:
-        """Select the screen of some of the views."""
-        rows = lambda t: None if t is None else t[views]
-        names = ("x", "y", "inverse_depth", "in_guard_band", "focal", "near")
-        return replace(
-            self, view=tuple(axis[views] for axis in self.view), **{name: rows(getattr(self, name)) for name in names}
-        )
-
 
 @dataclass(frozen=True)
 class FlatTriangles:
@@ -129,10 +122,15 @@ class Fragments:
     its centroid."""
 
     @staticmethod
-    def join(bands: Sequence[Fragments]) -> Fragments:
-        """Concatenate the fragments of bands, from top to bottom."""
-        columns = ([getattr(band, column.name) for band in bands] for column in fields(Fragments))
-        return bands[0] if len(bands) == 1 else Fragments(*map(torch.cat, columns))
+    def join(parts: Iterable[Fragments], device: torch.device) -> Fragments:
+        """Concatenate fragments, from top to bottom."""
+        parts = list(parts)
+        if len(parts) == 1:
+            return parts[0]
+        whole = torch.zeros(0, dtype=torch.int64, device=device)
+        none = Fragments(whole, whole, whole.float(), whole.double(), whole.double())
+        parts.append(none)
+        return Fragments(*(torch.cat([getattr(part, column.name) for part in parts]) for column in fields(Fragments)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +184,17 @@ class View:
     uv: Float32[Tensor, "2 E"] | None = None
     """Where bodies have textures: texture coordinates at the centre of the visible part of the triangle in the pixel;
     there is an entry for each triangle of a face then."""
+
+    @staticmethod
+    def join(parts: Sequence[View]) -> View:
+        """Join the bands of a view, from top to bottom."""
+        if len(parts) == 1:
+            return parts[0]
+        first = [0, *itertools.accumulate(len(part.face) for part in parts)]
+        crow = torch.cat([part.crow[i > 0 :] + first[i] for i, part in enumerate(parts)])
+        cat = lambda name: torch.cat([getattr(part, name) for part in parts], -1)
+        names = ("pixels", "coverage", "specular", "face", "weight", *(() if parts[0].uv is None else ("uv",)))
+        return replace(parts[0], crow=crow, **{name: cat(name) for name in names})
 
     @cached_property
     def box(self) -> tuple[int, int, int, int]:

@@ -113,9 +113,10 @@ class ViewCache:
         return spread(self._build, wanted, count)
 
     def _build(self, key: Key, count: int = 1) -> View:
-        screen = self.screen([key])
-        bands = spread(lambda band: self._band(key, screen, band), self._bands(screen, count), count)
-        return backend(self.device).build_view(bands, screen, self._surface, *self._view_space_light(*key), count)
+        screen, light = self.screen([key]), self._view_space_light(*key)
+        way = backend(self.device)
+        lit = lambda band: way.build_view(self._band(key, screen, band), screen, self._surface, *light)
+        return View.join(spread(lit, self._bands(screen, count), count))
 
     def screen(self, wanted: Sequence[Key]) -> Screen:
         """Project the views' vertices to the screen."""
@@ -128,22 +129,18 @@ class ViewCache:
 
     def visibility(self, wanted: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
         """Find the nearest triangle at every sample."""
-        count, cull = self._workers(len(wanted)), self._cull(wanted, screen)
         with one_thread():
-            return rasterize(screen, self._surface.triangles, self.settings.grid, cull, window, count)
+            return rasterize(screen, self._surface.triangles, self.settings.grid, self.cull(wanted, screen), window)
 
-    def visible(self, wanted: Sequence[Key]) -> Visibility | list[Fragments]:
-        """Find what is visible, unlit: samples, or where coverage is measured by area, fragments, in parts."""
-        if not self.settings.by_area:
-            return self.visibility(wanted, self.screen(wanted))
+    def visible(self, wanted: Sequence[Key]) -> list[Visibility] | list[Fragments]:
+        """Find what is visible, unlit, in parts: samples, or where coverage is measured by area, fragments."""
         self._load_poses(wanted)
         count = self._workers(len(wanted))
-        if len(wanted) > 1:
-            parts = [(key, screen := self.screen([key]), bounding_window(screen)) for key in wanted]
-        else:
-            screen = self.screen(wanted)
-            parts = [(wanted[0], screen, band) for band in self._bands(screen, count)]
-        return spread(lambda part: self._band(*part), parts, count)
+        share = count if len(wanted) == 1 else 1
+        screens = [(key, self.screen([key])) for key in wanted]
+        bands = [(key, screen, band) for key, screen in screens for band in self._bands(screen, share)]
+        find = self._band if self.settings.by_area else lambda key, *where: self.visibility([key], *where)
+        return spread(lambda part: find(*part), bands, count)
 
     def _workers(self, views: int) -> int:
         """Choose how many CPU threads share the work.
@@ -152,7 +149,7 @@ class ViewCache:
         """
         return 1 if views == 1 and self.settings.samples in (1, 4) else workers(self.device)
 
-    def _cull(self, wanted: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
+    def cull(self, wanted: Sequence[Key], screen: Screen) -> Bool[Tensor, "B T"]:
         """Mark triangles whose back faces are dropped: those of closed surfaces that face outwards.
 
         Not in views where the near plane cuts bodies open.
@@ -179,7 +176,7 @@ class ViewCache:
 
     def _band(self, key: Key, screen: Screen, window: Window) -> Fragments:
         if self.settings.by_area:
-            return area_fragments(screen, self._surface.triangles, self._cull([key], screen), window)
+            return area_fragments(screen, self._surface.triangles, self.cull([key], screen), window)
         return merge_samples(self.visibility([key], screen, window))
 
     def _view_space_light(

@@ -125,7 +125,7 @@ def test_a_device_chooses_in_one_place() -> None:
     assert asking == {"compiled.py", "backend.py", "view_files.py"}
 
 
-ONLY_CPU = {"workspace.py", "edge_hash.py", "sheets.py", "signed_area.py", "front.py"}
+ONLY_CPU = {"workspace.py", "edge_hash.py", "signed_area.py", "front.py"}
 """Memory that loops share, and what makes them quick: torch cuts every triangle instead, and drops nothing early."""
 
 

@@ -6,7 +6,7 @@ import time
 import pytest
 import torch
 
-from cloak_core.render.threads import even, one_thread, spread
+from cloak_core.render.threads import one_thread, spread
 
 
 @pytest.fixture(autouse=True)
@@ -41,7 +41,3 @@ def test_one_thread_is_over_at_its_end() -> None:
     with one_thread():
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == in_a_new_thread() == 2
-
-
-def test_even_parts() -> None:
-    assert even(5, 2) == [slice(0, 2), slice(2, 5)] and even(2, 4) == [slice(0, 1), slice(1, 2)]

@@ -6,17 +6,15 @@ import warnings
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from cloak_core.render.compiled import inner, loop
-from cloak_core.render.cpu.crowded import SIDE, sample_pixel
-from cloak_core.render.cpu.edge_hash import hash_corners
+from cloak_core.render.cpu.edge_hash import WHOLE, hash_corners
 from cloak_core.render.cpu.hidden_parts import cut_hidden
 from cloak_core.render.cpu.pieces import NOTHING, find_candidates, find_pieces, sort_by_pixel
-from cloak_core.render.cpu.sheets import WHOLE, drop_behind_sheet
+from cloak_core.render.cpu.sampling import sample_pixel
 from cloak_core.render.cpu.triangles import PIXEL
 from cloak_core.render.cpu.workspace import Mesh, make_workspace
-from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
+from cloak_core.render.types import CrowdedPixels, FlatTriangles, Fragments, Window
 
 MOST_PAIRS = 1 << 20
 """Pairs of triangle and pixel at most in one band, or those of a single row."""
@@ -25,36 +23,36 @@ ROW_CUTS, PIXEL_CUTS = 1 << 19, 64
 number. They are counted by row because bands depend on the number of threads."""
 
 
-def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """See `Backend.visible_areas`. Warns of `CrowdedPixels`."""
+def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[Fragments]:
+    """See `Backend.visible_areas`."""
     x, y, inverse_depth, corner, ids, one_sided = flat.arrays()
     mesh = Mesh(x, y, inverse_depth, corner, ids, hash_corners(x, y))
     columns = window.x0, window.x1
     candidates = find_candidates(x, y, corner, one_sided, *columns, window.y0, window.y1)
     found, sampled = [], 0
-    for top, bottom in _bands(candidates[-1], window):
-        place, owner, share, edge_sum = find_pieces(mesh, candidates, *columns, top, bottom)
+    for top, bottom, pairs in _bands(candidates[-1], window):
+        place, owner, share, edge_sum = find_pieces(mesh, candidates, *columns, top, bottom, pairs)
         pixels = window.x1 - window.x0, bottom - top
         owner, share, begin = sort_by_pixel(place, owner, share, pixels[0] * pixels[1])
         sampled += resolve_visibility(mesh, owner, share, begin, edge_sum, window.x0, top, pixels[0])
         band = _emit(ids, owner, share, begin, window.x0, top, pixels[0], width)
-        found.append(tuple(map(torch.from_numpy, band)))
+        found.append(Fragments(*map(torch.from_numpy, band)))
     if sampled:
         warnings.warn(CrowdedPixels(sampled), stacklevel=2)
     return found
 
 
-def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int]]:
-    """Cut the window into non-empty bands of rows from .. to (exclusive), of at most `MOST_PAIRS` or a single row."""
+def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int, int]]:
+    """Cut the window into bands that are not empty, of at most `MOST_PAIRS` or one row: rows from .. to, and pairs."""
     bands, start, held = [], window.y0, 0
     for row, pairs in enumerate(load.tolist(), window.y0):
         if held and held + pairs > MOST_PAIRS:
-            bands.append((start, row))
+            bands.append((start, row, held))
             held = 0
         if not held:
             start = row
         held += pairs
-    return [*bands, (start, window.y1)] if held else bands
+    return [*bands, (start, window.y1, held)] if held else bands
 
 
 @loop
@@ -65,7 +63,7 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
     many pixels had to be sampled.
     """
     most, sampled, cuts = 64, 0, 0
-    work, packed, sums = make_workspace(most), np.empty((SIDE, SIDE), np.int64), np.empty((most, 3))
+    work = make_workspace(most)
     for place in range(len(begin) - 1):
         start, count = begin[place], begin[place + 1] - begin[place]
         cuts = cuts if place % width else 0
@@ -78,19 +76,16 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
             continue
         if count > most:
             most = 2 * count
-            work, sums = make_workspace(most), np.empty((most, 3))
+            work = make_workspace(most)
         at = x0 + place % width, y0 + place // width, PIXEL
-        for i in range(count):
-            work.chosen[i] = owner[start + i]
-        left = drop_behind_sheet(mesh, at, owner, share, start, count, work)
-        used, exact = cut_hidden(mesh, at, left, work, max(ROW_CUTS - cuts, PIXEL_CUTS))
+        own = slice(start, start + count)
+        used, exact = cut_hidden(mesh, at, owner[own], share[:, own], work, max(ROW_CUTS - cuts, PIXEL_CUTS))
         cuts += used
         if exact:
-            _write_back(share, start, left, work.visible)
+            _write_back(share, start, count, work.visible)
         else:
             sampled += 1
-            own = slice(start, start + count)
-            sample_pixel(mesh, at[0], at[1], owner[own], share[:, own], packed, sums)
+            sample_pixel(mesh, at[0], at[1], owner[own], share[:, own])
     return sampled
 
 
@@ -110,12 +105,12 @@ def _emit(ids, owner, share, begin, x0, y0, width, image_width):
     """List the visible pieces: pixel, triangle, area, and the centroid in pixels."""
     most, count = len(owner), 0
     pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
-    at = np.empty((2, most))
+    x, y = np.empty(most), np.empty(most)
     for p in range(len(begin) - 1):
         column, row = x0 + p % width, y0 + p // width
         for i in range(begin[p], begin[p + 1]):
             if share[0, i] > NOTHING:
                 pixel[count], triangle[count], area[count] = row * image_width + column, ids[owner[i]], share[0, i]
-                at[0, count], at[1, count] = column + share[1, i], row + share[2, i]
+                x[count], y[count] = column + share[1, i], row + share[2, i]
                 count += 1
-    return pixel[:count].copy(), triangle[:count].copy(), area[:count].copy(), at[:, :count].copy()
+    return pixel[:count].copy(), triangle[:count].copy(), area[:count].copy(), x[:count].copy(), y[:count].copy()

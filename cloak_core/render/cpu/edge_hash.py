@@ -11,6 +11,8 @@ import numpy as np
 
 from cloak_core.render.compiled import inner, loop
 
+WHOLE = 1e-6
+"""Shares that add up to 1 within this fill the pixel once where all edges are shared: else they add up to 0 or 2."""
 _MIX = 0x2545F4914F6CDD1D
 _OTHER = 0x1B873593CC9E2D51
 _START = 0x5851F42D4C957F2D

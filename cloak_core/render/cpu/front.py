@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cloak_core.render.compiled import inner
-from cloak_core.render.cpu.sheets import WHOLE
+from cloak_core.render.cpu.edge_hash import WHOLE
 from cloak_core.render.cpu.triangles import PIXEL, slopes, touched
 from cloak_core.render.screen import GRID
 

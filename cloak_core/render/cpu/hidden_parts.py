@@ -3,138 +3,129 @@
 From each piece is cut away what nearer ones hide of it: the part of the piece inside another triangle where that one is
 nearer is convex, so what stays is a list of convex parts. Triangles that pierce each other are cut along their line.
 
-Depth is a plane for each piece, three whole numbers: inverse depth at the pixel's corner times 2^42, and its change
-over the pixel right and down. Differences of whole numbers do not round, so of any three triangles the order is
-without contradiction; equal ones go to the lower id.
+Pieces are taken nearest first. What is hidden hides nothing more than its own hiders do, so it is not asked again, and
+once the pixel is full, all that lies behind what has been taken is hidden. Depths are compared as described in
+workspace.py: of any three triangles the order is without contradiction; equal ones go to the lower id.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from cloak_core.render.compiled import inner
-from cloak_core.render.cpu.polygons import TOUCH, copy, cut, line_through, measure, reach
-from cloak_core.render.cpu.triangles import doubled_area, in_order
-from cloak_core.render.cpu.workspace import FIELDS, MOST_PARTS
+from cloak_core.render.compiled import inner, loop
+from cloak_core.render.cpu.edge_hash import WHOLE, edge_sum
+from cloak_core.render.cpu.polygons import TOUCH, copy, cut, measure, reach
+from cloak_core.render.cpu.triangles import doubled_area
+from cloak_core.render.cpu.workspace import MOST_PARTS, describe
 
-DEPTH_STEPS = 2.0**42
-"""Steps of inverse depth that are told apart."""
 MOST_PIECES = 4096
 """Pieces of a pixel that are resolved exactly at most: each is compared with each."""
+FULL = 1 - 2e-7
+"""Share of a pixel from which nothing is seen behind; shares are float32."""
 _PARTS = 2
 """The first polygon of the pool that is a part of a piece; those before it are workspace."""
 _NOTHING = 1e-15
 _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 
 
-@inner
-def cut_hidden(mesh, at, found, work, most):
+@loop
+def cut_hidden(mesh, at, owner, share, work, most):
     """Measure the visible part of each of a pixel's pieces: area and moments to `visible`, area -1 for all of it.
 
-    at: column, row and size (as a shift) of the pixel. Returns how many tests of a convex part against a triangle it
-    took, and False where that is more than `most`, or too many pieces or parts; `visible` is unfinished then.
+    at: column, row and size (as a shift) of the pixel; owner [n] and share [3, n]: triangle, and area and centroid, of
+    each piece. Returns how many tests of a convex part against a triangle it took, and False where that is more than
+    `most`, or too many pieces or parts; `visible` is unfinished then.
     """
+    found = len(owner)
     if found > MOST_PIECES:
         return 0, False
-    pieces, visible, pool, cuts = work.pieces, work.visible, work.pool, 0
+    pieces, visible, cuts, seen, far = work.pieces, work.visible, 0, 0.0, np.inf
     for i in range(found):
-        work.fields[i] = _describe(mesh, work.chosen[i], at, pieces, i)
-    for i in range(found):
-        held, end = _find_hiders(pieces, work.fields, i, found, work.hiders), 0
-        for k in range(held):
-            q = work.hiders[k]
-            if q == i or _beside(pieces, i, q):
-                continue
-            depth = _depth(pieces, i, q)
-            if depth == _BEHIND:
-                continue
-            if end == 0:
-                end = _PARTS + _polygon(pool, _PARTS, pieces, i)
-            cuts += end - _PARTS
-            end, fits = _take_away(pool, pieces, i, q, depth, end)
-            if not fits or cuts > most:
-                return cuts, False
-            if end == _PARTS:
-                break
-        visible[i, 0] = -1.0 if end == 0 else 0.0
-        visible[i, 1] = visible[i, 2] = 0.0
-        for slot in range(_PARTS, end):
-            area, across, down = measure(pool, slot)
-            visible[i, 0] += area
-            visible[i, 1] += across
-            visible[i, 2] += down
+        work.fields[i] = describe(mesh, owner[i], at, pieces, i)
+        work.behind[i] = -pieces[i].bounds[1]
+        visible[i, 0] = visible[i, 1] = visible[i, 2] = 0.0
+    order = np.argsort(work.behind[:found])
+    whole, left = _closed_front(mesh, at, owner, share, order, pieces)
+    for k in range(left):
+        i = order[k]
+        if (seen >= FULL) & (pieces[i].bounds[1] < far):
+            break
+        if whole == left:
+            visible[i, 0] = -1.0
+            continue
+        used, fits = _cut_piece(i, order, left, work, most - cuts)
+        cuts += used
+        if not fits:
+            return cuts, False
+        seen += share[0, i] if visible[i, 0] < 0 else visible[i, 0]
+        far = min(far, pieces[i].bounds[0])
     return cuts, True
 
 
 @inner
-def _describe(mesh, t, at, pieces, i):
-    """Write piece i, triangle t in the pixel's coordinates; returns the fields that its box touches, as bits."""
-    a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
-    x, y = mesh.x, mesh.y
-    p0, p1, p2 = in_order(x, y, a, b, c, doubled_area(x, y, a, b, c))
-    column, row, shift = at
-    side = 1 << shift
-    x0, y0 = np.int64(x[p0]) - (column << shift), np.int64(y[p0]) - (row << shift)
-    d1x, d1y = x[p1] - np.int64(x[p0]), y[p1] - np.int64(y[p0])
-    d2x, d2y = x[p2] - np.int64(x[p0]), y[p2] - np.int64(y[p0])
-    depths = mesh.inverse_depth[p0], mesh.inverse_depth[p1], mesh.inverse_depth[p2]
-    _set_plane(pieces, i, (x0, y0), (d1x, d1y), (d2x, d2y), side, depths)
-    pieces[i].id = mesh.ids[t]
-    unit, own = 1.0 / side, pieces[i]
-    x0, y0, x1, y1, x2, y2 = (
-        x0 * unit, y0 * unit, (x0 + d1x) * unit, (y0 + d1y) * unit, (x0 + d2x) * unit, (y0 + d2y) * unit
-    )  # fmt: skip
-    own.corner[0], own.corner[1], own.corner[2] = x0, y0, x1
-    own.corner[3], own.corner[4], own.corner[5] = y1, x2, y2
-    own.box[0], own.box[1] = max(min(x0, x1, x2), 0.0), max(min(y0, y1, y2), 0.0)
-    own.box[2], own.box[3] = min(max(x0, x1, x2), 1.0), min(max(y0, y1, y2), 1.0)
-    own.line[0], own.line[1], own.line[2] = line_through(x0, y0, x1, y1)
-    own.line[3], own.line[4], own.line[5] = line_through(x1, y1, x2, y2)
-    own.line[6], own.line[7], own.line[8] = line_through(x2, y2, x0, y0)
-    return _fields(own.box[0], own.box[1], own.box[2], own.box[3])
+def _closed_front(mesh, at, owner, share, order, pieces):
+    """Count the nearest pieces that fill the pixel without overlap, and those behind which nothing is seen.
+
+    Without boundary edges among them (edge_hash.py) and with the area of the pixel they cover each point once. Both
+    counts are those of all pieces where there are no such nearest ones.
+    """
+    hashes, area, far, whole = np.int64(0), 0.0, np.inf, -1
+    for k in range(len(order)):
+        i = order[k]
+        if whole >= 0:
+            if pieces[i].bounds[1] < far:
+                return whole, k
+            continue
+        a, b, c = mesh.corner[0, owner[i]], mesh.corner[1, owner[i]], mesh.corner[2, owner[i]]
+        twice = doubled_area(mesh.x, mesh.y, a, b, c)
+        hashes += edge_sum(mesh.x, mesh.y, mesh.hashes, a, b, c, twice, at)
+        area, far = area + share[0, i], min(far, pieces[i].bounds[0])
+        if (hashes == 0) & (abs(area - 1) <= WHOLE):
+            whole = k + 1
+    return whole, len(order)
 
 
 @inner
-def _set_plane(pieces, i, first, edge1, edge2, side, depths):
-    """Write the plane of inverse depth, in steps, and its bounds within the pixel."""
-    (x0, y0), (d1x, d1y), (d2x, d2y), (n0, n1, n2) = first, edge1, edge2, depths
-    size = float(abs(d1x * d2y - d1y * d2x))
-    e1, e2 = d2x * y0 - d2y * x0, d1y * x0 - d1x * y0
-    slope1, slope2 = (n1 - n0) / size, (n2 - n0) / size
-    begin = _steps(e1, e2, slope1, slope2, n0)
-    across = _steps(e1 + d2y * side, e2 - d1y * side, slope1, slope2, n0) - begin
-    down = _steps(e1 - d2x * side, e2 + d1x * side, slope1, slope2, n0) - begin
-    own = pieces[i]
-    own.plane[0], own.plane[1], own.plane[2] = begin, across, down
-    most, least = np.ceil(max(n0, n1, n2) * DEPTH_STEPS) + 1, np.floor(min(n0, n1, n2) * DEPTH_STEPS) - 1
-    own.bounds[0] = max(begin + min(across, 0.0) + min(down, 0.0), least)
-    own.bounds[1] = min(begin + max(across, 0.0) + max(down, 0.0), most)
+def _cut_piece(i, order, left, work, most):
+    """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
+    pieces, visible, pool, end, cuts = work.pieces, work.visible, work.pool, 0, 0
+    for k in range(_find_hiders(work, i, order, left)):
+        q = work.hiders[k]
+        if q == i or _beside(pieces, i, q):
+            continue
+        depth = _depth(pieces, i, q)
+        if depth == _BEHIND:
+            continue
+        if end == 0:
+            end = _PARTS + _polygon(pool, _PARTS, pieces, i)
+        cuts += end - _PARTS
+        end, fits = _take_away(pool, pieces, i, q, depth, end)
+        if not fits or cuts > most:
+            return cuts, False
+        if end == _PARTS:
+            work.fields[i] = 0
+            break
+    visible[i, 0] = -1.0 if end == 0 else 0.0
+    for slot in range(_PARTS, end):
+        area, across, down = measure(pool, slot)
+        visible[i, 0] += area
+        visible[i, 1] += across
+        visible[i, 2] += down
+    return cuts, True
 
 
 @inner
-def _steps(e1, e2, slope1, slope2, n0):
-    return np.rint(((float(e1) * slope1 + float(e2) * slope2) + n0) * DEPTH_STEPS)
-
-
-@inner
-def _fields(left, top, right, bottom):
-    """List the fields that a box touches, as bits."""
-    u0, u1 = np.int64(left * FIELDS), min(np.int64(right * FIELDS), FIELDS - 1)
-    v0, v1 = np.int64(top * FIELDS), min(np.int64(bottom * FIELDS), FIELDS - 1)
-    row, bits = (np.int64(2) << u1) - (np.int64(1) << u0), np.int64(0)
-    for v in range(v0, v1 + 1):
-        bits |= row << (v * FIELDS)
-    return bits
-
-
-@inner
-def _find_hiders(pieces, fields, i, found, hiders):
+def _find_hiders(work, i, order, left):
     """List the pieces whose boxes meet piece i and that are not behind it there; returns how many.
 
-    Branch-free: the branch is unpredictable.
+    Branch-free within the loops: the branch is unpredictable.
     """
-    near, held, mine = 0, 0, fields[i]
-    for q in range(found):
+    pieces, fields, hiders, near, held = work.pieces, work.fields, work.hiders, 0, 0
+    mine, low = fields[i], pieces[i].bounds[0]
+    for k in range(left):
+        q = order[k]
+        if -work.behind[q] < low:
+            break
         hiders[near] = q
         near += (fields[q] & mine) != 0
     for k in range(near):

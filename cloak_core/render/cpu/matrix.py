@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from jaxtyping import Float32
@@ -11,39 +9,26 @@ from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
 from cloak_core.render.cpu.shading import light_all, material_of
-from cloak_core.render.threads import spread
 from cloak_core.render.types import Fragments, Screen, Surface, View
 
 
 def build_view(
-    bands: Sequence[Fragments],
+    found: Fragments,
     screen: Screen,
     surface: Surface,
     normals: Float32[Tensor, "3 V"],
     light_position: Float32[Tensor, " 3"],
-    count: int,
 ) -> View:
     """See `Backend.build_view`."""
     textured = surface.corner_uv is not None
     space = np.stack([axis[0].numpy() for axis in screen.view])
     camera = float(screen.focal), screen.width / 2, screen.height / 2
+    fragments = arrays(found.pixel, found.triangle, found.area, found.x, found.y)
     corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)
     uv_of = arrays(surface.corner_uv)[0] if textured else np.empty((2, 3, 0), np.float32)
     about = corner, space, camera, normal, position, material_of(surface.light), uv_of, face_of, surface.by_face
-
-    def rows_of(found: Fragments) -> tuple:
-        return _matrix(*arrays(found.pixel, found.triangle, found.area, found.x, found.y), *about)
-
-    parts = spread(rows_of, bands, count)
-    pixels, coverage, specular = (_join([rows[i] for rows, _ in parts]) for i in range(3))
-    face, weight, uv = (_join([entries[i] for _, entries in parts]) for i in range(3))
-    before = np.cumsum([0, *(rows[3][-1] for rows, _ in parts)])
-    crow = _join([rows[3][i > 0 :] + before[i] for i, (rows, _) in enumerate(parts)])
-    return View(screen.height, screen.width, pixels, coverage, specular, crow, face, weight, uv if textured else None)
-
-
-def _join(parts: list[np.ndarray]) -> Tensor:
-    return torch.from_numpy(parts[0] if len(parts) == 1 else np.concatenate(parts, -1))
+    *rows, uv = map(torch.from_numpy, _matrix(*fragments, *about))
+    return View(screen.height, screen.width, *rows, uv if textured else None)
 
 
 @loop
@@ -51,14 +36,14 @@ def _matrix(
     pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, face_of, by_face
 ):  # fmt: skip
     """The rows of a view's matrix from its fragments, sorted by pixel: pixel, coverage and highlight of each row; row
-    offsets, face, weight and texture coordinates of its entries. The arguments are those of `light_all` and `fold`."""
+    offsets, face, weight and texture coordinates of its entries. The arguments are those of `light_all` and `_fold`."""
     out = np.empty((4 if uv_of.shape[2] else 2, len(triangle)), np.float32)
     light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out)
-    return fold(pixel, area, out[1], face_of[triangle], out[0], out[2:], by_face)
+    return _fold(pixel, area, out[1], face_of[triangle], out[0], out[2:], by_face)
 
 
 @loop
-def fold(pixel, area, highlight, face, weight, uv, by_face):
+def _fold(pixel, area, highlight, face, weight, uv, by_face):
     """Fragments to the rows of a matrix, one for each pixel (ascending).
 
     by_face: within a pixel, one entry for each face, ascending; else one for each fragment, as they come.
@@ -89,5 +74,5 @@ def fold(pixel, area, highlight, face, weight, uv, by_face):
         entries += 1
     crow[rows] = entries
     # Copies: what is not used of these arrays should not stay in memory.
-    of_rows = pixels[:rows].copy(), coverage[:rows].copy(), specular[:rows].copy(), crow[: rows + 1].copy()
-    return of_rows, (column[:entries].copy(), value[:entries].copy(), uv)
+    pixels, coverage, specular = pixels[:rows].copy(), coverage[:rows].copy(), specular[:rows].copy()
+    return pixels, coverage, specular, crow[: rows + 1].copy(), column[:entries].copy(), value[:entries].copy(), uv

@@ -59,16 +59,16 @@ def _joined(values, counts):
 
 
 @loop
-def find_pieces(mesh, candidates, x0, x1, y0, y1):
+def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
     """Find all pieces of a band: place, triangle (its index), area and centroid within the pixel [3, n].
 
-    Also returns the edge sum of each pixel (edge_hash.py).
+    Also returns the edge sum of each pixel (edge_hash.py). most: pieces there may be.
     """
     index, areas, first, last, _ = candidates
     width, count, backs = x1 - x0, 0, False
     places = width * (y1 - y0)
     pixels = Pixels(np.zeros(places, np.int64), np.zeros(places), np.zeros(places), np.full(places, 2.0))
-    found = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty((3, 1024), np.float32)
+    found = np.empty(most, np.int32), np.empty(most, np.int32), np.empty((3, most), np.float32)
     edges, signs, sums = np.empty((3, 6)), np.empty(3, np.int64), np.zeros((width + 1, 5))
     fill_front(pixels.front, mesh, candidates, x0, x1, y0, y1)
     for k in range(len(index)):
@@ -80,11 +80,7 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1):
         t, rows = index[k], (max(first[k], y0), min(last[k], y1 - 1))
         a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
         columns = touched(mesh.x[a], mesh.x[b], mesh.x[c], x0, x1)
-        most = (columns[1] - columns[0] + 1) * (rows[1] - rows[0] + 1)
-        if count + most > len(found[0]):
-            more = max(count + most, 2 * len(found[0]))
-            found = longer(found[0], more), longer(found[1], more), longer_rows(found[2], more)
-        if (most == 1) & _within(mesh, a, b, c, columns[0], rows[0]):
+        if (columns[0] == columns[1]) & (rows[0] == rows[1]) & _within(mesh, a, b, c, columns[0], rows[0]):
             at = (rows[0] - y0) * width + columns[0] - x0
             count = _add_inner(found, count, mesh, t, areas[k], columns[0], rows[0], pixels, at)
         else:
@@ -168,20 +164,6 @@ def _in_cell(a, b, c, cell):
 @inner
 def _middle(a, b, c, pixel):
     return ((np.int64(a) + b + c) - 3 * (pixel << PIXEL)) * (1 / (3 * GRID))
-
-
-@loop
-def longer(values, more):
-    result = np.empty(more, values.dtype)
-    result[: len(values)] = values
-    return result
-
-
-@loop
-def longer_rows(values, more):
-    result = np.empty((values.shape[0], more), values.dtype)
-    result[:, : values.shape[1]] = values
-    return result
 
 
 @loop

@@ -1,4 +1,4 @@
-"""The nearest triangle at every sample, as numba loops (torch/sampling.py does the same in torch).
+"""The nearest triangle at every sample, and samples merged to fragments, as numba loops.
 
 Edge functions are evaluated in int64 throughout: within the guard band nothing overflows.
 """
@@ -6,26 +6,32 @@ Edge functions are evaluated in int64 throughout: within the guard band nothing 
 from __future__ import annotations
 
 import numpy as np
+import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from cloak_core.render.compiled import loop
+from cloak_core.render.compiled import arrays, loop
 from cloak_core.render.cpu.triangles import doubled_area, in_order
 from cloak_core.render.packing import DEPTH_BITS, EMPTY, ID_BITS, LIMIT
-from cloak_core.render.types import FlatTriangles
+from cloak_core.render.screen import GRID
+from cloak_core.render.types import FlatTriangles, Fragments, Window
 
+SIDE = 64
+"""Samples along each side of a pixel of too many pieces to resolve exactly."""
+_SHIFT = (GRID // SIDE).bit_length() - 1
 _SCALE = float(1 << DEPTH_BITS)
+_ID = (1 << ID_BITS) - 1
 _SHORT = 4
 """The samples of rows up to this length are tested one by one; beyond, a division for each edge is quicker."""
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
     """See `Backend.cover`."""
-    _cover(packed.numpy(), *flat.arrays(), row0, column0, shift)
+    _draw(packed.numpy(), *flat.arrays(), row0, column0, shift)
 
 
 @loop
-def _cover(packed, x, y, inverse_depth, corner, ids, one_sided, row0, column0, shift):
+def _draw(packed, x, y, inverse_depth, corner, ids, one_sided, row0, column0, shift):
     """Draw every triangle of one view into `packed` [rows, columns], the samples from row0 and column0 on.
 
     x, y: snapped, int32 [K]; inverse_depth: float64 [K]; corner: int64 [3, N]; ids: int64 [N]; one_sided: bool [N],
@@ -36,22 +42,21 @@ def _cover(packed, x, y, inverse_depth, corner, ids, one_sided, row0, column0, s
     last_row, last_column = row0 + rows - 1, column0 + columns - 1
     for t in range(corner.shape[1]):
         a, b, c = corner[0, t], corner[1, t], corner[2, t]
-        c0, c1 = span(x[a], x[b], x[c], shift, column0, last_column)
+        c0, c1 = _span(x[a], x[b], x[c], shift, column0, last_column)
         if c0 > c1:
             continue
-        r0, r1 = span(y[a], y[b], y[c], shift, row0, last_row)
+        r0, r1 = _span(y[a], y[b], y[c], shift, row0, last_row)
         if r0 > r1:
             continue
         twice = doubled_area(x, y, a, b, c)
         if twice == 0 or (one_sided[t] and twice > 0):
             continue
-        cover_box(
-            packed, x, y, inverse_depth, in_order(x, y, a, b, c, twice), ids[t], r0, r1, c0, c1, row0, column0, shift
-        )
+        corners = in_order(x, y, a, b, c, twice)
+        _cover_box(packed, x, y, inverse_depth, corners, ids[t], r0, r1, c0, c1, row0, column0, shift)
 
 
 @loop
-def span(a, b, c, shift, first, last):
+def _span(a, b, c, shift, first, last):
     """Find the first and last sample within a triangle's extent along one axis."""
     half = (1 << shift) >> 1
     low = (np.int64(min(a, b, c)) + half - 1) >> shift  # ceil((low - half) / step)
@@ -60,8 +65,8 @@ def span(a, b, c, shift, first, last):
 
 
 @loop
-def cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, column0, shift):
-    """Test one triangle at the samples of its box; returns how many it covers. name: its id."""
+def _cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, column0, shift):
+    """Test one triangle at the samples of its box. name: its id."""
     p0, p1, p2 = corners
     x0, y0, step = np.int64(x[p0]), np.int64(y[p0]), 1 << shift
     half = step >> 1
@@ -70,7 +75,7 @@ def cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, 
     n0, size = inverse_depth[p0], float(area)
     slope1, slope2 = (inverse_depth[p1] - n0) / size, (inverse_depth[p2] - n0) / size
     across0, across1, across2 = (d1y - d2y) * step, d2y * step, -d1y * step
-    right, held, width = c0 * step + half - x0, 0, c1 - c0 + 1
+    right, width = c0 * step + half - x0, c1 - c0 + 1
     for row in range(r0, r1 + 1):
         below = row * step + half - y0
         e1, e2 = d2y * right - d2x * below, d1x * below - d1y * right
@@ -86,8 +91,6 @@ def cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, 
             inside = _inside(e0 + k * across0, here1, here2, across0)
             at = row - row0, c0 + k - column0
             packed[at] = min(packed[at], key if inside else EMPTY)
-            held += inside
-    return held
 
 
 @loop
@@ -115,3 +118,88 @@ def _inside(e0, e1, e2, across0):
 def _quotient_up(value, divisor):
     """value / divisor, rounded up; divisor > 0."""
     return -((-value) // divisor)
+
+
+def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
+    """See `Backend.merge_samples`."""
+    found = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
+    return Fragments(*map(torch.from_numpy, found))
+
+
+@loop
+def _merge(packed, grid, row0, column0, width):
+    """Merge each pixel's visible samples by triangle, ascending: pixel, triangle, area, mean x and y.
+
+    packed: [rows, columns], grid x grid samples to a pixel, from the sample at row0 and column0 of the image on.
+    """
+    most = count = 0
+    for key in packed.flat:
+        most += key != EMPTY
+    pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
+    x, y = np.empty(most), np.empty(most)
+    names, sums = np.empty(grid * grid, np.int64), np.empty((3, grid * grid), np.int64)
+    for top in range(0, packed.shape[0], grid):
+        for left in range(0, packed.shape[1], grid):
+            found = _gather(packed, top, left, grid, names, sums)
+            place = (row0 + top) // grid * width + (column0 + left) // grid
+            for i in range(found):
+                held = sums[0, i]
+                x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
+                y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
+                area[count] = held / (grid * grid)
+                pixel[count], triangle[count] = place, names[i]
+                count += 1
+    return pixel[:count], triangle[:count], area[:count], x[:count], y[:count]
+
+
+@loop
+def _gather(packed, top, left, grid, names, sums):
+    """List a pixel's triangles, ascending, with the number and the sums of columns and rows of their samples."""
+    found = 0
+    for row in range(grid):
+        for column in range(grid):
+            key = packed[top + row, left + column]
+            if key == EMPTY:
+                continue
+            at = found - 1  # the latest is the likeliest
+            while at >= 0 and names[at] != key & _ID:
+                at -= 1
+            if at < 0:
+                at = found
+                while at > 0 and names[at - 1] > key & _ID:
+                    names[at], sums[0, at] = names[at - 1], sums[0, at - 1]
+                    sums[1, at], sums[2, at] = sums[1, at - 1], sums[2, at - 1]
+                    at -= 1
+                names[at] = key & _ID
+                sums[0, at] = sums[1, at] = sums[2, at] = 0
+                found += 1
+            sums[0, at] += 1
+            sums[1, at] += column
+            sums[2, at] += row
+    return found
+
+
+@loop
+def sample_pixel(mesh, column, row, owner, share):
+    """Sample the pieces of one pixel: area and centroid of each visible one into `share` [3, n], 0 for the others.
+
+    owner [n]: their triangles.
+    """
+    # Names ascend with triangle ids, so that equal depths go to the lower id.
+    order, packed = np.argsort(mesh.ids[owner]), np.full((SIDE, SIDE), EMPTY)
+    corner, names, one_sided = mesh.corner[:, owner[order]], np.arange(len(order)), np.zeros(len(order), np.bool_)
+    _draw(packed, mesh.x, mesh.y, mesh.inverse_depth, corner, names, one_sided, row * SIDE, column * SIDE, _SHIFT)
+    share[:] = 0
+    for y in range(SIDE):
+        for x in range(SIDE):
+            if packed[y, x] != EMPTY:
+                piece = order[packed[y, x] & _ID]
+                share[0, piece] += 1
+                share[1, piece] += x
+                share[2, piece] += y
+    for piece in range(len(owner)):
+        held = float(share[0, piece])
+        if held > 0:
+            share[1, piece] = (share[1, piece] / held + 0.5) / SIDE
+            share[2, piece] = (share[2, piece] / held + 0.5) / SIDE
+        share[0, piece] = held / (SIDE * SIDE)

@@ -40,13 +40,6 @@ def _height(x, y, a):
 
 
 @inner
-def clockwise(x, y, corner, t):
-    """Order a triangle's corners clockwise on the screen."""
-    a, b, c = corner[0, t], corner[1, t], corner[2, t]
-    return (a, b, c) if doubled_area(x, y, a, b, c) > 0 else (a, c, b)
-
-
-@inner
 def slopes(x, y, inverse_depth, a, b, c, twice):
     """Compute the plane of inverse depth: first corner in canonical order, change per grid unit right and down."""
     p0, p1, p2 = in_order(x, y, a, b, c, twice)

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Bool, Float, Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
 from cloak_core.render.screen import GRID
-from cloak_core.render.torch.crowded import sample_pixel
 from cloak_core.render.torch.hidden_parts import cut_hidden
 from cloak_core.render.torch.pieces import NOTHING, Pieces, find_pieces
 from cloak_core.render.torch.polygons import measure
+from cloak_core.render.torch.sampling import sample_pixel
 from cloak_core.render.torch.triangles import Triangles, canonical, chunk_size
-from cloak_core.render.types import CrowdedPixels, FlatTriangles, Window
-
-Found = tuple[Int64[Tensor, " N"], Int64[Tensor, " N"], Float[Tensor, " N"], Float64[Tensor, "2 N"]]
-"""Pixel, triangle, share of the pixel, and the centroid of the visible part, pixels; sorted by pixel."""
+from cloak_core.render.types import CrowdedPixels, FlatTriangles, Fragments, Window
 
 
-def visible_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[Found]:
-    """See `Backend.visible_areas`. Warns of `CrowdedPixels`."""
+def visible_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[Fragments]:
+    """See `Backend.visible_areas`."""
     sampled = 0
     for parts in visible_parts(flat, window, width):
-        pieces, triangles, crowded = parts.pieces, parts.triangles, parts.crowded
-        found = _measured(pieces, parts.shape, parts.owner, triangles, width)
-        if bool(crowded.any()):
-            places = pieces.place[crowded].unique().tolist()
-            sampled += len(places)
-            more = _sampled(places, pieces, triangles, width)
-            joined = [torch.cat(pair, -1) for pair in zip(found, more, strict=True)]
-            order = torch.argsort(joined[0], stable=True)
-            found = tuple(column[..., order] for column in joined)
-        yield found
+        places = parts.pieces.place[parts.crowded].unique().tolist()
+        sampled += len(places)
+        found = Fragments.join([_measured(parts, width), *(_sampled(at, parts, width) for at in places)], flat.x.device)
+        order = torch.argsort(found.pixel, stable=True)
+        yield Fragments(*(getattr(found, column.name)[order] for column in fields(found)))
     if sampled:
         warnings.warn(CrowdedPixels(sampled), stacklevel=2)
 
@@ -69,14 +61,10 @@ def visible_parts(flat: FlatTriangles, window: Window, width: int) -> Iterator[P
         yield Parts(triangles, pieces, *cut_hidden(pieces, triangles, width))
 
 
-def _sampled(places: list[int], pieces: Pieces, triangles: Triangles, width: int) -> Found:
-    """Sample the visible shares of crowded pixels."""
-    parts = []
-    for place in places:
-        own = triangles.take(pieces.owner[pieces.place == place])
-        f = sample_pixel(own, place % width, place // width, width)
-        parts.append((f.pixel, f.triangle, f.area.double(), torch.stack([f.x, f.y])))
-    return tuple(torch.cat(column, -1) for column in zip(*parts, strict=True))
+def _sampled(place: int, parts: Parts, width: int) -> Fragments:
+    """Sample the visible shares of a crowded pixel."""
+    own = parts.triangles.take(parts.pieces.owner[parts.pieces.place == place])
+    return sample_pixel(own, place % width, place // width, width)
 
 
 def _touched(position: Int64[Tensor, "3 N"], first: int, stop: int) -> tuple[Tensor, Tensor]:
@@ -100,11 +88,13 @@ def _bands(box: Int64[Tensor, "4 N"], window: Window, most: int) -> Iterator[tup
         yield start, window.y1
 
 
-def _measured(pieces: Pieces, shape: Tensor, owner: Tensor, triangles: Triangles, width: int) -> Found:
+def _measured(parts: Parts, width: int) -> Fragments:
     """Measure area and centroid of the visible parts of each piece."""
-    total = torch.zeros(3, len(pieces.place), dtype=torch.float64, device=owner.device)
-    total.index_add_(1, owner, measure(shape))
+    pieces = parts.pieces
+    total = torch.zeros(3, len(pieces.place), dtype=torch.float64, device=parts.owner.device)
+    total.index_add_(1, parts.owner, measure(parts.shape))
     some = (total[0] > NOTHING).nonzero().view(-1)
-    place, owner, (area, *moments) = pieces.place[some], pieces.owner[some], total[:, some]
+    place, (area, *moments) = pieces.place[some], total[:, some]
     corner = torch.stack([place % width, torch.div(place, width, rounding_mode="floor")])
-    return place, triangles.ids[owner], area, (torch.stack(moments) / area).clamp(0, 1) + corner
+    middle = (torch.stack(moments) / area).clamp(0, 1) + corner
+    return Fragments(place, parts.triangles.ids[pieces.owner[some]], area.float(), *middle)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from jaxtyping import Float32
 from torch import Tensor
@@ -14,15 +12,13 @@ from cloak_core.render.types import Fragments, Screen, Surface, View
 
 
 def build_view(
-    bands: Sequence[Fragments],
+    found: Fragments,
     screen: Screen,
     surface: Surface,
     normals: Float32[Tensor, "3 V"],
     light_position: Float32[Tensor, " 3"],
-    count: int,
 ) -> View:
-    """See `Backend.build_view`; one thread does it all."""
-    found = Fragments.join(bands)
+    """See `Backend.build_view`."""
     weight, highlight, uv = light_fragments(found, screen, surface, normals, light_position)
     face = surface.face.index_select(0, found.triangle)
     pixels, row = torch.unique_consecutive(found.pixel, return_inverse=True)

@@ -1,4 +1,7 @@
-"""The nearest triangle at each sample, in torch: every triangle is tested at every sample in its bounding box."""
+"""The nearest triangle at each sample, and samples merged to fragments, in torch.
+
+Every triangle is tested at every sample in its bounding box.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,21 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from cloak_core.render.packing import DEPTH_BITS, ID_BITS, LIMIT
+from cloak_core.render.packing import DEPTH_BITS, EMPTY, ID_BITS, LIMIT, triangle_ids
+from cloak_core.render.screen import GRID
 from cloak_core.render.torch.triangles import Triangles, canonical, expand
-from cloak_core.render.types import FlatTriangles
+from cloak_core.render.types import FlatTriangles, Fragments, Window
+
+SIDE = 64
+"""Samples along each side of a pixel of too many pieces to resolve exactly."""
 
 
 def cover(packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int) -> None:
     """See `Backend.cover`."""
-    cover_triangles(packed, canonical(flat), row0, column0, shift)
+    _draw(packed, canonical(flat), row0, column0, shift)
 
 
-def cover_triangles(
-    packed: Int64[Tensor, "rows columns"], triangles: Triangles, row0: int, column0: int, shift: int
-) -> None:
+def _draw(packed: Int64[Tensor, "rows columns"], triangles: Triangles, row0: int, column0: int, shift: int) -> None:
     """Lower packed depth and id to the nearest triangle's at every sample; see `Backend.cover`."""
     rows, columns = packed.shape
     c0, c1 = _span(triangles.x, shift, column0, columns)
@@ -53,3 +58,26 @@ def _packed(triangles: Triangles, own: Tensor, x: Tensor, y: Tensor) -> tuple[Te
     inside = (e1 >= 0) & (e2 > 0) & ((e0 > 0) | ((e0 == 0) & left))
     depth = (triangles.inverse_depth_at(own, x, y) * (1 << DEPTH_BITS)).to(torch.int64).clamp(0, LIMIT)
     return ((LIMIT - depth) << ID_BITS) | triangles.ids.index_select(0, own), inside
+
+
+def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
+    """See `Backend.merge_samples`."""
+    row, column = (packed != EMPTY).nonzero(as_tuple=True)
+    triangle = triangle_ids(packed[row, column])
+    row, column = row + window.y0 * grid, column + window.x0 * grid
+    pixel = torch.div(row, grid, rounding_mode="floor") * width + torch.div(column, grid, rounding_mode="floor")
+    entry, owner, count = torch.unique(pixel << ID_BITS | triangle, return_inverse=True, return_counts=True)
+    x, y = (
+        torch.zeros(len(entry), dtype=torch.float64, device=packed.device).index_add_(0, owner, (t + 0.5) / grid)
+        / count
+        for t in (column.double(), row.double())
+    )
+    area = count.to(torch.float32) / (grid * grid)
+    return Fragments(entry >> ID_BITS, entry & ((1 << ID_BITS) - 1), area, x, y)
+
+
+def sample_pixel(triangles: Triangles, column: int, row: int, width: int) -> Fragments:
+    """Sample triangles in one pixel of an image `width` pixels wide."""
+    packed = torch.full((SIDE, SIDE), EMPTY, dtype=torch.int64, device=triangles.ids.device)
+    _draw(packed, triangles, row * SIDE, column * SIDE, (GRID // SIDE).bit_length() - 1)
+    return merge_samples(packed, SIDE, Window(column, row, column + 1, row + 1), width)
