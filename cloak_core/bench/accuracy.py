@@ -27,7 +27,7 @@ from torch import Tensor
 
 from cloak_core.bench.accuracy_report import write_report
 from cloak_core.bench.accuracy_scenes import SCENES, Scene, make_scene
-from cloak_core.bench.peers.view_cache import PeerViewCache, available, usable
+from cloak_core.bench.peers import PeerViewCache, available, usable
 from cloak_core.bench.reference import Matrix, Reference, matrix_of, reference
 from cloak_core.bench.views import cached_render, clock, machine, timed, torch_threads
 from cloak_core.exchange.bodies import Bodies

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cloak_core.bench.lighting import vertex_normals
 from cloak_core.bench.views import chest_and_thighs
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.geometry import vertex_normals
 from cloak_core.scene.meshes.subdivision import subdivide
 
 
@@ -48,8 +48,7 @@ def _with(body: Bodies, vertices: np.ndarray, triangles: np.ndarray) -> Bodies:
 
 def _outside(body: Bodies, metres: float) -> np.ndarray:
     """Move the body's vertices outwards."""
-    vertices = body.vertices[0].astype(np.float64)
-    return vertices + metres * vertex_normals(vertices, body.triangles)
+    return body.vertices[0].astype(np.float64) + metres * vertex_normals(body)
 
 
 def _shell(body: Bodies, metres: float) -> Scene:

@@ -8,6 +8,7 @@ from jaxtyping import Float64, Int64
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.settings import Light
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.geometry import vertex_normals
 
 Reals = Float64[np.ndarray, " N"]
 
@@ -17,7 +18,7 @@ class TwinLight:
 
     def __init__(self, bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> None:
         self._vertices, self._triangles = bodies.vertices[pose].astype(np.float64), bodies.triangles
-        self._normals = vertex_normals(self._vertices, bodies.triangles)
+        self._normals = vertex_normals(bodies, pose)
         self._camera, self._light = camera, light
         pivot = camera.pivot or (self._vertices.min(0) + self._vertices.max(0)) / 2
         self._right, self._up, self._back = (np.array(axis) for axis in camera.axes)
@@ -41,15 +42,6 @@ class TwinLight:
         reflected = 2 * cosine[:, None] * normal - toward
         gloss = np.maximum((outward * reflected).sum(1), 0) ** light.shininess
         return light.ambient + light.diffuse * np.maximum(cosine, 0), light.specular * gloss * (cosine > 0)
-
-
-def vertex_normals(vertices: Float64[np.ndarray, "V 3"], triangles: np.ndarray) -> Float64[np.ndarray, "V 3"]:
-    """Compute unit sums of the cross products around each vertex."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    cross, normals = np.cross(b - a, c - a), np.zeros_like(vertices)
-    for i in range(3):
-        np.add.at(normals, triangles[:, i], cross)
-    return _unit(normals)
 
 
 def _meet(

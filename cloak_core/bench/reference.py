@@ -21,7 +21,6 @@ from cloak_core.render.torch.areas import Parts, visible_parts
 from cloak_core.render.types import View, Window
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import is_closed, is_outward
 
 EXACT = "exact areas by torch"
 
@@ -74,9 +73,9 @@ class Reference:
 
 def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Reference:
     """Integrate coverage and light over what is visible of one view. Takes seconds to minutes."""
-    screen, twin = ViewCache(bodies).screen([(pose, camera)]), TwinLight(bodies, camera, light, pose)
-    cull = closed_outward(bodies, pose) and bool((screen.view[2] >= screen.near).all())
-    flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, torch.tensor([cull]))
+    cache, key, twin = ViewCache(bodies), [(pose, camera)], TwinLight(bodies, camera, light, pose)
+    screen = cache.screen(key)
+    flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
     found, crowded = [], 0
     for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
         triangle = parts.triangles.ids[parts.pieces.owner]
@@ -120,8 +119,3 @@ def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, wid
 
 def _sums(index: Tensor, values: Tensor, count: int) -> Float64[Tensor, " count"]:
     return torch.zeros(count, dtype=torch.float64).index_add_(0, index, values.double())
-
-
-def closed_outward(bodies: Bodies, pose: int = 0) -> bool:
-    """Tell whether triangles that show their back can be left out, unless the near plane cuts the body open."""
-    return is_closed(bodies.triangles) and bool(np.asarray(is_outward(bodies))[pose])

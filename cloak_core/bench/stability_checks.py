@@ -5,7 +5,7 @@ Each check returns how much is wrong, and a remark for the report or nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,28 +31,70 @@ from cloak_core.scene.cameras import Camera
 IMAGE = 1e-6
 """Largest difference between images that are to be the same."""
 _LIGHT = Light(position=(1.0, 2.0, 3.0))
+_CAMERAS = [Camera(azimuth=a, distance=d, width=64, height=48) for a in (0, 80) for d in (0.4, 2.0)]
+_KEYS = [(0, Camera(azimuth=a, distance=4.0, width=64, height=48)) for a in (0, 80)]
 
 
-def _body() -> tuple[Tensor, Tensor]:
-    rng = np.random.default_rng(0)
-    vertices = torch.from_numpy(rng.normal(0, 0.5, (1, 3, 4000)))
-    return vertices, rows(rng.integers(0, 4000, (4000, 3)))
-
-
-def _ids(vertices: Tensor, triangles: Tensor, cameras: list[Camera]) -> Tensor:
+def _ids(vertices: Tensor, triangles: Tensor, cameras: Sequence[Camera]) -> Tensor:
     screen = project(vertices.expand(len(cameras), -1, -1), cameras, [(0.0, 0.0, 0.0)] * len(cameras))
     return rasterize(screen, triangles, 2).triangles().cpu()
 
 
+def _ball() -> Bodies:
+    points, triangles = ball(np.random.default_rng(2), 3)
+    return Bodies(vertices=points[None], triangles=triangles)
+
+
+def _seen(together: bool = True, device: str = "cpu") -> tuple[Tensor, list[View]]:
+    """Face ids of random triangles, and views of a ball by area and by samples: built together or one by one."""
+    rng = np.random.default_rng(0)
+    vertices, triangles = torch.from_numpy(rng.normal(0, 0.5, (1, 3, 4000))), rows(rng.integers(0, 4000, (4000, 3)))
+    vertices, triangles = vertices.to(device), triangles.to(device)
+    caches = [ViewCache(_ball(), RenderSettings(samples=samples, device=device)) for samples in (None, 4)]
+    if together:
+        return _ids(vertices, triangles, _CAMERAS), [view for cache in caches for view in cache.views(_KEYS)]
+    ids = torch.cat([_ids(vertices, triangles, [camera]) for camera in _CAMERAS])
+    return ids, [cache.view(*key) for cache in caches for key in _KEYS]
+
+
+def _differences(one: tuple[Tensor, list[View]], other: tuple[Tensor, list[View]]) -> int:
+    """Count face ids that differ, and weights that do so by more than `IMAGE`."""
+    return int((one[0] != other[0]).sum()) + sum(_differ(a, b) for a, b in zip(one[1], other[1], strict=True))
+
+
+def _differ(a: View, b: View) -> int:
+    """Weights that differ by more than `IMAGE`; all where pixels or faces differ."""
+    same = torch.equal(a.pixels.cpu(), b.pixels.cpu()) and torch.equal(a.face.cpu(), b.face.cpu())
+    return int(((a.weight.cpu() - b.weight.cpu()).abs() > IMAGE).sum()) if same else len(a.weight)
+
+
 def batch_and_threads() -> tuple[int, str]:
-    """Compare face ids of views together on four threads, and one by one on one."""
-    cameras = [Camera(azimuth=a, distance=d, width=64, height=48) for a in (0, 80) for d in (0.4, 2.0)]
-    vertices, triangles = _body()
+    """Compare views together on four threads, and one by one on one."""
     with torch_threads(4):
-        together = _ids(vertices, triangles, cameras)
+        together = _seen()
     with torch_threads(1):
-        apart = torch.cat([_ids(vertices, triangles, [camera]) for camera in cameras])
-    return int((together != apart).sum()), ""
+        return _differences(together, _seen(together=False)), ""
+
+
+def loops() -> tuple[int, str]:
+    """Compare compiled loops, and the torch operations that other devices run."""
+    ours = _seen()
+    with torch_alone():
+        return _differences(ours, _seen()), ""
+
+
+def cuda() -> tuple[int, str] | None:
+    """Compare the CPU with CUDA; None where there is no CUDA device."""
+    if not torch.cuda.is_available():
+        return None
+    return _differences(_seen(), _seen(device="cuda")), torch.cuda.get_device_name()
+
+
+def float32_input() -> tuple[int, str]:
+    """Compare the same numbers handed over in float32 and in float64."""
+    bodies = _ball()
+    double = replace(bodies, vertices=bodies.vertices.astype(np.float64))
+    return _differ(*(ViewCache(b).view(*_KEYS[0]) for b in (bodies, double))), ""
 
 
 def ties() -> tuple[int, str]:
@@ -64,39 +106,12 @@ def ties() -> tuple[int, str]:
     return sum(int((ids > 0).sum()) + (not (ids == 0).any()) for ids in seen), ""
 
 
-def _ball() -> Bodies:
-    points, triangles = ball(np.random.default_rng(2), 3)
-    return Bodies(vertices=points[None], triangles=triangles)
-
-
-_KEYS = [(0, Camera(azimuth=a, distance=4.0, width=64, height=48)) for a in (0, 80)]
-
-
-def _differ(a: View, b: View) -> int:
-    """Weights that differ by more than `IMAGE`; all where pixels or faces differ."""
-    same = torch.equal(a.pixels.cpu(), b.pixels.cpu()) and torch.equal(a.face.cpu(), b.face.cpu())
-    return int(((a.weight.cpu() - b.weight.cpu()).abs() > IMAGE).sum()) if same else len(a.weight)
-
-
-def images() -> tuple[int, str]:
-    """Compare views built together on four threads, and one by one on one."""
-    wrong = 0
-    for samples in (None, 4):
-        with torch_threads(4):
-            together = ViewCache(_ball(), RenderSettings(samples=samples)).views(_KEYS)
-        with torch_threads(1):
-            apart = [ViewCache(_ball(), RenderSettings(samples=samples)).view(*key) for key in _KEYS]
-        wrong += sum(_differ(a, b) for a, b in zip(together, apart, strict=True))
-    return wrong, ""
-
-
 def precision() -> tuple[int, str]:
     """Compare light in float32 with its float64 twin, at every visible sample: weights and highlights."""
     bodies, wrong, worst, ulp = _ball(), 0, 0.0, 0.0
+    cache = ViewCache(bodies, RenderSettings(light=_LIGHT, samples=1))
     for pose, camera in _KEYS:
-        view = matrix_of(
-            ViewCache(bodies, RenderSettings(light=_LIGHT, samples=1)).view(pose, camera), bodies.face_count
-        )
+        view = matrix_of(cache.view(pose, camera), bodies.face_count)
         y, x = (t.numpy() + 0.5 for t in (view.pixel // camera.width, view.pixel % camera.width))
         exact = TwinLight(bodies, camera, _LIGHT)(view.face.numpy(), x.astype(np.float64), y.astype(np.float64))
         for ours, twin in zip((view.weight, view.specular[view.pixel]), exact, strict=True):
@@ -104,45 +119,6 @@ def precision() -> tuple[int, str]:
             wrong, worst = wrong + int((error > IMAGE).sum()), max(worst, float(error.max()))
         ulp = max(ulp, float((np.abs(view.weight.numpy() - exact[0]) / np.spacing(np.float32(exact[0]))).max()))
     return wrong, f"largest difference {worst:.1e}; of a weight {ulp:.1f} units in the last place"
-
-
-def float32_input() -> tuple[int, str]:
-    """Compare the same numbers handed over in float32 and in float64."""
-    bodies = _ball()
-    double = replace(bodies, vertices=bodies.vertices.astype(np.float64))
-    return _differ(*(ViewCache(b).view(*_KEYS[0]) for b in (bodies, double))), ""
-
-
-def cuda() -> tuple[int, str] | None:
-    """Compare face ids and images on the CPU and on CUDA; None where there is no CUDA device."""
-    if not torch.cuda.is_available():
-        return None
-    vertices, triangles = _body()
-    cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
-    wrong = int((_ids(vertices, triangles, cameras) != _ids(vertices.cuda(), triangles.cuda(), cameras)).sum())
-    for samples in (None, 4):
-        here, there = (
-            ViewCache(_ball(), RenderSettings(samples=samples, device=device)).views(_KEYS)
-            for device in ("cpu", "cuda")
-        )
-        wrong += sum(_differ(a, b) for a, b in zip(here, there, strict=True))
-    return wrong, torch.cuda.get_device_name()
-
-
-def loops() -> tuple[int, str]:
-    """Compare face ids and images from compiled loops, and from the torch operations that other devices run."""
-    vertices, triangles = _body()
-    cameras = [Camera(width=64, height=48), Camera(distance=0.4, width=64, height=48)]
-    ours, views = (
-        _ids(vertices, triangles, cameras),
-        [ViewCache(_ball(), RenderSettings(samples=s)).views(_KEYS) for s in (None, 4)],
-    )
-    with torch_alone():
-        wrong = int((ours != _ids(vertices, triangles, cameras)).sum())
-        for samples, mine in zip((None, 4), views, strict=True):
-            theirs = ViewCache(_ball(), RenderSettings(samples=samples)).views(_KEYS)
-            wrong += sum(_differ(a, b) for a, b in zip(mine, theirs, strict=True))
-    return wrong, ""
 
 
 def million_in_one_pixel() -> tuple[int, str]:
@@ -169,8 +145,7 @@ def not_finite() -> tuple[int, str]:
 
 
 CHECKS: dict[str, Callable[[], tuple[int, str] | None]] = {
-    "face ids: batch, one thread against four": batch_and_threads,
-    "images: batch, one thread against four": images,
+    "batch, one thread against four": batch_and_threads,
     "equal depths go to the lower id in any batch": ties,
     "light: float32 against float64": precision,
     "vertices: float32 against float64": float32_input,

@@ -11,7 +11,7 @@ from cloak_core.bench import accuracy
 from cloak_core.bench.accuracy import FLAT
 from cloak_core.bench.accuracy_report import COLUMNS, pareto, write_report
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers.view_cache import PEERS
+from cloak_core.bench.peers import PEERS
 from cloak_core.bench.reference import EXACT, reference
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import Light, RenderSettings

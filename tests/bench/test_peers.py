@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cloak_core.bench.growth import sphere
-from cloak_core.bench.peers.view_cache import PEERS, PeerViewCache, available, usable
+from cloak_core.bench.peers import PEERS, PeerViewCache, available, usable
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera

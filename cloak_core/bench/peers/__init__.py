@@ -1,1 +1,0 @@
-"""Other renderers, each behind one protocol, for `cloak bench accuracy`; the extra `peers` installs them."""
