@@ -170,8 +170,7 @@ class Transfer(Splitting, Detecting, Sharing):
         return load_logo(bodies, region=self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
-        from cloak_core.evaluation.transfer.matrix import summary
-        from cloak_core.evaluation.transfer.page import by_ablation, show
+        from cloak_core.evaluation.transfer.matrix import by_ablation, show, summary
 
         command = shlex.join(["cloak", *sys.argv[1:]])
         files = show(cells, self.out, self.out.name, command)

@@ -24,7 +24,6 @@ from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, che
 from cloak_core.evaluation.report.pictures import write_pictures
 from cloak_core.evaluation.report.plots import success_over_time
 from cloak_core.evaluation.report.style import save_figure, style
-from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.statistics import summarize
@@ -254,5 +253,5 @@ def over_time(
         rows.append(row | {"detectors": rates})
     write_json(run / "curve.json", {"rows": rows})
     with style():
-        save_figure(success_over_time(rows, {spec: short_name(spec) for spec in detectors}), run / "curve")
+        save_figure(success_over_time(rows), run / "curve")
     return rows

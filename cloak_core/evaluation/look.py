@@ -11,17 +11,16 @@ from typing import get_type_hints
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 
 from cloak_core.attack.settings.values import from_plain
-from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.scoring import max_person_score, person_boxes
+from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.report.pictures import reported, to_pil
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import write_json
+from cloak_core.files.writing import write_json, written
 from cloak_core.render.compositing import compose
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
@@ -106,16 +105,16 @@ class Looker:
         `evaluate`.
         """
         begun = time.monotonic()
-        images = self._images(asked)
+        images, folder = self._images(asked), Path(asked.out)
         seen = {spec: {"operating_point": judge.operating_point} for spec, judge in self._detectors.items()}
-        for spec, judge in self._detectors.items():
-            for name, image in images.items():
-                seen[spec][name] = _seen(judge(image))
-        folder = _folder(asked.out)
+        with written(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         pictures = {name: folder / f"{name}.png" for name in images}
-        for name, path in pictures.items():
-            pixels = (images[name][0].clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0).cpu().numpy()
-            save_picture(path, Image.fromarray(np.ascontiguousarray(pixels)))
+        for name, image in images.items():
+            said = reported(image, self._detectors, LEAST_SCORE)
+            for spec, mine in seen.items():
+                mine[name] = {"max_person": said["scores"][spec], "boxes": said["boxes"][spec]}
+            save_picture(pictures[name], to_pil(image[0]))
         told = {"detectors": seen, "pictures": {name: str(path) for name, path in pictures.items()}}
         told |= {"width": asked.width, "height": asked.height, "seconds": round(time.monotonic() - begun, 3)}
         write_json(folder / ANSWER, told)
@@ -149,18 +148,3 @@ class Looker:
         if self._backdrops is None or self._backdrops[0] != spec:
             self._backdrops = spec, load_backgrounds(spec)
         return self._backdrops[1]
-
-
-def _seen(detections: Detections) -> dict[str, object]:
-    boxes = person_boxes(detections, LEAST_SCORE)[0]
-    rows = [[round(float(value), 4) for value in row] for row in boxes]
-    return {"max_person": round(max_person_score(detections).item(), 4), "boxes": rows}
-
-
-def _folder(out: str) -> Path:
-    folder = Path(out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror})") from None
-    return folder

@@ -153,35 +153,34 @@ def success_record(
     `success`: no person box above the threshold anywhere; `success_own`: none above the detector's own threshold;
     `success_iou`: none on the body; `conditional`: success where the same image with the body's own clothing is
     detected, null where none is (`n_conditional` images are); `ap50` and `ap50_95`: `average_precision` of these
-    images. `renamed`, `gone`, `named`: see `outcome_record`.
+    images. `renamed`, `gone`, `named`: see `outcome_record`. `success_own` is null where that threshold is unknown.
     """
-    anywhere = rate(rows, hidden(rows, threshold), resamples=resamples)
-    on_body = rate(rows, hidden(rows, threshold, "score_on"), resamples=resamples)
+    point = operating_point(rows)
+    known = rows if point is not None else rows[:0]
+    success = rate(rows, hidden(rows, threshold), resamples=resamples)
     conditional = conditional_rate(rows, threshold, resamples)
     return {
-        "success": finite(anywhere.value),
-        "success_iou": finite(on_body.value),
-        "conditional": finite(conditional.value),
-        "n": anywhere.n,
-        "ci95": interval(anywhere),
-        "ci95_iou": interval(on_body),
-        "ci95_conditional": interval(conditional),
+        **rate_record("success", success),
+        **rate_record("success_own", rate(known, hidden(known, point or 0.0), resamples=resamples)),
+        **rate_record("success_iou", rate(rows, hidden(rows, threshold, "score_on"), resamples=resamples)),
+        **rate_record("conditional", conditional),
+        "n": success.n,
         "n_conditional": conditional.n,
         "mean_score": finite(float(rows["score"].to_numpy().mean()) if len(rows) else math.nan),
         "ap50": finite(average_precision(results, rows)),
         "ap50_95": finite(average_precision(results, rows, OVERLAPS)),
-        **_own_record(rows, resamples),
         **outcome_record(rows, threshold),
     }
 
 
-def _own_record(rows: pd.DataFrame, resamples: int) -> dict:
-    """Count success at the detector's own threshold, with its interval; nulls where that threshold is unknown."""
-    point = operating_point(rows)
-    if point is None:
-        return {"success_own": None, "ci95_own": [None, None]}
-    own = rate(rows, hidden(rows, point), resamples=resamples)
-    return {"success_own": finite(own.value), "ci95_own": interval(own)}
+def rate_record(name: str, value: Rate, places: int = 6) -> dict:
+    """Name a rate and its interval; nulls without images.
+
+    "success" and "recall" go with "ci95", "success_own" with "ci95_own", any other NAME with "ci95_NAME".
+    """
+    end = name.removeprefix("success").removeprefix("recall").strip("_")
+    bounds = [finite(bound, places) for bound in (value.low, value.high)]
+    return {name: finite(value.value, places), "ci95" + (f"_{end}" if end else ""): bounds}
 
 
 def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:

@@ -27,6 +27,7 @@ from cloak_core.evaluation.statistics import (
     mean_success_rate,
     operating_point,
     outcome_record,
+    rate_record,
     share,
     threshold_curve,
 )
@@ -46,22 +47,16 @@ RECALL_BY = {
 # --- cards
 
 
-def rate_record(name: str, value: Rate) -> dict:
-    """Name a rate and its interval: "success" goes with "ci95", "success_own" with "ci95_own"; nulls without images."""
-    _, _, end = name.partition("_")
-    return {name: digits(value.value), "ci95" + (f"_{end}" if end else ""): [digits(value.low), digits(value.high)]}
-
-
 def success_rates(rows: pd.DataFrame) -> dict:
     """Compute success at 0.6 and (`_own`) at the detector's own threshold, each with its interval."""
-    own = operating_point(rows)
-    return rate_record("success", hidden_rate(rows)) | rate_record("success_own", hidden_rate(rows, own))
+    own = hidden_rate(rows, operating_point(rows))
+    return rate_record("success", hidden_rate(rows), 4) | rate_record("success_own", own, 4)
 
 
 def recall_rates(rows: pd.DataFrame) -> dict:
     """Compute recall at 0.6 and (`_own`) at the detector's own threshold, each with its interval."""
     recall, own = found_rate(rows), found_rate(rows, operating_point(rows))
-    return rate_record("recall", recall) | rate_record("recall_own", own) | {"n": recall.n}
+    return rate_record("recall", recall, 4) | rate_record("recall_own", own, 4) | {"n": recall.n}
 
 
 def attack_record(results: Results, spec: str) -> dict:
@@ -71,8 +66,7 @@ def attack_record(results: Results, spec: str) -> dict:
     thresholds 0.1 to 0.9; by_threshold; CONTROL, CONTROL_own; ap50, ap50_95; renamed, gone, named (`outcome_record`).
     """
     rows = results.rows(spec, LOGO)
-    masr = mean_success_rate(rows)
-    record = success_rates(rows) | {"masr": digits(masr.value), "ci95_masr": [digits(masr.low), digits(masr.high)]}
+    record = success_rates(rows) | rate_record("masr", mean_success_rate(rows), 4)
     record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
     for control in results.controls[1:]:
         other = results.rows(spec, control)
@@ -95,11 +89,11 @@ def by_angle_record(results: Results, spec: str) -> dict[str, dict]:
 def clean_record(results: Results, spec: str) -> dict:
     """Compute recall in own clothing, average precision, and false alarms on bare backgrounds."""
     rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
-    record = recall_rates(rows) | rate_record("recall_on_body", found_rate(rows, column="score_on"))
+    record = recall_rates(rows) | rate_record("recall_on_body", found_rate(rows, column="score_on"), 4)
     record |= precision_record(results, rows)
     for name, threshold in (("false_alarms", THRESHOLD), ("false_alarms_own", operating_point(rows))):
         alarms = 1 - share(bare, threshold)
-        record |= {name: digits(alarms), f"ci95_{name}": [digits(x) for x in wilson(alarms, len(bare))]}
+        record |= rate_record(name, Rate(alarms, *wilson(alarms, len(bare)), len(bare)), 4)
     return record | {"backgrounds": len(bare)}
 
 
@@ -133,8 +127,7 @@ def transfer_record(results: Results, judged: str) -> dict:
     rows, record = results.rows(judged, LOGO), {}
     point = operating_point(rows)
     for suffix, threshold in (("", THRESHOLD), ("_own", point), ("_025", LOW)):
-        value = hidden_rate(rows, threshold)
-        record |= {f"success{suffix}": digits(value.value), f"ci95{suffix}": [digits(value.low), digits(value.high)]}
+        record |= rate_record(f"success{suffix}", hidden_rate(rows, threshold), 4)
         record |= {f"{name}{suffix}": digits(share(results.rows(judged, name), threshold)) for name in STANDARD}
     record |= outcome_record(rows) | {"operating_point": point, "n": len(rows), "images": len(results.trials)}
     return record | {"by_seed": [digits(value) for value in by_training(rows)]}

@@ -19,10 +19,10 @@ from cloak_core.evaluation.photographs.listing import NOBODY, WITH, WITHOUT
 from cloak_core.evaluation.statistics import (
     finite,
     hidden,
-    interval,
     operating_point,
     outcome_record,
     rate,
+    rate_record,
     share,
 )
 
@@ -114,16 +114,9 @@ def photograph_record(rows: pd.DataFrame, thresholds: tuple[float, float], resam
         success = estimate(compared, hidden(compared, threshold) & clean)
         conditional = estimate(compared[clean], hidden(compared[clean], threshold))
         detected = estimate(rows, ~hidden(rows, threshold))
-        told |= {
-            f"success{suffix}": finite(success.value),
-            f"ci95{suffix}": interval(success),
-            f"conditional{suffix}": finite(conditional.value),
-            f"ci95_conditional{suffix}": interval(conditional),
-            f"n_conditional{suffix}": conditional.n,
-            f"detected{suffix}": finite(detected.value),
-            f"ci95_detected{suffix}": interval(detected),
-        }
-        told["n"] = success.n
+        for name, value in (("success", success), ("conditional", conditional), ("detected", detected)):
+            told |= rate_record(name + suffix, value)
+        told |= {f"n_conditional{suffix}": conditional.n, "n": success.n}
     return told | outcome_record(rows, thresholds[0])
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 from PIL import Image
 
+from cloak_core.evaluation.report.rows import Rows
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained
 from cloak_core.experiments.charts import Chart
 from cloak_core.experiments.logos import FaceIds
-from cloak_core.experiments.tables import Rows
 
 SINGLE, MULTI = "0", "-10:10:5"
 """Training azimuths of the paper, degrees."""

@@ -10,11 +10,10 @@ from PIL import Image
 from cloak_core.evaluation.controls import LOGO
 from cloak_core.evaluation.report.page import data_uri, write_page
 from cloak_core.experiments.runner import experiments, finished
-from cloak_core.experiments.tables import markdown, readable
+from cloak_core.experiments.tables import readable
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
-from cloak_core.files.writing import write_text
 from cloak_core.scene.pictures import open_picture, read_picture, save_picture
 
 SHOWN, FOLDED = 40, 24
@@ -31,22 +30,23 @@ def make_page(out: Path) -> Path:
     """Write OUT/index.html from the experiments in OUT and return its path. InputError: there is none."""
     records = _finished(out)
     shown = [
-        {
-            "name": name,
-            "title": record["title"],
-            "words": record["words"],
+        _shown(name, record, SHOWN)
+        | {
             "figures": [figure(out / name / Path(f).name) for f in record["figures"] if not f.endswith(".svg")],
-            "table": readable(record["rows"][:SHOWN]),
             "thresholds": readable(record.get("thresholds", [])[:SHOWN]),
             "folded": len(record["rows"]) > FOLDED,
-            "left": max(0, len(record["rows"]) - SHOWN),
-            "paper": readable(record["paper"]),
-            "counts": record["counts"],
         }
         for name, record in records.items()
     ]
     missing = [name for name in experiments() if name not in records]
     return write_page(out / "index.html", "experiments.html", {"experiments": shown, "missing": missing})
+
+
+def _shown(name: str, record: dict, most: int, leave: Sequence[str] = ()) -> dict:
+    """Prepare what both kinds of pages show of an experiment: at most so many rows, without the columns `leave`."""
+    rows = [{key: value for key, value in row.items() if key not in leave} for row in record["rows"][:most]]
+    told = {key: record[key] for key in ("title", "words", "counts")} | {"name": name, "table": readable(rows)}
+    return told | {"left": max(0, len(record["rows"]) - most), "paper": readable(record["paper"])}
 
 
 def figure(path: Path) -> dict:
@@ -63,16 +63,24 @@ def publish(out: Path, folder: Path) -> Path:
     """
     records = _finished(out)
     folder.mkdir(parents=True, exist_ok=True)
-    parts = ["# Experiments\n\nWritten by `cloak reproduce --publish`; [what it means](../reports/paper.md).\n"]
+    shown = []
     for name, record in records.items():
         plots = [file for file in record["figures"] if file.endswith(".png") and not file.startswith("pictures")]
-        figures = [_copy(out / name / file, folder / f"{name}-{file}") for file in plots]
         config = read_json(out / name / "config.json")
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
-        parts.append(_section(name, record, config | {"command": without_folders(command)}, figures))
-    path = folder / "tables.md"
-    write_text(path, "\n".join(parts))
-    return path
+        rows, curves = record["rows"][:ROWS], record.get("thresholds", [])
+        spread = [_spread(row) for row in rows if row.get("seeds", 1) > 1 and "worst_seed" in row]
+        shown.append(
+            _shown(name, record, ROWS, LEFT_OUT)
+            | {
+                "figures": [_copy(out / name / file, folder / f"{name}-{file}") for file in plots],
+                "spread": readable(spread),
+                "curves": readable([row for row in curves if row["control"] == LOGO][:CURVES]),
+                "command": without_folders(command),
+                "versions": {key: config[key] for key in ("cloak", "torch", "threads") if key in config},
+            }
+        )
+    return write_page(folder / "tables.md", "experiments.md", {"experiments": shown})
 
 
 def _finished(out: Path) -> dict[str, dict]:
@@ -85,27 +93,6 @@ def _copy(source: Path, target: Path) -> str:
     image = Image.fromarray(read_picture(source)).quantize(COLORS, dither=Image.Dither.NONE)
     save_picture(target, image, optimize=True)
     return target.name
-
-
-def _section(name: str, record: dict, config: dict, figures: Sequence[str]) -> str:
-    lines = [f"## {name}: {record['title']}", ""]
-    for paragraph in record["words"]:
-        lines += [paragraph, ""]
-    lines += [f"![{record['title']}]({file})\n" for file in figures]
-    rows = record["rows"][:ROWS]
-    lines += markdown([{k: v for k, v in row.items() if k not in LEFT_OUT} for row in rows])
-    if len(record["rows"]) > ROWS:
-        lines.append(f"And {len(record['rows']) - ROWS} more rows in numbers.csv.\n")
-    if repeated := [row for row in rows if row.get("seeds", 1) > 1 and "worst_seed" in row]:
-        lines += ["Spread over seeds:", "", *markdown([_spread(row) for row in repeated])]
-    if curves := [row for row in record.get("thresholds", []) if row["control"] == LOGO]:
-        lines += ["Trained colours at other thresholds (controls in thresholds.csv):", "", *markdown(curves[:CURVES])]
-    if record["paper"]:
-        lines += ["The paper's values:", "", *markdown(record["paper"])]
-    counts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record["counts"].items())
-    versions = ", ".join(f"{key} {config[key]}" for key in ("cloak", "torch", "threads") if key in config)
-    lines += [f"`{config['command']}`\n"] if config["command"] else []
-    return "\n".join([*lines, f"{counts}; {versions}.\n"])
 
 
 def _spread(row: dict) -> dict:

@@ -8,8 +8,13 @@ from importlib import import_module
 from itertools import product
 from pathlib import Path
 
+import pandas as pd
+
+from cloak_core import __version__
+from cloak_core.attack.run_config import environment
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.report.rows import Rows
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained, training_times
@@ -17,13 +22,15 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
 from cloak_core.experiments.options import names
-from cloak_core.experiments.records import read_numbers, write_numbers
-from cloak_core.experiments.tables import Rows
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
 from cloak_core.scene.logos.garments import chest_thighs
 from cloak_core.scene.logos.logo import area_share
+from cloak_core.scene.pictures import save_picture
+
+FORMAT = "cloak experiment 1"
+"""Of numbers.json."""
 
 
 @cache
@@ -111,6 +118,31 @@ def threshold_rows(row: dict, results: Results, spec: str) -> Rows:
         label | {"control": control} | dict(zip(names, map(statistics.digits, curve), strict=True))
         for control, curve in curves.items()
     ]
+
+
+def write_numbers(folder: Path, name: str, numbers: Numbers, store: RunStore, more_counts: dict) -> None:
+    """Write what was measured into `folder`: numbers.json and .csv, thresholds.csv, pictures and config.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for key, picture in numbers.pictures.items():
+        save_picture(folder / f"{key}.jpg", picture.convert("RGB"), quality=85, optimize=True)
+    for key, rows in {"numbers": numbers.rows, "thresholds": numbers.thresholds}.items():
+        if rows:
+            table = pd.DataFrame(rows, dtype=object)
+            write_text(folder / f"{key}.csv", table.to_csv(index=False, lineterminator="\r\n"))
+    counts = store.options.counts() | more_counts
+    config = {"command": store.options.command} | counts | store.split.record() | {"cloak": __version__} | environment()
+    write_json(folder / "config.json", config)
+    measured = {"rows": numbers.rows, "thresholds": numbers.thresholds, "facts": numbers.facts, "counts": counts}
+    pictures = [f"{key}.jpg" for key in numbers.pictures]
+    write_json(folder / "numbers.json", {"format": FORMAT, "experiment": name, "pictures": pictures} | measured)
+
+
+def read_numbers(folder: Path) -> tuple[dict, Numbers]:
+    """Read the record in numbers.json, and the numbers in it. InputError: an unreadably early version wrote it."""
+    record = read_json(folder / "numbers.json")
+    if record.get("format") != FORMAT:
+        raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
+    return record, Numbers(record["rows"], record["facts"], record["thresholds"])
 
 
 def draw_again(name: str, out: Path) -> dict:

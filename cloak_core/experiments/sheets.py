@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import pandas as pd
+import torch
+from jaxtyping import Float
 from PIL import Image, ImageDraw
+from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.renderer import EvaluationRenderer
-from cloak_core.evaluation.report.pictures import INK, PAPER, SOFT, draw_pair, failure_trials, font, gallery_trials
+from cloak_core.evaluation.report.pictures import (
+    INK,
+    PAPER,
+    SOFT,
+    describe,
+    failure_trials,
+    font,
+    gallery_trials,
+    reported,
+    to_pil,
+)
 from cloak_core.evaluation.report.words import control_label, degrees
-from cloak_core.scene.pictures import read_picture
 
 BOX = (224, 52, 28)
 GAP, MARGIN, HEAD, FOOT = 10, 24, 34, 30
@@ -51,40 +61,51 @@ def draw_sheet(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[Cell]]],
     return sheet
 
 
-def shot_cell(folder: Path, shot: Mapping, spec: str, side: int) -> Cell:
-    """Make a cell of a picture that `write_shot` wrote into `folder`, scaled to `side`, with the detector's boxes."""
-    image = Image.fromarray(read_picture(folder / Path(shot["file"]).name))
-    scale = side / image.width
-    image = image.resize((side, round(image.height * scale)), Image.Resampling.LANCZOS)
-    draw = ImageDraw.Draw(image)
-    boxes, score = shot["boxes"].get(spec, []), shot["scores"][spec]
+@torch.no_grad()
+def trial_cells(
+    renderer: EvaluationRenderer,
+    trial: int,
+    controls: Sequence[str],
+    detector: Detector,
+    threshold: float,
+    side: int,
+) -> list[Cell]:
+    """Draw one trial under these controls, a cell each, `side` pixels wide, with the boxes that a detector reports."""
+    images = renderer.compose(renderer.views([trial]), [trial], controls)
+    return [_cell(image, reported(image, {"": detector}, threshold), side) for image in images]
+
+
+def _cell(image: Float[Tensor, "1 3 H W"], told: Mapping, side: int) -> Cell:
+    """Draw an image with what `reported` told of it."""
+    picture = to_pil(image[0])
+    scale = side / picture.width
+    picture = picture.resize((side, round(picture.height * scale)), Image.Resampling.LANCZOS)
+    draw = ImageDraw.Draw(picture)
+    boxes, score = told["boxes"][""], told["scores"][""]
     for x1, y1, x2, y2, _ in boxes:
         x1, y1 = max(x1 * scale, 0), max(y1 * scale, 0)
-        x2, y2 = min(x2 * scale, image.width - 1), min(y2 * scale, image.height - 1)
+        x2, y2 = min(x2 * scale, picture.width - 1), min(y2 * scale, picture.height - 1)
         if x2 > x1 and y2 > y1:
             draw.rectangle((x1, y1, x2, y2), outline=BOX, width=max(2, side // 90))
-    return Cell(image, f"person {score:.2f}", BOX) if boxes else Cell(image, f"no person (best {score:.2f})")
+    return Cell(picture, f"person {score:.2f}", BOX) if boxes else Cell(picture, f"no person (best {score:.2f})")
 
 
 def contact_sheets(
-    renderer: EvaluationRenderer, rows: pd.DataFrame, spec: str, detector: Detector, threshold: float, side: int = 160
+    renderer: EvaluationRenderer, rows: pd.DataFrame, detector: Detector, threshold: float, side: int = 160
 ) -> dict[str, Image.Image]:
     """Draw pairs of own clothing and cloak: "gallery", chosen by rule, and "failures" where there are any.
 
     rows: of the detector, under the trained colours. side: of a picture, pixels.
     """
     chosen = {"gallery": gallery_trials(renderer.trials), "failures": failure_trials(rows, threshold)}
+    told = {trial: describe(renderer, trial) for trials in chosen.values() for trial in trials}
     sheets = {}
-    with TemporaryDirectory() as folder:
-        for name, trials in chosen.items():
-            shots = [draw_pair(Path(folder), renderer, trial, {spec: detector}, threshold) for trial in trials]
-            mixed = name == "failures"
-            bodies = [shots] if mixed else [list(own) for _, own in groupby(shots, lambda shot: shot["body"])]
-            pairs = [
-                (control_label(control), [shot_cell(Path(folder), shot[control], spec, side) for shot in mine])
-                for mine in bodies
-                for control in (CLOTHING, LOGO)
-            ]
-            heads = [(f"{shot['body'][:12]}, " if mixed else "") + degrees(shot["angle"]) for shot in bodies[0]]
-            sheets |= {name: draw_sheet(heads, pairs, side)} if trials else {}
+    for name, trials in chosen.items():
+        mixed, pairs = name == "failures", []
+        bodies = [trials] if mixed else [list(own) for _, own in groupby(trials, lambda trial: told[trial]["body"])]
+        for own in bodies if trials else ():
+            drawn = [trial_cells(renderer, trial, (CLOTHING, LOGO), detector, threshold, side) for trial in own]
+            pairs += zip(map(control_label, (CLOTHING, LOGO)), zip(*drawn, strict=True), strict=True)
+        heads = [(f"{told[k]['body'][:12]}, " if mixed else "") + degrees(told[k]["angle"]) for k in bodies[0]]
+        sheets |= {name: draw_sheet(heads, pairs, side)} if trials else {}
     return sheets

@@ -1,16 +1,12 @@
-"""Tables of plain values as people read them: rows selected and grouped, cells in words, Markdown."""
+"""Tables of plain values as people read them, and what is told by comparing their rows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
-from cloak_core.evaluation.report.words import interval, percent, short_names
+from cloak_core.evaluation.report.rows import SPECS, Rows, detector_names
+from cloak_core.evaluation.report.words import interval, percent
 
-Rows = list[dict]
-"""Rows of a table: plain values by column."""
-SPECS = ("detector", "trained_on", "tested_on")
-"""Columns that hold detectors' specs."""
 HEADS = {
     "low": "95 % interval",
     "success_iou": "no box on body",
@@ -42,28 +38,6 @@ INTERVALS = {"low": "high", "own_low": "own_high"}
 """Columns that hold the two ends of an interval."""
 
 
-def select(rows: Rows, **values: object) -> Rows:
-    """Select the rows with these values."""
-    return [row for row in rows if all(row.get(key) == value for key, value in values.items())]
-
-
-def group(rows: Rows, key: str) -> dict[Any, Rows]:
-    """Group rows by their value in a column, in order; all in one group where `key` is empty."""
-    if not key:
-        return {"": rows} if rows else {}
-    return {value: select(rows, **{key: value}) for value in dict.fromkeys(row[key] for row in rows)}
-
-
-def column(rows: Rows, key: str = "success") -> list:
-    """Select one column."""
-    return [row[key] for row in rows]
-
-
-def detector_names(rows: Rows) -> dict[str, str]:
-    """Name the detectors of these rows shortly, by spec."""
-    return short_names(str(row[key]) for row in rows for key in SPECS if row.get(key) is not None)
-
-
 def readable(rows: Rows) -> dict[str, list]:
     """Write heads and cells as people read them: shares in per cent, the two ends of an interval in one column."""
     keys = [key for key in dict.fromkeys(key for row in rows for key in row) if key not in INTERVALS.values()]
@@ -92,8 +66,22 @@ def cell(key: str, row: Mapping, names: Mapping[str, str]) -> str:
     return f"{100 * value:.1f} %" if key == "area_share" else percent(value)
 
 
-def markdown(rows: Rows) -> list[str]:
-    """Write the lines of a Markdown table, and an empty one after it."""
-    shown = readable(rows)
-    lines = [shown["heads"], ["---"] * len(shown["heads"]), *shown["rows"]]
-    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in lines] + [""]
+# --- signs of a masked gradient (Athalye et al., ICML 2018): attacks that do better than the one that follows it
+
+ADAPTIVE = "adaptive"
+
+
+def longest_adaptive(rows: Rows, same: tuple[str, ...] = ("detector", "logo")) -> Rows:
+    """Select the longest adaptive attack among rows that have the columns `same` in common."""
+    kept: dict[tuple, dict] = {}
+    for row in rows:
+        key = tuple(row[name] for name in same)
+        if row["attack"] == ADAPTIVE and row.get("steps", 0) >= kept.get(key, row).get("steps", 0):
+            kept[key] = row
+    return list(kept.values())
+
+
+def beats_adaptive(rows: Rows, same: tuple[str, ...]) -> Rows:
+    """Add a column: whether an attack lies above the interval of the longest adaptive one with the same columns."""
+    highest = {tuple(row[name] for name in same): row["high"] for row in longest_adaptive(rows, same)}
+    return [row | {"beats_adaptive": row["success"] > highest[tuple(row[name] for name in same)]} for row in rows]

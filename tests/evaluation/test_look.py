@@ -82,7 +82,7 @@ def test_with_colours_both_are_told_and_new_colours_are_read_anew(box, tmp_path)
         ({"pivot": [1, 2, "x"]}, "pivot"),
         ({"pose": 1}, "pose 1: scene .* has 1"),
         ({"scene": "/nowhere"}, "/nowhere"),
-        ({"out": "/dev/null/x"}, "/dev/null/x: cannot be made"),
+        ({"out": "/dev/null/x"}, "/dev/null/x: cannot be written"),
     ],
 )
 def test_what_cannot_be_looked_at_is_named(box, change, words):

@@ -12,8 +12,7 @@ from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.store import Interrupted, RunStore
 from cloak_core.evaluation.store_options import StoreOptions
-from cloak_core.evaluation.transfer.matrix import Matrix, gather, summary
-from cloak_core.evaluation.transfer.page import show
+from cloak_core.evaluation.transfer.matrix import Matrix, gather, show, summary
 from cloak_core.evaluation.transfer.plan import (
     CIRCLE,
     FRONT,

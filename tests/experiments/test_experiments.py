@@ -14,10 +14,10 @@ from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.store import RunStore
 from cloak_core.experiments.declared import tv
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
-from cloak_core.experiments.masking import beats_adaptive, longest_adaptive
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
 from cloak_core.experiments.runner import draw_again, experiments, run_experiment
+from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
 from cloak_core.scene.logos.logo import area_share
 from tests.evaluation.made_split import Glow, make_options, make_split

@@ -142,12 +142,18 @@ def write_shot(
 ) -> dict:
     """Write one image as JPEG; return its file, and each detector's boxes above the threshold and best score."""
     save_picture(path, to_pil(image[0]), quality=92, subsampling=0)
+    return {"file": path.name} | reported(image, detectors, threshold)
+
+
+@torch.no_grad()
+def reported(image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float) -> dict:
+    """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`."""
     boxes, scores = {}, {}
     for spec, detector in detectors.items():
         found = detector(image)
         scores[spec] = round(float(max_person_score(found)[0]), 4)
         boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, threshold)[0].tolist()]
-    return {"file": path.name, "boxes": boxes, "scores": scores}
+    return {"boxes": boxes, "scores": scores}
 
 
 def write_flat(folder: Path, side: str, rgba: Float[Tensor, "h w 4"]) -> str:

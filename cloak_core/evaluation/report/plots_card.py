@@ -5,161 +5,117 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.card.leaderboard import name_of
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.intervals import Rate
-from cloak_core.evaluation.report.plots import (
-    band,
-    compass,
-    numbered_series,
-    rate_bars,
-    rates_along_x,
-    read_rates,
-    ring,
-    threshold_axis,
-    values,
-)
-from cloak_core.evaluation.report.style import INK, SERIES, WIDTH, legend_above, new_figure, percent_axis
+from cloak_core.evaluation.report.charts import Bars, Lines, Rings
+from cloak_core.evaluation.report.rows import rated
+from cloak_core.evaluation.report.style import SERIES, WIDTH
 
-Plot = Callable[[], Figure]
+Plot = Callable[[], Figure | None]
 RECALL_WAYS = {"distance": "distance (m)", "azimuth": "azimuth (degrees)", "elevation": "elevation (degrees)"}
 MOST_BARS = 20
 """Bodies and poses that are named."""
+HIDDEN, FOUND = "people hidden", "found in own clothing"
+WIDE = (1.5 * WIDTH, 3.2)
 
 
 def card_figures(card: dict) -> dict[str, Plot]:
     """Name the plots of one card; those that it has figures for."""
     zoo = card["black_box"]["zoo"]
     against = lambda row: row["name"] + (" (made against it)" if row["trained_against_it"] else "")
-    controls = {_control(name): row for name, row in card["controls"].items()}
     plots = {
         "recall": partial(recall, [card]),
-        "bodies": partial(recall_bars, card),
-        "controls": partial(hidden_bars, controls, 0.9),
+        "by_body": partial(recall_bars, card, "body"),
+        "by_pose": partial(recall_bars, card, "pose"),
+        "controls": partial(hidden_bars, {_control(name): row for name, row in card["controls"].items()}),
     }
     if card["white_box"]:
         plots |= {"area": partial(by_area, card), "threshold": partial(by_threshold, card)}
     if card.get("around"):
         plots["around"] = partial(around, card)
     if zoo:
-        plots["zoo"] = partial(hidden_bars, {against(row): row for row in zoo}, 1.0)
+        plots["zoo"] = partial(hidden_bars, {against(row): row for row in zoo})
     return plots
 
 
 def comparison_figures(cards: Sequence[dict]) -> dict[str, Plot]:
     """Name the plots that compare cards, by their titles."""
-    return {
-        "People hidden against the cloak's area, at each one's own threshold": partial(compare_areas, cards),
-        "Found in own clothing": partial(recall, cards),
-    }
+    area = "People hidden against the cloak's area, at each one's own threshold"
+    attacked = {area: partial(compare_areas, cards)} if any(card["white_box"] for card in cards) else {}
+    return attacked | {"Found in own clothing": partial(recall, cards)}
 
 
-def by_area(card: dict) -> Figure:
+def by_area(card: dict) -> Figure | None:
     """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
-    figure, (axis,) = new_figure()
-    rows = card["white_box"]
-    at = [100 * row["area"] for row in rows]
-    own = f"cloak, at the detector's own {card['operating_point']:g}"
-    band(axis, at, _own_rates(rows, "success"), own, **numbered_series(0))
-    band(axis, at, read_rates(rows, "success", "ci95"), f"cloak, at {THRESHOLD:g}", **numbered_series(1))
-    for control, color in (("random", SERIES["random"].color), (CLOTHING, INK)):
-        series = SERIES[control]
-        look = {"ls": series.dash, "marker": series.marker, "label": series.label}
-        axis.plot(at, [row[f"{control}_own"] for row in rows], color=color, lw=1.2, ms=3, **look)
-    _area_axis(axis, at)
-    legend_above(figure)
-    return figure
+    beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
+    beside |= {f"{control}_own": SERIES[control].label for control in ("random", CLOTHING)}
+    rows = [
+        row
+        | {"at_0.6": row["success"], "at": f"cloak, at the detector's own {card['operating_point']:g}"}
+        | {"area_share": row["area"]}
+        | _own(row, "success")
+        for row in card["white_box"]
+    ]
+    return Lines(x="area_share", series="at", beside=beside, rate=HIDDEN).draw(rows)
 
 
-def compare_areas(cards: Sequence[dict]) -> Figure:
+def compare_areas(cards: Sequence[dict]) -> Figure | None:
     """Plot people hidden from several detectors over the cloak's area, at the own threshold of each."""
-    figure, (axis,) = new_figure(1.5 * WIDTH, 3.2)
-    for k, card in enumerate(cards):
-        rows = card["white_box"]
-        at = [100 * row["area"] for row in rows]
-        if rows:
-            band(axis, at, _own_rates(rows, "success"), name_of(card), alpha=0.1, **numbered_series(k))
-    _area_axis(axis, [100 * row["area"] for card in cards for row in card["white_box"]])
-    legend_above(figure)
-    return figure
+    rows = [
+        {"name": name_of(card), "area_share": row["area"], **_own(row, "success")}
+        for card in cards
+        for row in card["white_box"]
+    ]
+    return Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE).draw(rows)
 
 
-def by_threshold(card: dict) -> Figure:
+def by_threshold(card: dict) -> Figure | None:
     """Plot people hidden over the detection threshold, a line for each area."""
-    figure, (axis,) = new_figure()
-    for k, row in enumerate(card["white_box"]):
-        curve = {float(t): value for t, value in row["by_threshold"].items()}
-        name = f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"
-        axis.plot(list(curve), list(curve.values()), label=name, clip_on=False, **numbered_series(k))
-    percent_axis(axis, "people hidden")
-    threshold_axis(axis)
-    legend_above(figure)
-    return figure
+    rows = [
+        {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
+        | {"threshold": float(t), "success": value}
+        for row in card["white_box"]
+        for t, value in row["by_threshold"].items()
+    ]
+    return Lines(x="threshold", series="cloak", rate=HIDDEN).draw(rows)
 
 
-def around(card: dict) -> Figure:
+def around(card: dict) -> Figure | None:
     """Plot people hidden in the full circle, seen from above."""
-    figure, (polar,) = new_figure(WIDTH * 0.75, 4.0, subplot_kw={"projection": "polar"})
+    label = {"cloak": "cloak for the full circle"}
     by_angle = card["around"]["by_angle"]
-    rates = _own_rates(list(by_angle.values()), "success")
-    look = {"color": numbered_series(0)["color"], "ls": "-", "lw": 1.8, "label": "cloak for the full circle"}
-    ring(polar, [float(angle) for angle in by_angle], values(rates).tolist(), rates, **look)
-    compass(polar)
-    figure.legend(*polar.get_legend_handles_labels(), loc="outside upper left")
-    return figure
+    rows = [label | {"angle": float(angle), **_own(row, "success")} for angle, row in by_angle.items()]
+    return Rings(series="cloak").draw(rows)
 
 
-def recall(cards: Sequence[dict]) -> Figure:
+def recall(cards: Sequence[dict]) -> Figure | None:
     """Plot recall in own clothing by distance, azimuth and elevation; a line for each detector."""
-    figure, axes = new_figure(1.5 * WIDTH, 2.6, len(RECALL_WAYS), sharey=True)
-    for axis, (way, label) in zip(axes, RECALL_WAYS.items(), strict=True):
-        for k, card in enumerate(cards):
-            rows = {float(value): row for value, row in card["recall_by"][way].items()}
-            at, alpha = sorted(rows), 0.15 if len(cards) == 1 else 0.06
-            rates = _own_rates([rows[value] for value in at], "recall")
-            band(axis, at, rates, name_of(card), alpha=alpha, **numbered_series(k))
-        axis.set_xlabel(label)
-    percent_axis(axes[0], "found in own clothing")
-    if len(cards) > 1:
-        legend_above(figure)
-    return figure
+    rows = [
+        {"name": name_of(card), "way": label, "": float(value), **_own(row, "recall")}
+        for way, label in RECALL_WAYS.items()
+        for card in cards
+        for value, row in card["recall_by"][way].items()
+    ]
+    return Lines(x="", series="name", panel="way", rate=FOUND, size=WIDE).draw(rows)
 
 
-def recall_bars(card: dict) -> Figure:
-    """Plot recall in own clothing by body, and by pose, with intervals."""
-    ways = {way: card["recall_by"][way] for way in ("body", "pose")}
-    figure, axes = new_figure(1.5 * WIDTH, max(1.6, 0.9 + 0.24 * max(map(len, ways.values()))), 2)
-    for axis, (way, rows) in zip(axes, ways.items(), strict=True):
-        worst = dict(sorted(rows.items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS])
-        _bars(axis, list(worst), _own_rates(list(worst.values()), "recall"), "found in own clothing")
-        axis.set_title(f"by {way}" + (f" (the {MOST_BARS} worst)" if len(rows) > MOST_BARS else ""))
-    return figure
+def recall_bars(card: dict, way: str) -> Figure | None:
+    """Plot recall in own clothing by body or by pose, with intervals; of many those where it is lowest."""
+    worst = sorted(card["recall_by"][way].items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS]
+    return Bars(y="name", rate=FOUND).draw([{"name": name, **_own(row, "recall")} for name, row in worst])
 
 
-def hidden_bars(rows: Mapping[str, dict], head: float) -> Figure:
-    """Plot people hidden, a bar for each named row; `head`: height beside the bars, inches."""
-    figure, (axis,) = new_figure(height=head + 0.28 * len(rows))
-    _bars(axis, list(rows), _own_rates(list(rows.values()), "success"), "people hidden")
-    return figure
+def hidden_bars(rows: Mapping[str, dict]) -> Figure | None:
+    """Plot people hidden, a bar for each named row."""
+    return Bars(y="name", rate=HIDDEN).draw([{"name": name, **_own(row, "success")} for name, row in rows.items()])
 
 
-def _own_rates(rows: Sequence[dict], name: str) -> list[Rate]:
-    return read_rates(rows, f"{name}_own", "ci95_own")
-
-
-def _bars(axis: Axes, names: Sequence[str], rates: Sequence[Rate], label: str) -> None:
-    rates_along_x(axis, names, label)
-    rate_bars(axis, rates, range(len(rates)), numbered_series(0)["color"])
-
-
-def _area_axis(axis: Axes, at: Sequence[float]) -> None:
-    axis.set_xlim(0, 1.05 * max(at, default=100))
-    axis.set_xlabel("share of the body's area (%)")
-    percent_axis(axis, "people hidden")
+def _own(record: dict, name: str) -> dict:
+    """Read a rate at the detector's own threshold, with its interval."""
+    return rated(record, f"{name}_own", "ci95_own")
 
 
 def _control(name: str) -> str:

@@ -102,13 +102,13 @@ def percent_axis(axis: object, label: str = "attack success") -> None:
     axis.set_ylabel(label)
 
 
-def percent_along_x(axis: object) -> None:
+def percent_along_x(axis: object, label: str = "attack success") -> None:
     """Set up rates along x, with marks short enough for panels beside each other."""
     axis.set_xlim(-0.02, 1.02)
     axis.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
     axis.set_xticks([0.25, 0.75], minor=True)
     axis.grid(axis="x", which="minor")
-    axis.set_xlabel("attack success")
+    axis.set_xlabel(label)
 
 
 def panel_title(axis: object, name: str, panels: int = 1) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from cloak_core.evaluation.report.charts import Bars
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Bars
 from cloak_core.experiments.declaration import MULTI, SINGLE, Cell, Cells, Experiment
 
 CHANGES: dict[str, dict[str, object]] = {

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.pictures import draw_trial
+from cloak_core.evaluation.report.charts import Lines
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Lines
 from cloak_core.experiments.declaration import Cell, Cells, Experiment, Trainings
-from cloak_core.experiments.sheets import draw_sheet, shot_cell
+from cloak_core.experiments.sheets import draw_sheet, trial_cells
 from cloak_core.scene.logos.garments import shirt_trousers
 
 FREE = 100.0
@@ -47,16 +43,14 @@ def cells(store: RunStore) -> Cells:
 
 def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     """Draw the same trial in each cloak of the first repetition, a row for each attack."""
-    judge, settings, rows = store.specs[0], store.evaluate_settings(), {}
+    detector, settings, rows = store.split.detectors[store.specs[0]], store.evaluate_settings(), {}
     for cell, (trained, *_) in trainings:
         if store.split.unseen_people is None:
             renderer = store.renderer(trained, cell.angles, settings)
         else:
             renderer = store.people_renderer(trained, settings)
-        with TemporaryDirectory() as folder:
-            detectors = {judge: store.split.detectors[judge]}
-            shot = draw_trial(Path(folder), renderer, 0, (LOGO,), detectors, THRESHOLD)[LOGO]
-            rows.setdefault(cell.label["attack"], []).append(shot_cell(Path(folder), shot, judge, SIDE))
+        shown = trial_cells(renderer, 0, (LOGO,), detector, THRESHOLD, SIDE)
+        rows.setdefault(cell.label["attack"], []).extend(shown)
     return {"strip": draw_sheet([f"{w:g}" if w < FREE else "free" for w in WITHIN], list(rows.items()), SIDE)}
 
 

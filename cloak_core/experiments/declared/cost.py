@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from cloak_core.evaluation.report.charts import Lines
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Lines
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
 
 VARIANTS: dict[str, dict[str, object]] = {

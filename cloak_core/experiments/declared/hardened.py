@@ -13,13 +13,13 @@ from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.negatives import pattern_scores
+from cloak_core.evaluation.report.charts import Lines
+from cloak_core.evaluation.report.rows import Rows, group
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.experiments.charts import Lines
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
-from cloak_core.experiments.masking import beats_adaptive, longest_adaptive
-from cloak_core.experiments.tables import Rows, group
+from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
 
 LEAST_IMAGES = 300

@@ -6,9 +6,10 @@ from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import LOGO
+from cloak_core.evaluation.report.charts import Bars
 from cloak_core.evaluation.report.words import file_name
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Bars, Thresholds
+from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, SINGLE, Cell, Cells, Experiment, Trainings, test_angles
 from cloak_core.experiments.logos import paper_logos
 from cloak_core.experiments.sheets import contact_sheets
@@ -53,7 +54,7 @@ def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
             (spec,) = cell.specs
             rows = store.evaluate(trained[:1], angles, [spec]).rows(spec, LOGO)
             renderer = store.renderer(trained[0], angles, store.evaluate_settings())
-            for name, sheet in contact_sheets(renderer, rows, spec, store.split.detectors[spec], THRESHOLD).items():
+            for name, sheet in contact_sheets(renderer, rows, store.split.detectors[spec], THRESHOLD).items():
                 sheets[f"{name}-{file_name(spec)}"] = sheet
     return sheets
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from cloak_core.evaluation.report.charts import Lines
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Lines
 from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Trainings, test_angles
 from cloak_core.experiments.sheets import Cell as Picture
 from cloak_core.experiments.sheets import draw_sheet

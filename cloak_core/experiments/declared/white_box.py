@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cloak_core.evaluation.controls import STANDARD
+from cloak_core.evaluation.report.charts import Bars
 from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Bars
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
 from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
 
