@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from cloak_core.attack.events import OnEvent, read_events
+from cloak_core.attack.events import OnEvent
 from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
@@ -31,6 +31,7 @@ from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
+from cloak_core.evaluation.trained_run import read_history
 from cloak_core.evaluation.wearing.clothes import LogoClothes
 from cloak_core.evaluation.wearing.judging import PeopleRenderer
 from cloak_core.evaluation.wearing.settings import WearSettings
@@ -136,8 +137,7 @@ class RunStore:
                 self.tell(f"training {key} ({named})")
                 self._train_into(folder, settings, bodies, logo, specs, precision)
         colors = read_colors(folder / "colors.npy", len(logo))
-        seconds = max((float(e.get("time", 0)) for e in read_events(folder / "events.jsonl")), default=math.nan)
-        return Trained(colors, logo, folder, seconds, _cpu_seconds(folder), settings)
+        return Trained(colors, logo, folder, read_history(folder).seconds, _cpu_seconds(folder), settings)
 
     def _train_into(
         self, folder: Path, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], precision: str
@@ -347,7 +347,4 @@ def _cpu_seconds(folder: Path) -> float:
 
 def _is_done(folder: Path) -> bool:
     """Tell whether a run ended by itself."""
-    if not (folder / "colors.npy").exists():
-        return False
-    ends = [e for e in read_events(folder / "events.jsonl") if e.get("type") == "end"]
-    return bool(ends) and ends[-1].get("outcome") == "done"
+    return (folder / "colors.npy").exists() and read_history(folder).outcome == "done"

@@ -1,12 +1,15 @@
-"""Read a run that training left: its record, what was kept back from it, and which detectors it was against."""
+"""Read a run that training left: its record and curves, what was kept back from it, what it was trained against."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from cloak_core.attack.events import read_events
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -48,6 +51,45 @@ def kept_back(kind: str, config: dict) -> str:
     if mark and head in EMBEDDED:
         return head + COUNTERPART[":train"][kind] + rest
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
+
+
+CURVES = {"loss": "loss", "disappearance": "disappearance", "tv": "total variation"}
+"""Which losses of events.jsonl a history has, and what they are called."""
+
+
+@dataclass(frozen=True)
+class History:
+    """Curves of (step, value), and how the training ended."""
+
+    losses: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    success: list[tuple[float, float]] = field(default_factory=list)
+    step: int = 0
+    seconds: float = 0.0
+    outcome: str = ""
+
+
+def read_history(run: Path) -> History:
+    """Read losses and success over the steps; empty where the run has no events."""
+    path = run / "events.jsonl"
+    events = read_events(path) if path.exists() else []
+    steps = [e for e in events if e.get("type") == "step"]
+    losses = {label: points for key, label in CURVES.items() if (points := _points(steps, key))}
+    ends = [e for e in events if e.get("type") == "end"]
+    return History(
+        losses=losses,
+        success=_points(steps, "success"),
+        step=int(max((e["step"] for e in steps if _is_number(e.get("step"))), default=0)),
+        seconds=float(max((e["time"] for e in events if _is_number(e.get("time"))), default=0.0)),
+        outcome=str(ends[-1].get("outcome", "")) if ends else "",
+    )
+
+
+def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
+    return [(float(e["step"]), float(e[key])) for e in steps if _is_number(e.get("step")) and _is_number(e.get(key))]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:

@@ -12,8 +12,9 @@ from PIL import Image
 
 from cloak_core.evaluation.report import plots
 from cloak_core.evaluation.report.page import _environment
-from cloak_core.evaluation.report.run_report import History, make_report
+from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.report.words import duration, interval, percent, short_name
+from cloak_core.evaluation.trained_run import History
 from cloak_core.files.errors import InputError
 from tests.evaluation.made_evaluation import made_results, write_run
 
