@@ -30,7 +30,7 @@ extension: .venv/.installed-test .venv-blender/.installed
 	$(BIN)/python -m build --wheel --no-isolation --outdir build/trainer >/dev/null
 	.venv-blender/bin/python tools/build_extension.py --trainer build/trainer/*.whl
 
-# What is uploaded: the wheel and the sources, checked.
+# What is uploaded: the wheel and the sources, checked. CLOAK_URL=https://... is where the README's links lead then.
 dist: .venv/.installed-test
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz

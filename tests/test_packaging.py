@@ -1,5 +1,6 @@
 """What is uploaded: the wheel works alone, in an environment outside the checkout; the sources hold the project."""
 
+import importlib.util
 import json
 import os
 import re
@@ -61,6 +62,18 @@ def test_one_version_everywhere() -> None:
     assert tomllib.loads((ROOT / "blender_manifest.toml").read_text("utf-8"))["version"] == version
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
     assert f"\n## {version}\n" in (ROOT / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_the_readme_of_the_package_index_has_no_link_that_leads_nowhere() -> None:
+    readme, url = (ROOT / "README.md").read_text("utf-8"), "https://forge.example/cloak"
+    spec = importlib.util.spec_from_file_location("cloak_setup", ROOT / "setup.py")
+    setup = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(setup)
+    linked, bare = setup.index_readme(readme, url), setup.index_readme(readme, None)
+    assert f"({url}/blob/HEAD/docs/install.md)" in linked and f"({url}/raw/HEAD/docs/images/cloak.png)" in linked
+    for text in (linked, bare):
+        assert all(target.startswith("https://") for target in re.findall(r"\]\(([^)]+)\)", text))
+    assert "![" not in bare and "[Learning Transferable" in bare
 
 
 @pytest.mark.long

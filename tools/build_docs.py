@@ -2,7 +2,7 @@
 
 Pages lie there as in the repository, so that links hold in both places. The command line's page is made of the
 commands' own help, the one of `--json` of docs/schemas.json, the notebook's of the notebook, the picture of the rooms
-of the directions that a test holds. A click opens a picture in full size; a page with a wide table has no list of
+of the directions that a test holds. A click opens a picture in full size; a page of wide tables has no list of
 headings beside it.
 """
 
@@ -84,9 +84,11 @@ def lay_out(pages: Path) -> None:
 
 
 def laid_out(text: str) -> str:
-    """The page as the site shows it: pictures that open on a click, and the whole width for wide tables."""
+    """The page as the site shows it: pictures open on a click, and a page of wide tables has the whole width."""
     text = PICTURE.sub(r"[\g<0>](\1)", unbroken(text))
-    return f"---\nhide: [toc]\n---\n\n{text}" if WIDE_TABLE.search(text) else text
+    lines = [line for line in text.splitlines() if line]
+    of_tables = sum(line.startswith("|") for line in lines) > len(lines) / 3
+    return f"---\nhide: [toc]\n---\n\n{text}" if of_tables and WIDE_TABLE.search(text) else text
 
 
 def with_rooms(text: str) -> str:
