@@ -17,7 +17,7 @@ from cloak_core.attack.settings.components import AugmentationSettings, ViewSett
 from cloak_core.attack.settings.values import Range
 from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import Canvas, blank, lay_backdrop, true_boxes
-from cloak_core.render.threads import own_threads_kept, spread, workers
+from cloak_core.render.threads import spread, torch_threads, workers
 from cloak_core.render.types import BakedView, Photometric
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
@@ -217,7 +217,7 @@ class Prefetcher:
     def close(self) -> None:
         """Wait for the thread; what it was building is dropped."""
         if self._pool is not None:
-            with own_threads_kept():
+            with torch_threads():
                 self._pool.shutdown(cancel_futures=True)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cloak_core.bench.accuracy_scenes import SCENES
-from cloak_core.bench.records import circumstances, table, with_earlier
-from cloak_core.files.writing import write_json
+from cloak_core.bench.records import circumstances, table, with_earlier, write_record
 
 COLUMNS = {
     "visibility_ms": "visibility, ms",
@@ -39,8 +38,7 @@ def write_report(result: dict, folder: Path) -> dict:
     """
     folder.mkdir(parents=True, exist_ok=True)
     result = result | {"scenes": with_earlier(folder / "accuracy.json", "scenes", result["scenes"], tuple(SCENES))}
-    write_json(folder / "accuracy.json", result)
-    (folder / "accuracy.md").write_text(tables(result), encoding="utf-8")
+    write_record(folder, "accuracy", result, tables(result))
     plot(result, folder / "accuracy.png")
     return result
 

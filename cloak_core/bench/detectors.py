@@ -8,11 +8,12 @@ import torch
 
 from cloak_core.bench.records import table
 from cloak_core.bench.step import Clock
-from cloak_core.bench.views import machine, torch_threads
+from cloak_core.bench.views import machine
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import max_person_score
 from cloak_core.evaluation.report.words import short_name
+from cloak_core.render.threads import torch_threads
 
 
 def run_bench_detectors(

@@ -22,11 +22,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.bench.records import circumstances, table, with_earlier
+from cloak_core.bench.records import circumstances, table, with_earlier, write_record
 from cloak_core.bench.views import machine
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import write_json
 from cloak_core.jobs.job import Tell
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
@@ -100,8 +99,7 @@ def write_report(series: dict, folder: Path) -> dict:
     """Write growth.json and growth.md, with what the folder held before of other series, and return it."""
     folder.mkdir(parents=True, exist_ok=True)
     result = _result(with_earlier(folder / "growth.json", "series", series, _SIZES))
-    write_json(folder / "growth.json", result)
-    (folder / "growth.md").write_text(tables(result), encoding="utf-8")
+    write_record(folder, "growth", result, tables(result))
     return result
 
 

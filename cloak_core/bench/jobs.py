@@ -36,11 +36,9 @@ def run_bench_jobs(
     if count < 1 or train_seconds <= 0:
         raise InputError(f"count {count}, train-seconds {train_seconds}: at least 1 job that takes time")
     found = {"in_order_ms": _per_job(InOrder(), count), "ray_ms": _by_ray(count) if ray else None}
-    found["results_ms"] = _results(count)
-    each = {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds, "megabytes": megabytes}
-    slowest = max(found["ray_ms"] or 0.0, found["in_order_ms"]) + found["results_ms"]
-    plan = [_planned(*fleet, slowest / 1000, files=files, **each) for fleet in FLEETS]
-    return found | {"count": count, "files": files} | each | {"plan": plan, "machine": machine()}
+    found |= {"results_ms": _results(count), "count": count, "files": files, "megabytes": megabytes}
+    found |= {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds}
+    return found | {"plan": [_planned(found, *fleet) for fleet in FLEETS], "machine": machine()}
 
 
 def _per_job(executor: Executor, count: int) -> float:
@@ -79,27 +77,19 @@ def _results(count: int) -> float:
         return 1000 * (time.perf_counter() - started) / count
 
 
-def _planned(
-    trainings: int,
-    cores: int,
-    overhead: float,
-    *,
-    train_seconds: float,
-    evaluate_seconds: float,
-    megabytes: float,
-    files: int,
-) -> dict:
-    """Estimate the cost of many trainings; overhead: seconds that the scheduling process spends on each."""
-    work = trainings * (train_seconds + evaluate_seconds)
+def _planned(found: dict, trainings: int, cores: int) -> dict:
+    """Estimate the cost of many trainings from what was measured."""
+    each = found["train_seconds"] + found["evaluate_seconds"]
+    overhead = (max(found["ray_ms"] or 0.0, found["in_order_ms"]) + found["results_ms"]) / 1000
     return {
         "trainings": trainings,
         "cores": cores,
-        "days": round(work / cores / DAY, 2),
+        "days": round(trainings * each / cores / DAY, 2),
         "handing_out_hours": round(trainings * overhead / 3600, 2),
         # Beyond these the process that hands out is what everybody waits for.
-        "most_cores": int((train_seconds + evaluate_seconds) / overhead),
-        "gigabytes": round(trainings * megabytes / 1000, 1),
-        "files": trainings * files,
+        "most_cores": int(each / overhead),
+        "gigabytes": round(trainings * found["megabytes"] / 1000, 1),
+        "files": trainings * found["files"],
     }
 
 

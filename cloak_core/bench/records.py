@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import write_json
 
 
 def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
@@ -18,6 +19,12 @@ def with_earlier(path: Path, key: str, new: dict, order: Iterable[str]) -> dict:
         except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"{path}: not the record of an earlier run ({error!r})") from None
     return {name: (known | new)[name] for name in order if name in known | new}
+
+
+def write_record(folder: Path, name: str, record: dict, tables: str) -> None:
+    """Write a record as NAME.json and its tables as NAME.md."""
+    write_json(folder / f"{name}.json", record)
+    (folder / f"{name}.md").write_text(tables, encoding="utf-8")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -16,7 +16,6 @@ from cloak_core.bench.lighting import TwinLight
 from cloak_core.bench.oracle import screen_of
 from cloak_core.bench.reference import matrix_of
 from cloak_core.bench.stability_cases import ball, rows
-from cloak_core.bench.views import torch_threads
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
@@ -24,6 +23,7 @@ from cloak_core.render.projection import project
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.screen import GRID
 from cloak_core.render.settings import Light, RenderSettings
+from cloak_core.render.threads import torch_threads
 from cloak_core.render.types import View
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera

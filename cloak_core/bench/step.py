@@ -23,10 +23,11 @@ from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.attack.training import make_view_cache
 from cloak_core.bench.records import table
-from cloak_core.bench.views import chest_and_thighs, machine, torch_threads
+from cloak_core.bench.views import chest_and_thighs, machine
 from cloak_core.detectors.protocol import Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.render.threads import torch_threads
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import make_logo
 

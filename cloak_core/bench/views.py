@@ -6,8 +6,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +21,7 @@ from cloak_core.files.caching import DiskCache
 from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import compose
 from cloak_core.render.settings import GRIDS, RenderSettings
+from cloak_core.render.threads import torch_threads
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import StoredViews
 from cloak_core.scene.cameras import Camera
@@ -147,17 +147,6 @@ def clock(device: str = "cpu") -> str:
     """Which time is measured: with one thread on the CPU the processor's, in which what else the machine does counts
     for little; else the wall's, as threads and devices wait for each other."""
     return "processor" if str(device).startswith("cpu") and torch.get_num_threads() == 1 else "wall"
-
-
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Let torch use this many threads within."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def machine(device: str = "cpu") -> dict[str, str]:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from cloak_core.render.backend import backend
 from cloak_core.render.sparse import offsets
-from cloak_core.render.types import BakedView, Box, View
+from cloak_core.render.types import BakedView, Box, View, box_of
 from cloak_core.scene.cameras import Vector
 
 
@@ -82,9 +82,3 @@ def baked_view(
         mask,
         provenance or {},
     )
-
-
-def box_of(mask: Bool[Tensor, "H W"]) -> tuple[int, int, int, int]:
-    """Find the bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
-    rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
-    return (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if rows else (0, 0, 0, 0)

@@ -17,32 +17,28 @@ Result = TypeVar("Result")
 
 
 @contextlib.contextmanager
-def one_thread() -> Iterator[None]:
+def torch_threads(count: int | None = None) -> Iterator[None]:
+    """Set torch's number of threads within, where one is given, and set this thread's again at the end.
+
+    torch starts a thread with the number that any thread set last: so later ones begin with this thread's, whatever
+    threads that end inside set for themselves.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def one_thread() -> contextlib.AbstractContextManager[None]:
     """Run the operations inside on one CPU thread.
 
     A view takes hundreds of small operations, and a second thread gains next to nothing in them; but where anything
     else runs on the machine, each of them waits for both threads to be scheduled, which made views 50 times slower.
     The setting belongs to the calling thread: what other threads do meanwhile keeps theirs.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-@contextlib.contextmanager
-def own_threads_kept() -> Iterator[None]:
-    """Whatever threads that end inside set for themselves, later ones begin with this one's number of torch's threads.
-
-    torch starts a thread with the number that any thread set last.
-    """
-    before = torch.get_num_threads()
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    return torch_threads(1)
 
 
 def workers(device: torch.device) -> int:
@@ -68,7 +64,7 @@ def spread(work: Callable[[Item], Result], items: Sequence[Item], count: int) ->
     if count <= 1:
         run()
         return results
-    with own_threads_kept(), ThreadPoolExecutor(count - 1) as pool:
+    with torch_threads(), ThreadPoolExecutor(count - 1) as pool:
         others = [pool.submit(run) for _ in range(count - 1)]
         run()
         for other in others:

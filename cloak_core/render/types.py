@@ -38,6 +38,12 @@ class CrowdedPixels(UserWarning):
         self.pixels = pixels
 
 
+def box_of(mask: Bool[Tensor, "H W"]) -> tuple[int, int, int, int]:
+    """Find the bounding box (x0, y0, x1, y1) of a mask, x1 and y1 exclusive; zeros where it is empty."""
+    rows, columns = (mask.any(axis).nonzero().view(-1).tolist() for axis in (1, 0))
+    return (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if rows else (0, 0, 0, 0)
+
+
 @dataclass(frozen=True)
 class Window:
     """A part of the image, in pixels: columns x0 <= x < x1, rows y0 <= y < y1."""
@@ -199,13 +205,9 @@ class View:
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
         """(x0, y0, x1, y1) of the pixels at least half covered, x1 and y1 exclusive; zeros where there are none."""
-        inside = self.pixels[self.coverage >= 0.5]
-        if not len(inside):
-            return 0, 0, 0, 0
-        y = torch.div(inside, self.width, rounding_mode="floor")
-        x = inside - y * self.width
-        x0, y0, x1, y1 = torch.stack([x.min(), y.min(), x.max(), y.max()]).tolist()
-        return x0, y0, x1 + 1, y1 + 1
+        mask = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.pixels.device)
+        mask[self.pixels[self.coverage >= 0.5]] = True
+        return box_of(mask.view(self.height, self.width))
 
 
 @dataclass(frozen=True, eq=False)

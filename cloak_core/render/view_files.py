@@ -64,23 +64,20 @@ class StoredViews:
 
     def _checked(self, tensors: dict[str, Tensor], camera: Camera) -> View | None:
         """Nothing that reads a view looks at its indices again, so a foreign file must not get further than this."""
-        expected = {*_INDICES, *_NUMBERS} | ({"uv"} if self._textured else set())
-        if set(tensors) != expected or any(t.dtype != torch.int32 for t in (tensors[name] for name in _INDICES)):
+        expected = {*_INDICES, *_NUMBERS, *(("uv",) if self._textured else ())}
+        if set(tensors) != expected:
             return None
-        count, entries = len(tensors["pixels"]), len(tensors["face"])
+        count, entries, crow = len(tensors["pixels"]), len(tensors["face"]), tensors["crow"]
         shapes = {"pixels": (count,), "coverage": (count,), "specular": (count,), "crow": (count + 1,)}
         shapes |= {"face": (entries,), "weight": (entries,), "uv": (2, entries)}
-        if any(tuple(value.shape) != shapes[name] for name, value in tensors.items()):
-            return None
-        if any(tensors[name].dtype != torch.float32 for name in expected.difference(_INDICES)):
-            return None
-        crow = tensors["crow"]
+        for name, value in tensors.items():
+            wanted = torch.int32 if name in _INDICES else torch.float32
+            if tuple(value.shape) != shapes[name] or value.dtype != wanted:
+                return None
         if crow[0] != 0 or crow[-1] != entries or (crow.diff() < 0).any():
             return None
-        if not (
-            _within(tensors["pixels"], camera.height * camera.width)
-            and _within(tensors["face"], self._bodies.face_count)
-        ):
+        limits = {"pixels": camera.height * camera.width, "face": self._bodies.face_count}
+        if not all(_within(tensors[name], limit) for name, limit in limits.items()):
             return None
         put = lambda name: tensors[name].to(self._device, torch.int64 if name in _INDICES else torch.float32)
         return View(camera.height, camera.width, **{name: put(name) for name in tensors})
