@@ -28,7 +28,7 @@ from .trainer import operators as trainer_operators
 from .training import detectors, run_list
 from .training import operators as training_operators
 from .training import panel as training_panel
-from .ui import thumbnails
+from .ui import drawing
 
 WITH_CLASSES = (
     *(trainer_operators, body_operators, logo_operators, pick, paint, stamp_operators, heat),
@@ -36,7 +36,7 @@ WITH_CLASSES = (
     *(body_panel, logo_panel, poses_panel, training_panel, result_panel, wear),
 )
 """Modules whose classes are registered, in the order of the panels."""
-ROOMS = (properties, run_list, thumbnails)
+ROOMS = (properties, run_list, drawing)
 """Modules that register something before the classes."""
 WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, eye_drawing.HOOKS, paint, translations)
 """Objects that register something after the classes."""

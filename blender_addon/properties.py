@@ -197,11 +197,6 @@ class CloakSettings(bpy.types.PropertyGroup):
     judging: PointerProperty(name="Judging", description="How a cloak is judged", type=CloakJudging)
 
 
-def settings_of(context: bpy.types.Context) -> CloakSettings:
-    """The scene's settings."""
-    return context.scene.cloak
-
-
 def pose_choice(settings: CloakSettings) -> PoseChoice:
     """Which poses the settings ask for."""
     return PoseChoice(settings.pose_source, settings.frame_start, settings.frame_end, settings.frame_step)

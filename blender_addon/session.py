@@ -7,6 +7,7 @@ One object, `session`, so that whatever can be stale stands in one place. The ad
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ class Session:
     def job_of(self, *labels: str) -> Job | None:
         """The last job of these kinds."""
         return next((job for job in reversed(self.jobs) if job.label in labels), None)
+
+    def training_of(self, run: Path) -> Job | None:
+        """The job that trains a run, or will."""
+        return next((job for job in self.jobs if job.active and getattr(job, "run", None) == run), None)
 
     def reset(self) -> None:
         """Forget everything."""

@@ -12,7 +12,6 @@ from ..blender.faces import active_logo, logo_names, write_faces
 from ..blender.modifiers import applied_copy
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
-from ..properties import settings_of
 from ..trainer.command_lines import SAMPLES, sample_words
 from ..trainer.jobs import Job, run_cloak
 from ..trainer.preferences import user_folder
@@ -24,16 +23,14 @@ from .objects import logo_reason, subdivide
 from .samples import CLOTHES, add_people
 
 
-class CLOAK_OT_subdivide(BodyOperator):
+class CLOAK_OT_subdivide(BodyOperator, label="Subdivide Body"):
     """Split every face of the body in place (Simple, one level), so that the cloak has more and smaller faces. Shape \
 keys, weights, materials, UVs and logos are kept"""
-
-    bl_label = "Subdivide Body"
 
     triangulate: props.switch("Triangulate", "Also split every face into triangles", True)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.triangulate = settings_of(context).triangulate
+        self.triangulate = context.scene.cloak.triangulate
         return self.execute(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
@@ -41,11 +38,9 @@ keys, weights, materials, UVs and logos are kept"""
         return f"'{obj.name}': {before:,} faces became {after:,}"
 
 
-class CLOAK_OT_apply_copy(BodyOperator):
+class CLOAK_OT_apply_copy(BodyOperator, label="Apply a Copy"):
     """Make a copy of the body with the modifiers applied that make new faces, and hide the original. Deforming \
 modifiers stay; shape keys end in their present mix"""
-
-    bl_label = "Apply a Copy"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if obj.mode == "EDIT":
@@ -54,11 +49,9 @@ modifiers stay; shape keys end in their present mix"""
         return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 
 
-class CLOAK_OT_add_sample_body(CloakOperator):
+class CLOAK_OT_add_sample_body(CloakOperator, label="Add Sample Body"):
     """Add Cloak's own people, one pose a frame, with named regions as logos: standing in clothing that is painted on, \
 or walking and running in a shirt and trousers that are objects of their own"""
-
-    bl_label = "Add Sample Body"
 
     people: props.choice(
         "People",
@@ -77,13 +70,11 @@ or walking and running in a shirt and trousers that are objects of their own"""
 
 
 def _add(job: Job, scene: Path, people: str) -> str | None:
-    if job.state != "done":
-        return None
     bodies, clothed = read_scene(scene), people == "CLOTHED"
     obj = add_people(bpy.context, bodies, clothed, "Sample Body")
     obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
     look_at_selected()
-    settings = settings_of(bpy.context)
+    settings = bpy.context.scene.cloak
     settings.pose_source, settings.frame_step = "RANGE", 1
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
     logo = CLOTHES if clothed else "chest"
@@ -94,11 +85,8 @@ def _add(job: Job, scene: Path, people: str) -> str | None:
     return f"Added {', '.join(worn)}"
 
 
-class CLOAK_OT_logo_onto(BodyOperator):
+class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_reason):
     """Let the logo go on over this piece: make a logo of the same name of the faces that lie over it"""
-
-    bl_label = "Put the Logo on It"
-    needs = staticmethod(logo_reason)
 
     garment: props.text("Piece", "Name of what covers the logo")
 
@@ -115,10 +103,8 @@ class CLOAK_OT_logo_onto(BodyOperator):
         return f"Logo '{logo}' goes on over {int(mask.sum()):,} faces of '{worn.name}'"
 
 
-class CLOAK_OT_leave_out(BodyOperator):
+class CLOAK_OT_leave_out(BodyOperator, label="Leave It Out"):
     """Let the camera not see this piece, in training, judging and films; it stays visible in Blender"""
-
-    bl_label = "Leave It Out"
 
     garment: props.text("Piece", "Name of what is left out")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import bpy
 
-from ..properties import settings_of
 from ..trainer.preferences import PACKAGE, preferences, trainer_reason
 from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
@@ -17,14 +16,8 @@ MOST_WORN = 8
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
 
 
-class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
     """Step 1: the mesh that wears the logo"""
-
-    bl_label = "1. Body"
-
-    @staticmethod
-    def is_done(context: bpy.types.Context) -> bool:
-        return not body_reason(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = body_reason(context)
@@ -41,7 +34,7 @@ class CLOAK_PT_body(CloakPanel, bpy.types.Panel):
         splits = row.row(align=True)
         splits.enabled = not reason
         splits.operator("cloak.subdivide", text="Subdivide")
-        splits.prop(settings_of(context), "triangulate", toggle=True)
+        splits.prop(context.scene.cloak, "triangulate", toggle=True)
         row = self.layout.row(align=True)
         row.operator("cloak.add_sample_body", text="Sample Body", icon="ADD").people = "BARE"
         row.operator("cloak.add_sample_body", text="Clothed", icon="ADD").people = "CLOTHED"

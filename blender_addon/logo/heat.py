@@ -20,7 +20,7 @@ from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy
 from ..poses.export import export_bodies
-from ..properties import pose_choice, settings_of, train_request
+from ..properties import pose_choice, train_request
 from ..trainer.command_lines import TrainRequest, detector_options
 from ..trainer.jobs import Job, run_cloak
 from ..trainer.preferences import user_folder
@@ -31,7 +31,7 @@ from .operators import take
 @of_the_body
 def heatmap_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the detector cannot be asked which faces it looks at."""
-    return refusal(require_upright, obj) or refusal(train_request, settings_of(context))
+    return refusal(require_upright, obj) or refusal(train_request, context.scene.cloak)
 
 
 @of_the_body
@@ -50,14 +50,11 @@ def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
 
 
-class CLOAK_OT_heatmap(CloakOperator):
+class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", needs=heatmap_reason):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
 
-    bl_label = "Heatmap"
-    needs = staticmethod(heatmap_reason)
-
     def run(self, context: bpy.types.Context) -> str:
-        obj, settings = active_body(context), settings_of(context)
+        obj, settings = active_body(context), context.scene.cloak
         if obj.mode == "EDIT":
             bpy.ops.object.mode_set(mode="OBJECT")
         folder = first_free(user_folder("heatmap"), "heat")
@@ -75,8 +72,6 @@ def heatmap_words(request: TrainRequest, folder: Path) -> list[object]:
 
 
 def _show_heat(job: Job, path: Path, uid: int, expected: str) -> str | None:
-    if job.state != "done":
-        return None
     obj = object_of(uid)
     if obj is None or topology(obj) != expected:
         raise InputError("The body changed while its heat map was made: press Heatmap again")
@@ -96,11 +91,8 @@ def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarra
     colors.show_attribute(context, obj, colors.HEATMAP)
 
 
-class CLOAK_OT_heatmap_toggle(BodyOperator):
+class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=shown_heat_reason):
     """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
-
-    bl_label = "Toggle Heatmap"
-    needs = staticmethod(shown_heat_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if colors.shows_heat(obj):
@@ -110,13 +102,10 @@ class CLOAK_OT_heatmap_toggle(BodyOperator):
         return f"'{obj.name}' shows its heat map"
 
 
-class CLOAK_OT_logo_from_heat(BodyOperator):
+class CLOAK_OT_logo_from_heat(BodyOperator, label="New from Heatmap", needs=heat_reason):
     """Make a logo of the faces that move the detector most for their size"""
-
-    bl_label = "New from Heatmap"
-    needs = staticmethod(heat_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         heat = read(obj.data.attributes[HEAT].data, "value")
-        ids = hottest_faces(heat, faces.face_areas(obj), settings_of(context).heat_share)
+        ids = hottest_faces(heat, faces.face_areas(obj), context.scene.cloak.heat_share)
         return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"

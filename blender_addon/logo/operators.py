@@ -52,10 +52,8 @@ class LogoOperator(BodyOperator):
         return f"Logo '{name}': {int(mask.sum()):,} faces"
 
 
-class CLOAK_OT_logo_new(BodyOperator):
+class CLOAK_OT_logo_new(BodyOperator, label="New from Selection"):
     """Make a logo of the selected faces"""
-
-    bl_label = "New from Selection"
 
     name: props.text("Name", "Name of the new logo", "Logo")
 
@@ -64,31 +62,22 @@ class CLOAK_OT_logo_new(BodyOperator):
         return f"Logo '{take(obj, mask, self.name)}': {int(mask.sum()):,} faces"
 
 
-class CLOAK_OT_logo_assign(LogoOperator):
+class CLOAK_OT_logo_assign(LogoOperator, label="Assign", needs=logo_reason):
     """Add the selected faces to the active logo"""
-
-    bl_label = "Assign"
-    needs = staticmethod(logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return mask | selected_faces(obj)
 
 
-class CLOAK_OT_logo_unassign(LogoOperator):
+class CLOAK_OT_logo_unassign(LogoOperator, label="Remove", needs=logo_reason):
     """Take the selected faces out of the active logo"""
-
-    bl_label = "Remove"
-    needs = staticmethod(logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return mask & ~faces.read_selection(obj)
 
 
-class CLOAK_OT_logo_select(BodyOperator):
+class CLOAK_OT_logo_select(BodyOperator, label="Select", needs=logo_reason):
     """Select the faces of the active logo"""
-
-    bl_label = "Select"
-    needs = staticmethod(logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = faces.active_logo(obj)
@@ -99,11 +88,8 @@ class CLOAK_OT_logo_select(BodyOperator):
         return f"Selected {int(mask.sum()):,} faces{note}"
 
 
-class CLOAK_OT_logo_remove(BodyOperator):
+class CLOAK_OT_logo_remove(BodyOperator, label="Delete Logo", needs=logo_reason):
     """Delete the active logo; the faces themselves stay"""
-
-    bl_label = "Delete Logo"
-    needs = staticmethod(logo_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = faces.active_logo(obj)
@@ -112,11 +98,8 @@ class CLOAK_OT_logo_remove(BodyOperator):
         return f"Deleted logo '{name}'"
 
 
-class CLOAK_OT_logo_mirror(BodyOperator):
+class CLOAK_OT_logo_mirror(BodyOperator, label="Mirror", needs=logo_reason):
     """Mirror the active logo across the object's X axis"""
-
-    bl_label = "Mirror"
-    needs = staticmethod(logo_reason)
 
     extend: props.switch("Extend", "Keep the faces of this side as well", True)
 
@@ -135,21 +118,15 @@ class CLOAK_OT_logo_mirror(BodyOperator):
         return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
 
 
-class CLOAK_OT_logo_grow(LogoOperator):
+class CLOAK_OT_logo_grow(LogoOperator, label="Grow", needs=logo_reason):
     """Extend the active logo by the faces around it"""
-
-    bl_label = "Grow"
-    needs = staticmethod(logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         return faces.grow(obj, mask)
 
 
-class CLOAK_OT_logo_shrink(LogoOperator):
+class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", needs=logo_reason):
     """Take the outermost faces off the active logo"""
-
-    bl_label = "Shrink"
-    needs = staticmethod(logo_reason)
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
         smaller = faces.shrink(obj, mask)
@@ -161,11 +138,8 @@ class CLOAK_OT_logo_shrink(LogoOperator):
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
+class CLOAK_OT_logo_export(CloakOperator, ExportHelper, label="Export Face List", needs=logo_reason):
     """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
-
-    bl_label = "Export Face List"
-    needs = staticmethod(logo_reason)
 
     filename_ext = ".npy"
     filter_glob: StringProperty(default="*.npy", options={"HIDDEN"})
@@ -179,10 +153,8 @@ class CLOAK_OT_logo_export(CloakOperator, ExportHelper):
         return f"Wrote {self.filepath}: {len(ids):,} faces of '{obj.name}'"
 
 
-class CLOAK_OT_logo_import(BodyOperator, ImportHelper):
+class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List"):
     """Make a logo from a face list (.npy) that was made for this mesh"""
-
-    bl_label = "Import Face List"
 
     filename_ext = ".npy"
     filter_glob: StringProperty(default="*.npy;*.idx", options={"HIDDEN"})

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The active logo, tinted in the viewport, and its figures for the panel; both kept until the mesh changes.
+"""The active logo, tinted in the viewport, and its figures for the panel; both kept until the mesh changes. And what a
+stroke or a stamp will take, while the user still drags.
 
 Drawing never waits for them: what takes longer than a blink is computed when the user has rested for a moment.
 """
@@ -18,6 +19,7 @@ from bpy.app.handlers import persistent
 from ..blender import colors, faces
 from ..blender import mesh_arrays as arrays
 from ..blender.faces import logo_mask
+from ..blender.surface import Surface
 from ..body.garments import worn_by
 from ..session import session
 from ..ui.drawing import Shape
@@ -35,6 +37,9 @@ REST = 0.2
 
 _drawn: tuple[object, Shape | None] = (None, None)
 """Corners that were drawn last, and their shape."""
+MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
+"""Events of a mouse that moves."""
+ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
 
 
 @dataclass(frozen=True)
@@ -254,3 +259,33 @@ HOOKS = Hooks(
     drawing=((_draw, "POST_VIEW"),),
     closing=_forget,
 )
+
+
+class Preview(Hooks):
+    """Drawn in every 3D viewport from `register` to `unregister`; without a window nothing is drawn."""
+
+    def __init__(self, surface: Surface, color: tuple[float, float, float, float]) -> None:
+        self._surface, self._color = surface, color
+        self._shapes: list[Shape] = []
+        self._lift = LIFT * float(np.ptp(surface.points, axis=0).max())
+        super().__init__(drawing=((self._draw, "POST_VIEW"),), closing=self._shapes.clear)
+
+    def replace(self, faces: np.ndarray) -> None:
+        """Show these evaluated faces alone."""
+        self._shapes.clear()
+        self.add(faces)
+
+    def add(self, faces: np.ndarray) -> None:
+        """Show these evaluated faces as well."""
+        if bpy.app.background or not len(faces):
+            return
+        surface = self._surface
+        triangles, face = surface.triangles(faces)
+        normals = surface.normals[face]
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        corners = surface.points[triangles] + self._lift * normals[:, None]
+        self._shapes.append(Shape("TRIS", corners.reshape(-1, 3) + surface.middle, self._color))
+
+    def _draw(self) -> None:
+        for shape in self._shapes:
+            shape.draw()

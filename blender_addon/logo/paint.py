@@ -13,11 +13,10 @@ from ..blender import faces
 from ..blender.mesh_arrays import current_mesh
 from ..blender.surface import Surface, read_surface
 from ..files.errors import InputError
-from ..properties import settings_of
 from ..ui import props
 from ..ui.operator import BodyOperator
 from .operators import take
-from .preview import ADDED, MOVES, TAKEN, Preview
+from .overlay import ADDED, MOVES, TAKEN, Preview
 
 SPACING = 0.4
 """Of the radius: from one dab to the next."""
@@ -25,11 +24,9 @@ RADIUS = "scene.cloak.brush_radius"
 PAINT = "cloak.paint_logo"
 
 
-class CLOAK_OT_logo_paint(BodyOperator):
+class CLOAK_OT_logo_paint(BodyOperator, label="Paint Logo"):
     """Paint faces into the active logo, or out of it with Ctrl. The brush takes faces that look to the side it \
 touches; with X-Ray on, also those behind, all through the body"""
-
-    bl_label = "Paint Logo"
 
     action: props.choice(
         "Action",
@@ -86,7 +83,7 @@ touches; with X-Ray on, also those behind, all through the body"""
         self._surface = read_surface(context, self._obj)
         if self.action == "REMOVE":
             faces.active_logo(self._obj)
-        settings = settings_of(context)
+        settings = context.scene.cloak
         self.mirror, self._pixels = settings.brush_mirror, settings.brush_radius
         self.stroke.clear()
         self._painted = np.zeros(len(self._surface.centers), bool)
@@ -162,7 +159,7 @@ class _PaintTool:
 
     @staticmethod
     def draw_settings(context: bpy.types.Context, layout: bpy.types.UILayout, tool: object) -> None:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         layout.prop(settings, "brush_radius")
         layout.prop(settings, "brush_mirror", toggle=True)
 
@@ -170,7 +167,7 @@ class _PaintTool:
     def draw_cursor(context: bpy.types.Context, tool: object, xy: tuple[int, int]) -> None:
         from gpu_extras.presets import draw_circle_2d
 
-        draw_circle_2d(xy, (1, 1, 1, 1), settings_of(context).brush_radius, segments=48)
+        draw_circle_2d(xy, (1, 1, 1, 1), context.scene.cloak.brush_radius, segments=48)
 
 
 class PaintInEditMode(_PaintTool, bpy.types.WorkSpaceTool):

@@ -8,9 +8,8 @@ import bpy
 from ..blender import faces
 from ..blender.colors import HEAT, shows_heat
 from ..body.objects import active_body, body_reason, logo_reason
-from ..properties import settings_of
 from ..translations import said
-from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
+from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import overlay
 from .paint import PAINT
 
@@ -34,19 +33,13 @@ PROJECTED = (
 )
 
 
-class CLOAK_PT_logo(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
     """Step 2: the faces that get trained colours"""
-
-    bl_label = "2. Logo"
-
-    @staticmethod
-    def is_done(context: bpy.types.Context) -> bool:
-        return not logo_reason(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = body_reason(context)
         column = self.gate(context, reason)
-        settings = settings_of(context)
+        settings = context.scene.cloak
         if not reason:
             self._list(column, active_body(context))
             self._stats(column, active_body(context), settings)
@@ -87,12 +80,8 @@ def _buttons(column: bpy.types.UILayout, *names: str) -> None:
         row.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
 
 
-class CLOAK_PT_regions(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_regions(CloakPanel, label="Take, Change, Export", inside="logo"):
     """Logos of what belongs together already, and what changes a logo as a whole"""
-
-    bl_label = "Take, Change, Export"
-    bl_parent_id = "CLOAK_PT_logo"
-    bl_options = CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.body_column(context)
@@ -106,15 +95,11 @@ class CLOAK_PT_regions(CloakPanel, bpy.types.Panel):
         _buttons(column, "export", "import")
 
 
-class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_stamp(CloakPanel, label="Stamp", inside="logo"):
     """A logo from a text, a picture or a smiley"""
 
-    bl_label = "Stamp"
-    bl_parent_id = "CLOAK_PT_logo"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         column = self.body_column(context)
         box = column.column(align=True)
         box.row(align=True).prop(settings, "stamp_kind", expand=True)
@@ -140,12 +125,8 @@ class CLOAK_PT_stamp(CloakPanel, bpy.types.Panel):
         row.operator("cloak.logo_stamp", text="Add").target = "ADD"
 
 
-class CLOAK_PT_heatmap(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_heatmap(CloakPanel, label="Heatmap", inside="logo"):
     """A logo where the detector looks"""
-
-    bl_label = "Heatmap"
-    bl_parent_id = "CLOAK_PT_logo"
-    bl_options = CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
         column = settings_column(self.layout).column(align=True)
@@ -154,6 +135,6 @@ class CLOAK_PT_heatmap(CloakPanel, bpy.types.Panel):
             shown = shows_heat(active_body(context))
             text = "Hide Heatmap" if shown else "Show Heatmap"
             column.operator("cloak.heatmap_toggle", text=text, icon="HIDE_ON" if shown else "HIDE_OFF")
-            column.prop(settings_of(context), "heat_share")
+            column.prop(context.scene.cloak, "heat_share")
             column.operator("cloak.logo_from_heat")
         self.progress(context, "Heatmap")

@@ -65,25 +65,27 @@ def _set_title(name: str, value: int) -> str:
 
 
 class PickOperator(BodyOperator):
-    """Base: `pick(obj)` returns a mask and a name for the logo."""
+    """Base: `pick` returns a mask of the object's current mesh, and a name for the logo."""
 
     add: props.switch("Add", "Add to the active logo instead of making a new one")
 
-    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
+    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         raise NotImplementedError
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         self.show(0.3)
-        with current_mesh(obj):
-            mask, name = self.pick(obj)
-            name = take(obj, require_faces(obj, mask, f"'{name}'"), name, self.add)
+        with current_mesh(obj) as mesh:
+            mask, name = self.pick(obj, mesh)
+            if not mask.any():
+                count = f"{face_count(obj):,}"
+                raise InputError(f"'{name}' of '{obj.name}' has no faces: choose another (of {count} faces)")
+            name = take(obj, mask, name, self.add)
         return f"Logo '{name}': {int(mask.sum()):,} faces taken"
 
 
-class CLOAK_OT_logo_from_material(PickOperator):
+class CLOAK_OT_logo_from_material(PickOperator, label="From Material"):
     """Make a logo of all faces of a material"""
 
-    bl_label = "From Material"
     bl_property = "slot"
 
     slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(_materials))
@@ -92,15 +94,14 @@ class CLOAK_OT_logo_from_material(PickOperator):
     def needs(context: bpy.types.Context) -> str:
         return BodyOperator.needs(context) or ("" if context.object.material_slots else "The body has no materials")
 
-    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
-        slot = int(self.slot)
-        return of_material(obj, slot), _material_title(obj, slot)
+    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
+        slot = int(self.slot)  # faces under the cloak count for the material they had before
+        return colors.own_material_slots(obj, mesh) == slot, _material_title(obj, slot)
 
 
-class CLOAK_OT_logo_from_group(PickOperator):
+class CLOAK_OT_logo_from_group(PickOperator, label="From Vertex Group"):
     """Make a logo of the faces whose corners all weigh at least a half in a vertex group"""
 
-    bl_label = "From Vertex Group"
     bl_property = "group"
 
     group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(_groups))
@@ -109,15 +110,14 @@ class CLOAK_OT_logo_from_group(PickOperator):
     def needs(context: bpy.types.Context) -> str:
         return BodyOperator.needs(context) or ("" if context.object.vertex_groups else "The body has no vertex groups")
 
-    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
+    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         group = int(self.group)
         return of_vertex_group(obj, group), obj.vertex_groups[group].name
 
 
-class CLOAK_OT_logo_from_face_set(PickOperator):
+class CLOAK_OT_logo_from_face_set(PickOperator, label="From Face Set"):
     """Make a logo of a sculpting face set, or of the faces that share a value of an integer face attribute"""
 
-    bl_label = "From Face Set"
     bl_property = "face_set"
 
     face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(_face_sets))
@@ -129,24 +129,17 @@ class CLOAK_OT_logo_from_face_set(PickOperator):
             return reason
         return "The body has no face sets (integer face attributes)"
 
-    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
+    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         value, _, name = self.face_set.partition(" ")
-        return of_face_set(obj, name, int(value)), _set_title(name, int(value))
+        return _integers(mesh, name) == int(value), _set_title(name, int(value))
 
 
-class CLOAK_OT_logo_from_island(PickOperator):
+class CLOAK_OT_logo_from_island(PickOperator, label="From Seam Island"):
     """Make a logo of everything between the seams around the selected faces"""
 
-    bl_label = "From Seam Island"
-
-    def pick(self, obj: bpy.types.Object) -> tuple[np.ndarray, str]:
-        return of_seam_islands(obj, selected_faces(obj)), "Island"
-
-
-def of_material(obj: bpy.types.Object, slot: int) -> np.ndarray:
-    """Faces of a material slot; those under the cloak count for the material they had before."""
-    with current_mesh(obj) as mesh:
-        return colors.own_material_slots(obj, mesh) == slot
+    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
+        islands = seam_islands(obj)
+        return np.isin(islands, islands[selected_faces(obj)]), "Island"
 
 
 def of_vertex_group(obj: bpy.types.Object, group: int) -> np.ndarray:
@@ -177,20 +170,8 @@ def face_sets(obj: bpy.types.Object) -> list[tuple[str, int]]:
     return [(name, int(value)) for name, found in values.items() for value in found[:MAX_SETS]]
 
 
-def of_face_set(obj: bpy.types.Object, name: str, value: int) -> np.ndarray:
-    """Faces that have a value of an integer face attribute."""
-    with current_mesh(obj) as mesh:
-        return _integers(mesh, name) == value
-
-
 def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
     return read(mesh.attributes[name].data, "value", dtype=np.int32)
-
-
-def of_seam_islands(obj: bpy.types.Object, start: np.ndarray) -> np.ndarray:
-    """All faces that can be reached from the faces of `start` without crossing a seam."""
-    islands = seam_islands(obj)
-    return np.isin(islands, np.unique(islands[start]))
 
 
 def seam_islands(obj: bpy.types.Object) -> np.ndarray:
@@ -215,10 +196,3 @@ def seam_islands(obj: bpy.types.Object) -> np.ndarray:
         if np.array_equal(following, label):
             return label
         label = following
-
-
-def require_faces(obj: bpy.types.Object, mask: np.ndarray, what: str) -> np.ndarray:
-    """The mask; `InputError` where it is empty."""
-    if not mask.any():
-        raise InputError(f"{what} of '{obj.name}' has no faces: choose another (of {face_count(obj):,} faces)")
-    return mask

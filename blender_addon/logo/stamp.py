@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, read, triangle_areas
+from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, read
 from ..blender.occlusion import depth_buffer, seen
 from ..blender.surface import Surface
 from ..files.errors import InputError
@@ -183,8 +183,3 @@ class Placed:
         beyond = np.bitwise_and.reduce((sides[:, 0] | sides[:, 1] | behind)[corners], 1)
         near = (beyond == 0) & ahead[corners].all(1)  # a triangle beyond one side hides nothing
         return seen(plane[faces], faces, points, corners[near], face[near])
-
-
-def area_of(surface: Surface) -> float:
-    """The body's whole area, in world units squared."""
-    return float(triangle_areas(surface.points, surface.corners).sum())

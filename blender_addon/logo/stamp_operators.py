@@ -13,18 +13,17 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from mathutils import Vector
 
 from ..blender.faces import face_areas
-from ..blender.mesh_arrays import current_mesh
+from ..blender.mesh_arrays import current_mesh, triangle_areas
 from ..blender.surface import read_surface
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
-from ..properties import settings_of
 from ..ui import props
 from ..ui.operator import BodyOperator
 from ..ui.window import areas, main_region
 from . import stamp
 from .operators import take
-from .preview import ADDED, MOVES, Preview
-from .stamp import Placed, Projection, area_of, front_projection, laid, view_projection
+from .overlay import ADDED, MOVES, Preview
+from .stamp import Placed, Projection, front_projection, laid, view_projection
 
 PAPER_SHARE = 0.044
 """Of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces."""
@@ -40,7 +39,7 @@ class StampOperator(BodyOperator):
     def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
         """Read the body and the stamp; returns the settings."""
         require_upright(obj)
-        settings = settings_of(context)
+        settings = context.scene.cloak
         ink, self._name = ink_of(settings)
         self.show(0.3)  # a body with subdivision takes seconds
         self._obj, self._placed = obj, Placed(read_surface(context, obj), ink)
@@ -54,10 +53,8 @@ class StampOperator(BodyOperator):
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 
 
-class CLOAK_OT_logo_stamp(StampOperator):
+class CLOAK_OT_logo_stamp(StampOperator, label="Stamp"):
     """Project the stamp onto the body and make a logo of the faces it covers"""
-
-    bl_label = "Stamp"
 
     target: props.choice(
         "Target",
@@ -76,10 +73,8 @@ class CLOAK_OT_logo_stamp(StampOperator):
         return self.write(projection, self.target == "ADD")
 
 
-class CLOAK_OT_stamp_paper(StampOperator):
+class CLOAK_OT_stamp_paper(StampOperator, label="Paper's Logo"):
     """Stamp the paper's letter G or smiley onto the chest, 4.4 % of the body's area as there"""
-
-    bl_label = "Paper's Logo"
 
     kind: props.choice(
         "Logo",
@@ -89,7 +84,7 @@ class CLOAK_OT_stamp_paper(StampOperator):
     )
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         settings.stamp_kind, settings.stamp_text, settings.stamp_from = self.kind, "G", "FRONT"
         settings.stamp_center, settings.stamp_offset = 0.72, 0.0
         self.lay(context, obj)
@@ -106,10 +101,8 @@ class CLOAK_OT_stamp_paper(StampOperator):
         return f"Logo '{name}': {int(mask.sum()):,} faces, {share:.1%} of the area"
 
 
-class CLOAK_OT_stamp_drag(StampOperator):
+class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reason):
     """Drag the stamp over the body, see what it takes, click to stamp. The mouse wheel resizes, R rotates"""
-
-    bl_label = "Place Stamp"
 
     kind: props.choice(
         "Stamp",
@@ -125,7 +118,6 @@ class CLOAK_OT_stamp_drag(StampOperator):
     height: props.number("Height", "Height of the stamp", 0.3, min=1e-6, subtype="DISTANCE")
     angle: props.number("Angle", "Turns the stamp against the clock", subtype="ANGLE")
     add: props.switch("Add", "Add to the active logo instead of making a new one")
-    needs = staticmethod(upright_reason)
 
     # --- from numbers ---
 
@@ -134,7 +126,7 @@ class CLOAK_OT_stamp_drag(StampOperator):
         return self._stamp()
 
     def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         if self.kind == "LETTER":
             settings.stamp_kind, settings.stamp_text = "TEXT", "G"
         elif self.kind == "SMILEY":
@@ -160,7 +152,8 @@ class CLOAK_OT_stamp_drag(StampOperator):
         self._area, self._region, self._turning = context.area, main_region(context.area), None
         surface, ink = self._placed.surface, self._placed.ink
         if self.kind != "SETTINGS":
-            self.height = math.sqrt(PAPER_SHARE * area_of(surface) / (ink.mean() * self._placed.aspect))
+            area = float(triangle_areas(surface.points, surface.corners).sum())
+            self.height = math.sqrt(PAPER_SHARE * area / (ink.mean() * self._placed.aspect))
         else:
             self.height = settings.stamp_size * float(np.ptp(surface.points[:, 2]))
         self.angle = 0.0

@@ -7,32 +7,24 @@ import bpy
 
 from ..blender.modifiers import modifiers_reason
 from ..body.objects import active_body, body_reason
-from ..properties import settings_of
-from ..ui.panel_parts import CLOSED, CloakPanel, wrapped
+from ..ui.panel_parts import CloakPanel, wrapped
 from .poses import lying_warning
 from .reasons import export_summary, poses_reason
 
 
-class CLOAK_PT_poses(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_poses(CloakPanel, label="3. Poses", closed=True, unfinished=poses_reason):
     """Step 3: the poses to train on"""
-
-    bl_label = "3. Poses"
-    bl_options = CLOSED
 
     def draw_header(self, context: bpy.types.Context) -> None:
         """Show an error in the header too: the panel is closed by default."""
         super().draw_header(context)
-        if not body_reason(context) and not self.is_done(context):
+        if not body_reason(context) and self.unfinished(context):
             self.layout.label(icon="ERROR")
-
-    @staticmethod
-    def is_done(context: bpy.types.Context) -> bool:
-        return not poses_reason(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         no_body = body_reason(context)
         column = self.gate(context, no_body)
-        settings = settings_of(context)
+        settings = context.scene.cloak
         column.prop(settings, "pose_source")
         if settings.pose_source == "RANGE":
             pair = column.column(align=True)

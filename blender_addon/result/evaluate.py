@@ -11,7 +11,6 @@ from ..blender.blend_paths import absolute
 from ..body.objects import active_body, of_the_body, refusal
 from ..poses.poses import PoseChoice
 from ..poses.reasons import poses_reason
-from ..properties import settings_of
 from ..session import session
 from ..trainer.command_lines import cloak_command, detector_options
 from ..trainer.jobs import Job, run_cloak
@@ -25,14 +24,13 @@ from ..ui.window import main_region, redraw
 from . import eye
 from .evaluations import kept_back, read_evaluation
 from .judging import evaluate_options
-from .reasons import judged_reason
-from .worn_scenes import export_worn
+from .reasons import export_worn, judged_reason
 
 
 def evaluate_reason(context: bpy.types.Context) -> str:
     """Why the body's run cannot be evaluated."""
     reason = judged_reason(context)
-    judging = settings_of(context).judging
+    judging = context.scene.cloak.judging
     if reason or judging.bodies == "KEPT":
         return reason or _folder_reason(judging.backgrounds)
     choice = PoseChoice("RANGE", judging.frame_start, judging.frame_end, judging.frame_step)
@@ -47,18 +45,15 @@ def _folder_reason(path: str) -> str:
 @of_the_body
 def eye_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the detector cannot look at the body."""
-    return poses_reason(context, PoseChoice()) or refusal(judges, settings_of(context))
+    return poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
 
 
-class CLOAK_OT_evaluate(CloakOperator):
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason):
     """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
 beside controls on the same images. The result is shown here and as a ring around the body"""
 
-    bl_label = "Evaluate"
-    needs = staticmethod(evaluate_reason)
-
     def run(self, context: bpy.types.Context) -> str:
-        obj, settings = active_body(context), settings_of(context)
+        obj, settings = active_body(context), context.scene.cloak
         run, judging = run_of(obj), settings.judging
         options = evaluate_options(judging, judges(settings), settings.device)
         folder = side_folder(run)
@@ -74,7 +69,7 @@ beside controls on the same images. The result is shown here and as a ring aroun
 
 
 def _evaluated(job: Job, run: Path) -> str | None:
-    found = read_evaluation(run) if job.state == "done" else None
+    found = read_evaluation(run)
     run_list.refresh(bpy.context)
     if found is None:
         return None
@@ -84,11 +79,9 @@ def _evaluated(job: Job, run: Path) -> str | None:
     return f"{outcome}: {found.describe()}"
 
 
-class CLOAK_OT_eye(CloakOperator):
+class CLOAK_OT_eye(CloakOperator, label="Detector's Eye"):
     """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
 It goes on looking as you move, and while a training runs, until this is pressed again"""
-
-    bl_label = "Detector's Eye"
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -99,7 +92,7 @@ It goes on looking as you move, and while a training runs, until this is pressed
             eye.close_eye()
             redraw()
             return "The detector looks no more"
-        obj, settings = active_body(context), settings_of(context)
+        obj, settings = active_body(context), context.scene.cloak
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
         python = local_python()

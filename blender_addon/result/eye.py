@@ -21,15 +21,13 @@ from ..body.garments import worn_by
 from ..body.objects import object_of, refusal
 from ..files.errors import InputError
 from ..poses.poses import PoseChoice
-from ..properties import settings_of
 from ..session import session
 from ..trainer.onlooker import Onlooker, Seen
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
 from ..ui.window import Hooks, areas, main_region, redraw
-from .reasons import worn_reason
+from .reasons import export_worn, worn_reason
 from .viewpoints import Viewpoint, of_camera, of_view
-from .worn_scenes import export_worn
 
 LONGEST = 640
 """Pixels along the longer side of the pictures that the detector gets."""
@@ -70,8 +68,8 @@ class Eye:
 
     def tick(self, context: bpy.types.Context) -> None:
         """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
-        if refusal(judges, settings_of(context)) == "" and judges(settings_of(context)) != self.specs:
-            self._use(judges(settings_of(context)))
+        if refusal(judges, context.scene.cloak) == "" and judges(context.scene.cloak) != self.specs:
+            self._use(judges(context.scene.cloak))
         failure = self._onlooker.failure()
         if failure:
             raise InputError(failure)
@@ -98,7 +96,7 @@ class Eye:
 
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         viewpoint = self._looks_from(context, obj).sized(LONGEST)
-        settings, run = settings_of(context), self._run(obj)
+        settings, run = context.scene.cloak, self._run(obj)
         reason = worn_reason(obj)
         if reason:
             raise InputError(reason)
@@ -124,7 +122,7 @@ class Eye:
         return self._fitting[1]
 
     def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
-        if settings_of(context).judging.eye_from == "CAMERA":
+        if context.scene.cloak.judging.eye_from == "CAMERA":
             return of_camera(context.scene, obj)
         found = [(main_region(area), area.spaces.active.region_3d) for _, area in areas("VIEW_3D")]
         if not found:

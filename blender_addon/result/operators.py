@@ -11,7 +11,6 @@ from ..blender import colors
 from ..blender.blend_paths import absolute
 from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, object_of, of_the_body, refusal
-from ..properties import settings_of
 from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.preferences import chosen_python
@@ -49,25 +48,19 @@ def check_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why the cloak cannot be checked in Cycles."""
     if not is_dressed(obj):
         return f"'{obj.name}' shows its own materials: switch the cloak on first"
-    return judged_reason(context) or refusal(judges, settings_of(context))
+    return judged_reason(context) or refusal(judges, context.scene.cloak)
 
 
-class CLOAK_OT_result_load(BodyOperator):
+class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason):
     """Bring the colours of the run folder onto the model"""
-
-    bl_label = "Load Colours"
-    needs = staticmethod(wear_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         result = runs.import_colors(context, obj, run_of(obj))
         return f"{len(result.face_ids):,} faces of '{obj.name}' wear the trained colours"
 
 
-class CLOAK_OT_result_toggle(BodyOperator):
+class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reason):
     """Switch between the cloak and the body's own materials"""
-
-    bl_label = "Toggle Cloak"
-    needs = staticmethod(wear_reason)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if is_dressed(obj):
@@ -78,10 +71,8 @@ class CLOAK_OT_result_toggle(BodyOperator):
         return f"'{obj.name}' wears the cloak"
 
 
-class CLOAK_OT_explain(CloakOperator):
+class CLOAK_OT_explain(CloakOperator, label="Explain"):
     """What a figure of the panel means"""
-
-    bl_label = "Explain"
 
     tip: props.text("Tip", "What the figure means")
 
@@ -93,10 +84,9 @@ class CLOAK_OT_explain(CloakOperator):
         return self.tip
 
 
-class CLOAK_OT_use_standard_view(CloakOperator):
+class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
     """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
 
-    bl_label = "Use Standard"
     bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
@@ -104,18 +94,15 @@ class CLOAK_OT_use_standard_view(CloakOperator):
         return "View transform: Standard"
 
 
-class CLOAK_OT_open_report(CloakOperator):
+class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason):
     """Open the run's report in the web browser, after making it if need be"""
-
-    bl_label = "Open Report"
-    needs = staticmethod(report_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         run = run_of(active_body(context))
         report = run / "report.html"
         if report.exists():
             return _open(report)
-        ended = lambda job: _open(report) if job.state == "done" and report.exists() else None
+        ended = lambda job: _open(report) if report.exists() else None
         return "Making the report" + run_cloak("Report", ("report", run), runs.side_folder(run), "report", ended)
 
 
@@ -125,18 +112,15 @@ def _open(report: Path) -> str:
     return f"Opened {report}"
 
 
-class CLOAK_OT_render_check(CloakOperator):
+class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
-    bl_label = "Render Check"
-    needs = staticmethod(check_reason)
-
     def run(self, context: bpy.types.Context) -> str:
-        obj, settings = active_body(context), settings_of(context)
+        obj, settings = active_body(context), context.scene.cloak
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.side_folder(run))
         points, python = thresholds(settings, render_check.THRESHOLD), chosen_python()
-        angles = render_check.angles_of(settings.angle_first, settings.angle_last, settings.angle_step)
+        angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
         images = render_check.image_paths(plan)
         check = lambda spec, image: cloak_command(python, "detectors", "check", spec, "--image", image)

@@ -16,16 +16,14 @@ from ..files.errors import InputError
 from ..files.writing import write_text
 from ..poses.poses import PoseChoice
 from ..poses.reasons import poses_reason
-from ..properties import settings_of
-from ..trainer.jobs import Job, run_cloak
+from ..trainer.jobs import run_cloak
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
 from . import bake
 from .judging import backgrounds_option
-from .reasons import judged_reason, result_reason
+from .reasons import export_worn, judged_reason, result_reason
 from .viewpoints import of_camera
-from .worn_scenes import export_worn
 
 SHEETS, TURNTABLE, FILM = "print sheets", "turntable", "film"
 MADE = (SHEETS, TURNTABLE, FILM)
@@ -35,11 +33,6 @@ GIF_FPS = 12.5
 """Frames a second of a GIF: twice as many make it twice as large."""
 MOST_KEYS = 120
 """Keyframes that a camera's way is told in."""
-
-
-def new_place(run: Path, name: str, suffix: str = "") -> Path:
-    """A path for something new, such as "turntable 2.gif"."""
-    return first_free(side_folder(run), name, suffix)
 
 
 def made(run: Path) -> list[Path]:
@@ -100,46 +93,37 @@ def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
 
 
-class CLOAK_OT_print_sheets(CloakOperator):
+class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason):
     """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
-
-    bl_label = "Print Sheets"
-    needs = staticmethod(film_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         obj = active_body(context)
         run = run_of(obj)
-        place, scene = new_place(run, SHEETS), input_folder(run) / "scene"
+        place, scene = first_free(side_folder(run), SHEETS), input_folder(run) / "scene"
         if not scene.is_dir():  # a run of the command line
             scene = side_folder(run) / "print scene"
             export_worn(context, obj, run, PoseChoice(), scene)
         words = ("print", run, "--scene", scene, "--out", place)
-        waits = run_cloak(self.bl_label, words, side_folder(run), "print", lambda job: _told(job, place))
+        waits = run_cloak(self.bl_label, words, side_folder(run), "print", lambda job: f"Wrote {place.name}")
         return f"Laying the logo out in {place}{waits}"
 
 
-class CLOAK_OT_turntable(CloakOperator):
+class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason):
     """Film the body as it stands from all around, in own clothing and in the cloak, with what the detector sees"""
 
-    bl_label = "Turntable"
-    needs = staticmethod(film_reason)
-
     def run(self, context: bpy.types.Context) -> str:
-        seconds = settings_of(context).judging.film_seconds
+        seconds = context.scene.cloak.judging.film_seconds
         return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"])
 
 
-class CLOAK_OT_film(CloakOperator):
+class CLOAK_OT_film(CloakOperator, label="Film with Camera", needs=camera_film_reason):
     """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
 with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""
-
-    bl_label = "Film with Camera"
-    needs = staticmethod(camera_film_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         obj, scene = active_body(context), context.scene
         view = of_camera(scene, obj)
-        choice, still = PoseChoice(), settings_of(context).pose_source == "CURRENT"
+        choice, still = PoseChoice(), context.scene.cloak.pose_source == "CURRENT"
         if not still:
             choice = PoseChoice("RANGE", scene.frame_start, scene.frame_end, 1)
         options = [f"--field-of-view={view.field_of_view:.4f}"]
@@ -152,10 +136,11 @@ def film(
     context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice | None = None
 ) -> str:
     """Export the poses and film them; by the scene's camera where the options name none."""
-    obj, settings = active_body(context), settings_of(context)
+    obj, settings = active_body(context), context.scene.cloak
     run = run_of(obj)
     suffix = {"png": ""}.get(settings.judging.film_format, f".{settings.judging.film_format}")
-    place, folder = new_place(run, name, suffix), side_folder(run)
+    folder = side_folder(run)
+    place = first_free(folder, name, suffix)
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
     scene = folder / f"{name} scene"
@@ -165,7 +150,7 @@ def film(
         options = [*options, f"--camera={folder / name}.csv"]
     options = [*options, f"--fps={film_fps(context.scene, suffix):g}", f"--device={settings.device}"]
     words = ["film", run, "--scene", scene, *options, backgrounds_option(settings.judging), "--out", place]
-    return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: _told(job, place), True)
+    return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
 
 def middle_of_motion(bodies: Bodies) -> np.ndarray:
@@ -173,16 +158,9 @@ def middle_of_motion(bodies: Bodies) -> np.ndarray:
     return ((bodies.vertices.min(1).astype(float) + bodies.vertices.max(1)) / 2).mean(0)
 
 
-def _told(job: Job, place: Path) -> str | None:
-    # Its name alone: in the panel the way there takes three lines, and the list below opens it.
-    return f"Wrote {place.name}" if job.state == "done" else None
-
-
-class CLOAK_OT_bake(BodyOperator):
+class CLOAK_OT_bake(BodyOperator, label="Bake to Image"):
     """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
 or one with too little room, Cloak makes one of its own"""
-
-    bl_label = "Bake to Image"
 
     size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
 
@@ -202,11 +180,8 @@ or one with too little room, Cloak makes one of its own"""
         return made if done.off_before is None else f"{made} ({done.off_before:,} on the body's own map)"
 
 
-class CLOAK_OT_show_made(CloakOperator):
+class CLOAK_OT_show_made(CloakOperator, label="Open", needs=made_reason):
     """Open it with the program that the system has for it"""
-
-    bl_label = "Open"
-    needs = staticmethod(made_reason)
 
     path: props.text("Path", "What to open")
 

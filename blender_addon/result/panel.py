@@ -9,14 +9,12 @@ from ..blender import colors
 from ..body.garments import is_dressed
 from ..body.objects import active_body
 from ..files.specs import without_folders
-from ..properties import settings_of
 from ..session import session
 from ..training import run_list
 from ..training.runs import run_of
 from ..translations import said
-from ..ui.drawing import short
-from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
-from ..ui.thumbnails import icon_of
+from ..ui.drawing import icon_of, short
+from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
 from .evaluations import CONTROLS, Evaluation, Judged
 from .eye_drawing import KINDS
@@ -41,10 +39,8 @@ CONTROL = {
 }
 
 
-class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_result(CloakPanel, label="5. Result"):
     """Step 5: the trained colours on the model"""
-
-    bl_label = "5. Result"
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = result_reason(context)
@@ -84,15 +80,11 @@ class CLOAK_PT_result(CloakPanel, bpy.types.Panel):
                     figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score >= check.threshold else "HIDE_ON")
 
 
-class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result"):
     """What the cloak is worth where training never saw it"""
 
-    bl_label = "Evaluation"
-    bl_parent_id = "CLOAK_PT_result"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        judging = settings_of(context).judging
+        judging = context.scene.cloak.judging
         column = settings_column(self.layout)
         column.prop(judging, "bodies")
         if judging.bodies == "FRAMES":
@@ -117,7 +109,7 @@ class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
             wrapped(self.layout, context, found.describe().capitalize(), icon="INFO")
         for judged in found.detectors:
             self._table(judged, found.threshold)
-        self.layout.prop(settings_of(context).judging, "ring", text="Ring around the Body")
+        self.layout.prop(context.scene.cloak.judging, "ring", text="Ring around the Body")
 
     def _table(self, judged: Judged, threshold: float) -> None:
         """At the common threshold, and at the detector's own below that: side by side the figures would be clipped."""
@@ -134,15 +126,11 @@ class CLOAK_PT_evaluation(CloakPanel, bpy.types.Panel):
                 split.label(text=rates[index].describe())
 
 
-class CLOAK_PT_take_along(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
     """The cloak on paper, on film, in an image"""
 
-    bl_label = "Take Along"
-    bl_parent_id = "CLOAK_PT_result"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        judging = settings_of(context).judging
+        judging = context.scene.cloak.judging
         column = self.layout.column(align=True)
         column.operator("cloak.print_sheets", icon="FILE_BLANK")
         column.operator("cloak.bake", icon="IMAGE_DATA")
@@ -160,14 +148,11 @@ class CLOAK_PT_take_along(CloakPanel, bpy.types.Panel):
             row.operator("cloak.show_made", text="Open").path = str(path)
 
 
-class CLOAK_PT_eye(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
     """What the detector makes of the body from where you look"""
 
-    bl_label = "Detector's Eye"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        judging, watching = settings_of(context).judging, session.eye
+        judging, watching = context.scene.cloak.judging, session.eye
         open_ = watching is not None
         text = "Close the Eye" if open_ else "Look"
         self.layout.operator("cloak.eye", text=text, icon="HIDE_OFF" if open_ else "HIDE_ON", depress=open_)

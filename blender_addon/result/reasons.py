@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Why a cloak cannot be worn or judged now; "" means that it can. Cheap enough for every redraw."""
+"""Why the colours of a run cannot be shown or judged, and exports of a body that wears them."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
 
-from ..body.garments import is_dressed
+from ..body.garments import is_dressed, worn_by
 from ..body.objects import of_the_body, refusal
-from ..training.runs import run_of
-from .worn_scenes import require_same_clothes
+from ..exchange.bodies import Bodies
+from ..exchange.face_lists import read_face_list
+from ..exchange.scenes import write_scene
+from ..files.errors import InputError
+from ..poses.export import RECORD, export_bodies, read_export
+from ..poses.poses import PoseChoice
+from ..training.run_states import read_state
+from ..training.runs import input_folder, run_of
 
 
 @of_the_body
@@ -36,3 +43,35 @@ def worn_reason(obj: bpy.types.Object) -> str:
     if not worn or run is None or Path(worn) == run or not is_dressed(obj):
         return ""
     return f"The model wears {Path(worn).name}, chosen is {run.name}: press Load Colours"
+
+
+def export_worn(
+    context: bpy.types.Context, obj: bpy.types.Object, run: Path | None, choice: PoseChoice, folder: Path
+) -> Bodies:
+    """A scene package in `folder` (replaced) of what the camera sees, with the faces that the run's colours are for.
+
+    Raises `InputError` where the faces are not those of the training, and says which piece is there or is missing.
+    """
+    expected = read_face_list(run / "logo.npy").topology if run else None
+    require_same_clothes(obj, run)
+    bodies = export_bodies(context, obj, choice, read_state(run).logo if run else "")
+    if expected not in (None, bodies.topology):
+        raise InputError(
+            f"'{obj.name}' changed since {run.name} was trained: its faces, or those of its clothing, are others; undo "
+            "the change, or train again"
+        )
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(folder, bodies, creator="cloak add-on")
+    return bodies
+
+
+def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
+    """Raise `InputError` if the visible objects differ from those of the training, where the run records them."""
+    if run is None or not (input_folder(run) / RECORD).is_file():
+        return
+    names = read_export(input_folder(run)).objects
+    then, now = set(names[1:]), {o.name for o in worn_by(obj) if names}
+    if now - then:
+        raise InputError(f"{run.name} was trained without '{min(now - then)}': leave it out (step 1), or train again")
+    if then - now:
+        raise InputError(f"{run.name} was trained with '{min(then - now)}': show it again, or train again")

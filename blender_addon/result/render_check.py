@@ -47,11 +47,6 @@ class Plan:
     backgrounds: str = ""
 
 
-def angles_of(first: int, last: int, step: int) -> tuple[int, ...]:
-    """The training azimuths."""
-    return tuple(range(first, last + 1, step))
-
-
 def new_folder_in(parent: Path) -> Path:
     """A folder `render check N` that did not exist."""
     number = 1

@@ -18,7 +18,6 @@ from mathutils import Matrix, Vector
 from ..blender import colors
 from ..blender.mesh_arrays import box_of
 from ..body.garments import is_dressed
-from ..properties import settings_of
 from ..training import run_list
 from ..ui.drawing import Shape, fill, short, size_of_words, width_of, write
 from ..ui.window import Hooks
@@ -114,7 +113,7 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
         return None
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
-    if not settings_of(context).judging.ring or not obj.visible_get() or not obj.data.polygons:
+    if not context.scene.cloak.judging.ring or not obj.visible_get() or not obj.data.polygons:
         return None
     if not state.evaluation.worst_sectors() or not is_dressed(obj) or colors.shows_heat(obj):
         return None

@@ -9,23 +9,20 @@ from pathlib import Path
 
 import bpy
 
-from ..blender.blend_paths import absolute
+from ..blender.blend_paths import absolute, first_free
 from ..body.objects import active_body, refusal
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
-from ..properties import settings_of
 from ..trainer.command_lines import detector_options
 from ..trainer.jobs import Job, run_cloak
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
 from ..ui import props
-from ..ui.drawing import short
+from ..ui.drawing import icon_of, short
 from ..ui.operator import CloakOperator
-from ..ui.panel_parts import CLOSED, CloakPanel, settings_column, wrapped
-from ..ui.thumbnails import icon_of
+from ..ui.panel_parts import CloakPanel, settings_column, wrapped
 from .evaluations import CONTROLS
-from .outputs import new_place
 from .reasons import result_reason
 
 WEAR, ANSWER = "worn by people", "answer.json"
@@ -83,19 +80,17 @@ def _rates(told: dict) -> dict[str, float]:
     return found
 
 
-class CLOAK_OT_wear(CloakOperator):
+class CLOAK_OT_wear(CloakOperator, label="Wear"):
     """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
-
-    bl_label = "Wear"
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         return result_reason(context) or refusal(people_file, settings.judging.people) or refusal(judges, settings)
 
     def run(self, context: bpy.types.Context) -> str:
-        settings, run = settings_of(context), run_of(active_body(context))
-        people, place = people_file(settings.judging.people), new_place(run, WEAR)
+        settings, run = context.scene.cloak, run_of(active_body(context))
+        people, place = people_file(settings.judging.people), first_free(side_folder(run), WEAR)
         options = [f"--people={people}", *detector_options(judges(settings)), f"--device={settings.device}"]
         words, ended = ["wear", run, *options, "--out", place], lambda job: _ended(job, place)
         waits = run_cloak("Wear", words, side_folder(run), "wear", ended)
@@ -103,8 +98,6 @@ class CLOAK_OT_wear(CloakOperator):
 
 
 def _ended(job: Job, place: Path) -> str | None:
-    if job.state != "done":
-        return None
     try:
         record = json.loads(job.outputs[-1])
         people = int(record["people"])
@@ -115,28 +108,22 @@ def _ended(job: Job, place: Path) -> str | None:
     return f"{people} people wear it"
 
 
-class CLOAK_OT_wear_page(CloakOperator):
+class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):
     """Show other pictures"""
-
-    bl_label = "Turn the Page"
 
     step: props.whole("Step", "Pages to turn", 1)
 
     def run(self, context: bpy.types.Context) -> str:
-        judging = settings_of(context).judging
+        judging = context.scene.cloak.judging
         judging.people_page = max(0, judging.people_page + self.step)
         return ""
 
 
-class CLOAK_PT_wear(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result"):
     """The cloak on people in photographs"""
 
-    bl_label = "Wear"
-    bl_parent_id = "CLOAK_PT_result"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        judging = settings_of(context).judging
+        judging = context.scene.cloak.judging
         settings_column(self.layout).prop(judging, "people")
         self.layout.operator("cloak.wear", icon="COMMUNITY")
         self.progress(context, "Wear")

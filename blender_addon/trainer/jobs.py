@@ -323,16 +323,20 @@ def launch(job: Job) -> Job:
     return job
 
 
-def run_cloak(label: str, words: Iterable[object], folder: Path, name: str, on_end: OnEnd, follow: bool = False) -> str:
+def run_cloak(
+    label: str, words: Iterable[object], folder: Path, name: str, on_done: OnEnd, follow: bool = False
+) -> str:
     """Launch one command of the trainer, `cloak WORDS...`; with `follow` it logs its progress into the folder.
 
-    Returns what its launcher adds to its message: ", after Training" where it waits its turn.
+    on_done: called when it has succeeded; may return a message. Returns what its launcher adds to its own message:
+    ", after Training" where it waits its turn.
     """
     events = folder / f"{name}.jsonl" if follow else None
     if events:
         events.unlink(missing_ok=True)
         words = [*words, "--events", events]
     command = cloak_command(chosen_python(), *words)
+    on_end = lambda job: on_done(job) if job.state == "done" else None
     return waits(launch(Job(label, [command], folder, name, on_end, events)))
 
 

@@ -31,10 +31,8 @@ _bases: dict[str, Question] = {}
 OFFLINE = "Blender's online access is off: Preferences > System > Network > Allow Online Access"
 
 
-class CLOAK_OT_find_python(CloakOperator):
+class CLOAK_OT_find_python(CloakOperator, label="Find Python"):
     """Look for a Python that has cloak_core"""
-
-    bl_label = "Find Python"
 
     def run(self, context: bpy.types.Context) -> str:
         forget_answers()
@@ -42,10 +40,8 @@ class CLOAK_OT_find_python(CloakOperator):
         return f"Trainer's Python: {python}"
 
 
-class CLOAK_OT_test_python(CloakOperator):
+class CLOAK_OT_test_python(CloakOperator, label="Test Trainer"):
     """Start the trainer and show its version and device"""
-
-    bl_label = "Test Trainer"
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -58,10 +54,8 @@ class CLOAK_OT_test_python(CloakOperator):
         return "Testing the trainer: the answer appears in the preferences"
 
 
-class CLOAK_OT_copy_install_line(CloakOperator):
+class CLOAK_OT_copy_install_line(CloakOperator, label="Copy Installation Line"):
     """Copy the line that installs the trainer to the clipboard"""
-
-    bl_label = "Copy Installation Line"
 
     def run(self, context: bpy.types.Context) -> str:
         context.window_manager.clipboard = INSTALL_LINE
@@ -106,11 +100,9 @@ def _base(chosen: str, seconds: float) -> Base:
     return question.answer
 
 
-class CLOAK_OT_install_trainer(CloakOperator):
+class CLOAK_OT_install_trainer(CloakOperator, label="Install Trainer"):
     """Install the trainer into the add-on's own folder: an environment of its own, filled by pip from your package \
 index. Asks first, and says how much it takes"""
-
-    bl_label = "Install Trainer"
 
     python: props.path("Python", "Python that makes the environment; empty to look for one", relative=False)
     share_torch: props.switch(
@@ -185,10 +177,8 @@ def _in_use(folder: Path) -> Path | None:
     return folder / kept.relative_to(folder).parts[0] if kept.is_relative_to(folder) else None
 
 
-class CLOAK_OT_show_install_log(CloakOperator):
+class CLOAK_OT_show_install_log(CloakOperator, label="Show Log"):
     """Open what was said while the trainer was installed as a text in Blender"""
-
-    bl_label = "Show Log"
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:

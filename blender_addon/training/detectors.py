@@ -16,8 +16,9 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
-from ..trainer.jobs import Job, run_cloak
-from ..trainer.preferences import user_folder
+from ..trainer.command_lines import cloak_command
+from ..trainer.jobs import Job, launch, waits
+from ..trainer.preferences import chosen_python, user_folder
 from ..ui import props
 from ..ui.operator import CloakOperator
 
@@ -189,10 +190,8 @@ def take_over(*_: object) -> None:
 # --- operators -------------------------------------------------------------------------------------------------------
 
 
-class CLOAK_OT_detector_add(CloakOperator, ImportHelper):
+class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
     """Add a detector by its file: ONNX, ultralytics, OpenVINO, TFLite, Darknet, or Python. It is checked at once"""
-
-    bl_label = "Add Detector"
 
     filter_glob: StringProperty(default=";".join(f"*{s}" for s in (*FAMILIES, ".weights")), options={"HIDDEN"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
@@ -208,10 +207,8 @@ class CLOAK_OT_detector_add(CloakOperator, ImportHelper):
         return f"Checking {', '.join(path.name for path in paths)}"
 
 
-class CLOAK_OT_detector_add_named(CloakOperator):
+class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
     """Add a detector that has no file: the built-in one, or another that the command line names"""
-
-    bl_label = "Add by Name"
 
     spec: props.text("Name", "As the command line names it", BUILTIN)
 
@@ -223,10 +220,8 @@ class CLOAK_OT_detector_add_named(CloakOperator):
         return f"Checking {self.spec}"
 
 
-class CLOAK_OT_detector_remove(CloakOperator):
+class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
     """Take the chosen detector out of the list; an empty list is the built-in detector"""
-
-    bl_label = "Remove Detector"
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -240,12 +235,8 @@ class CLOAK_OT_detector_remove(CloakOperator):
         return f"{title} is not used any more"
 
 
-class CLOAK_OT_detector_check(CloakOperator):
+class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs):
     """Let the trainer load the chosen detector, compare it with its own runtime and say what it reports from"""
-
-    bl_label = "Check"
-
-    needs = CLOAK_OT_detector_remove.needs
 
     def run(self, context: bpy.types.Context) -> str:
         detector = active_detector(context.scene.cloak)
@@ -257,8 +248,8 @@ def check(detector: CloakDetector) -> str:
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
     # One render is enough to know whether, and from which score on, it works.
-    words = ("detectors", "verify", spec, "--renders", 1)
-    return run_cloak(CHECK, words, folder, "check", lambda job: _told(job, spec))
+    command = cloak_command(chosen_python(), "detectors", "verify", spec, "--renders", 1)
+    return waits(launch(Job(CHECK, [command], folder, "check", lambda job: _told(job, spec))))
 
 
 def _told(job: Job, spec: str) -> str | None:

@@ -14,8 +14,8 @@ from ..blender.faces import active_logo, logo_names
 from ..body.objects import active_body, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from ..poses.export import export, read_export
-from ..properties import output_folder, pose_choice, settings_of, train_request
+from ..poses.export import Export, export, read_export
+from ..properties import output_folder, pose_choice, train_request
 from ..session import session
 from ..trainer.command_lines import train_command
 from ..trainer.jobs import Job, TrainingJob, launch, waits
@@ -38,22 +38,16 @@ from .run_states import FoundTrainer, RunState, request_stop
 from .runs import run_of
 
 
-class CLOAK_OT_train_start(CloakOperator):
+class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason):
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
-
-    bl_label = "Start"
-    needs = staticmethod(train_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         return start(context)
 
 
-class CLOAK_OT_train_extend(CloakOperator):
+class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=extend_reason):
     """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
 detector or other angles. The run itself stays as it is"""
-
-    bl_label = "Extend"
-    needs = staticmethod(extend_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         return start(context, selected_run(context))
@@ -61,7 +55,7 @@ detector or other angles. The run itself stays as it is"""
 
 def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     """Export and train in a new run; from the colours of another run where one is given."""
-    obj, settings = active_body(context), settings_of(context)
+    obj, settings = active_body(context), context.scene.cloak
     logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
     options, python = train_request(settings).options(), chosen_python()
     options += [f"--init={begun.path}"] if begun else []
@@ -73,7 +67,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     made_from, _, faces = obj.cloak.made_from.partition("|")
     options += [f"--made-from={made_from}"] if made_from and faces == read_face_list(done.face_list).topology else []
     runs.remember_options(run, options)
-    begin(obj, run, train_command(python, options, done.scene, done.face_list, run))
+    begin(obj, run, done, train_command(python, options, done.scene, done.face_list, run))
     begins = f", from the colours of {begun.title}" if begun else ""
     return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}{waits(session.jobs[-1])}"
 
@@ -86,11 +80,8 @@ def _remove_failed_start() -> None:
             runs.remove(job.run)
 
 
-class CLOAK_OT_train_cancel(CloakOperator):
+class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=cancel_reason):
     """End the job; a training ends after the current step and can be resumed"""
-
-    bl_label = "Cancel"
-    needs = staticmethod(cancel_reason)
 
     number: props.whole("Job", "Its place in the queue; -1: the one that runs", -1)
 
@@ -102,28 +93,22 @@ class CLOAK_OT_train_cancel(CloakOperator):
         return f"Stopping: {job.label}"
 
 
-class CLOAK_OT_train_resume(CloakOperator):
+class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=resume_reason):
     """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
-
-    bl_label = "Resume"
-    needs = staticmethod(resume_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         obj, state = active_body(context), selected_run(context)
         done = read_export(runs.input_folder(state.path))
-        runs.require_same_topology(obj, done.topology)
         kept = kept_reason(context)
         command = train_command(chosen_python(), list(state.options), done.scene, done.face_list, state.path)
-        begin(obj, state.path, [*command, "--resume"])
+        begin(obj, state.path, done, [*command, "--resume"])
         return kept or f"Resuming {state.path}"
 
 
-def begin(obj: bpy.types.Object, run: Path, command: list[str]) -> None:
-    """Launch the training and wire its live colours."""
-    folder = runs.input_folder(run)
-    done = read_export(folder)
+def begin(obj: bpy.types.Object, run: Path, done: Export, command: list[str]) -> None:
+    """Launch the training of an export and wire its live colours."""
     watch = Watch(obj, run, read_face_list(done.face_list).ids, done.topology)
-    follow(obj, TrainingJob(command, run, folder, watch.finish), watch)
+    follow(obj, TrainingJob(command, run, done.folder, watch.finish), watch)
 
 
 def follow(obj: bpy.types.Object, job: TrainingJob, watch: Watch) -> None:
@@ -182,7 +167,7 @@ class Watch:
         if runs.run_of(obj) != self._run:
             job.notice = f"'{obj.name}' wears another run: choose {self._run.name} in the list to see its colours"
             return
-        settings = settings_of(bpy.context)
+        settings = bpy.context.scene.cloak
         if settings.live and time.monotonic() - self._last >= settings.live_seconds:
             self._refused = refusal(self._live.update, bpy.context)
             self._last = time.monotonic()
@@ -209,12 +194,9 @@ class Watch:
         return None
 
 
-class CLOAK_OT_run_attach(CloakOperator):
+class CLOAK_OT_run_attach(CloakOperator, label="Attach", needs=attach_reason):
     """Follow a training that this Blender did not start, or lost in a crash: its progress in the panel, its colours \
 on the body. When Blender closes it goes on"""
-
-    bl_label = "Attach"
-    needs = staticmethod(attach_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         run = selected_run(context).path
@@ -228,27 +210,21 @@ on the body. When Blender closes it goes on"""
         return f"Following {run.name}"
 
 
-class CLOAK_OT_run_stop(CloakOperator):
+class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=stop_reason):
     """End the training of the chosen run after its current step, whoever started it; Resume goes on with it"""
-
-    bl_label = "Stop"
-    needs = staticmethod(stop_reason)
 
     def run(self, context: bpy.types.Context) -> str:
         run = selected_run(context).path
-        mine = [job for job in session.jobs if isinstance(job, TrainingJob) and job.active and job.run == run]
-        for job in mine:
+        job = session.training_of(run)
+        if job is not None:
             job.cancel()
-        if not mine:
+        else:
             request_stop(run)
         return f"Stopping {run.name} after its current step"
 
 
-class CLOAK_OT_run_delete(CloakOperator):
+class CLOAK_OT_run_delete(CloakOperator, label="Delete Run", needs=delete_reason):
     """Delete the folders of the chosen run from the disk; bodies keep the colours they wear. This cannot be undone"""
-
-    bl_label = "Delete Run"
-    needs = staticmethod(delete_reason)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return context.window_manager.invoke_confirm(self, event)

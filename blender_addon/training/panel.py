@@ -7,10 +7,9 @@ import bpy
 
 from ..body.objects import active_body, body_reason, logo_reason
 from ..files.specs import without_folders
-from ..properties import settings_of
 from ..session import session
 from ..translations import said
-from ..ui.panel_parts import CLOSED, CloakPanel, figure, settings_column, wrapped
+from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import run_list
 from .detectors import CHECK, active_detector
 from .reasons import kept_reason, train_reason
@@ -39,13 +38,11 @@ class CLOAK_UL_detectors(bpy.types.UIList):
         split.label(text=f"{item.threshold:.2f}" if item.threshold else "")
 
 
-class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_train(CloakPanel, label="4. Train"):
     """Step 4: train the logo's colours against a detector"""
 
-    bl_label = "4. Train"
-
     def draw(self, context: bpy.types.Context) -> None:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         reason = train_reason(context)
         self._detectors(context, settings)
         column = settings_column(self.layout)
@@ -93,15 +90,11 @@ class CLOAK_PT_train(CloakPanel, bpy.types.Panel):
             self.progress(context, CHECK)
 
 
-class CLOAK_PT_settings(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_settings(CloakPanel, label="Settings", inside="train"):
     """What else a training can be told"""
 
-    bl_label = "Settings"
-    bl_parent_id = "CLOAK_PT_train"
-    bl_options = CLOSED
-
     def draw(self, context: bpy.types.Context) -> None:
-        settings = settings_of(context)
+        settings = context.scene.cloak
         column = settings_column(self.layout)
         column.prop(settings, "backgrounds")
         column.prop(settings, "preset")
@@ -132,10 +125,8 @@ class CLOAK_UL_runs(bpy.types.UIList):
         figures.label(text="" if success is None else f"{success:.0%}")
 
 
-class CLOAK_PT_runs(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_runs(CloakPanel, label="Runs"):
     """Every training there is: beside the file, in the output folder, worn by a body"""
-
-    bl_label = "Runs"
 
     def draw(self, context: bpy.types.Context) -> None:
         run_list.is_drawn()
@@ -161,12 +152,8 @@ class CLOAK_PT_runs(CloakPanel, bpy.types.Panel):
         wrapped(self.layout, context, f"{words}: {state.why}" if state.why else words, icon=RUN_ICONS[state.state])
 
 
-class CLOAK_PT_compare(CloakPanel, bpy.types.Panel):
+class CLOAK_PT_compare(CloakPanel, label="Compare", inside="runs"):
     """The runs side by side: success in training, and of the evaluation on bodies and backgrounds it never saw"""
-
-    bl_label = "Compare"
-    bl_parent_id = "CLOAK_PT_runs"
-    bl_options = CLOSED
 
     def draw(self, context: bpy.types.Context) -> None:
         shown = [state for state in session.runs.values() if state.progress.success is not None][:COMPARED]

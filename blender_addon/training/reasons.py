@@ -9,7 +9,7 @@ import bpy
 
 from ..body.objects import body_reason, logo_reason, of_the_body, refusal
 from ..poses.reasons import poses_reason
-from ..properties import settings_of, train_request
+from ..properties import train_request
 from ..session import session
 from ..trainer import jobs
 from ..trainer.command_lines import differing_options
@@ -20,7 +20,7 @@ from .run_states import DONE, RUNNING, RunState, read_state
 def train_reason(context: bpy.types.Context) -> str:
     """Why no training can start."""
     reason = logo_reason(context) or poses_reason(context)
-    return reason or refusal(train_request, settings_of(context))
+    return reason or refusal(train_request, context.scene.cloak)
 
 
 def selected_run(context: bpy.types.Context) -> RunState | None:
@@ -46,8 +46,8 @@ def attach_reason(context: bpy.types.Context) -> str:
     reason = stop_reason(context)
     if reason:
         return reason
-    run, mine = selected_run(context), [job for job in session.jobs if isinstance(job, jobs.TrainingJob) and job.active]
-    return f"{run.title} is followed already" if run.path in [job.run for job in mine] else ""
+    state = selected_run(context)
+    return f"{state.title} is followed already" if session.training_of(state.path) else ""
 
 
 def delete_reason(context: bpy.types.Context) -> str:
@@ -76,9 +76,9 @@ def extend_reason(context: bpy.types.Context) -> str:
 def kept_reason(context: bpy.types.Context) -> str:
     """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
     state = selected_run(context)
-    if state is None or not state.resumable or refusal(train_request, settings_of(context)):
+    if state is None or not state.resumable or refusal(train_request, context.scene.cloak):
         return ""
-    kept = differing_options(list(state.options), train_request(settings_of(context)).options())
+    kept = differing_options(list(state.options), train_request(context.scene.cloak).options())
     return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
 
 

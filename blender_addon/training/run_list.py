@@ -19,7 +19,7 @@ from ..blender.blend_paths import blend_folder, portable
 from ..body.garments import is_dressed
 from ..body.objects import active_body
 from ..files.errors import InputError
-from ..properties import output_folder, settings_of
+from ..properties import output_folder
 from ..session import session
 from ..trainer import jobs
 from ..ui import props
@@ -36,7 +36,7 @@ def places(context: bpy.types.Context) -> list[Path]:
     """Folders in which runs are looked for."""
     found = [blend_folder()]
     with contextlib.suppress(InputError):  # the output folder cannot be used now: Start says why
-        found.append(output_folder(settings_of(context)))
+        found.append(output_folder(context.scene.cloak))
     return [place for place in dict.fromkeys(found) if place is not None]
 
 

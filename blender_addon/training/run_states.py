@@ -94,9 +94,8 @@ def find_runs(place: Path) -> list[Path]:
 
 def is_running(run: Path) -> bool:
     """Whether a trainer works in this folder, started here or elsewhere."""
-    if any(isinstance(job, jobs.TrainingJob) and job.active and job.run == run for job in session.jobs):
-        return True  # not asked of the lock: a trainer that is just starting must not find it taken
-    return is_held(run / ".lock")
+    # The lock is not asked while a trainer of ours is just starting: it must not find it taken.
+    return session.training_of(run) is not None or is_held(run / ".lock")
 
 
 _kept: dict[Path, tuple[tuple, RunState]] = {}

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drawing over a viewport: words and rectangles in pixels from its lower left, triangles and lines in space."""
+"""Drawing: words and rectangles over a viewport, triangles and lines in its space, and pictures in the panels."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
+import bpy.utils.previews
 import numpy as np
 from mathutils import Matrix
 
@@ -96,3 +99,33 @@ def frame(x1: float, y1: float, x2: float, y2: float, color: Color, thickness: f
     fill(x1, y2 - thickness, x2 - x1, thickness, color)
     fill(x1, y1, thickness, y2 - y1, color)
     fill(x2 - thickness, y1, thickness, y2 - y1, color)
+
+
+_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
+_names: dict[Path, str] = {}
+"""What each file is called in the collection, which holds it as it last was."""
+
+
+def icon_of(path: Path) -> int:
+    """The icon that shows a picture; 0 where there is none."""
+    if _pictures is None or not path.is_file():
+        return 0
+    name = f"{path} {path.stat().st_mtime_ns}"
+    if name not in _pictures:
+        if path in _names:
+            del _pictures[_names[path]]
+        _pictures.load(name, str(path), "IMAGE")
+        _names[path] = name
+    return _pictures[name].icon_id
+
+
+def register() -> None:
+    global _pictures
+    _pictures = bpy.utils.previews.new()
+
+
+def unregister() -> None:
+    global _pictures
+    bpy.utils.previews.remove(_pictures)
+    _pictures = None
+    _names.clear()

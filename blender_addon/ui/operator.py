@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..body.objects import active_body
+from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..translations import said
 from .window import progress_cursor
@@ -34,8 +34,10 @@ class CloakOperator(bpy.types.Operator):
             cls.poll_message_set(said(reason))
         return not reason
 
-    def __init_subclass__(cls) -> None:
-        cls.bl_idname = "cloak." + cls.__name__.removeprefix("CLOAK_OT_")
+    def __init_subclass__(cls, label: str = "", needs: Callable[[bpy.types.Context], str] | None = None) -> None:
+        cls.bl_idname, cls.bl_label = "cloak." + cls.__name__.removeprefix("CLOAK_OT_"), label
+        if needs is not None:
+            cls.needs = staticmethod(needs)
 
     def run(self, context: bpy.types.Context) -> str:
         raise NotImplementedError
@@ -67,11 +69,7 @@ class BodyOperator(CloakOperator):
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
-        try:
-            active_body(context)
-        except InputError as error:
-            return str(error)
-        return ""
+        return body_reason(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         raise NotImplementedError

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable
 
 import bpy
 
@@ -12,7 +13,6 @@ from ..session import session
 from ..trainer import jobs
 from ..translations import said
 
-CLOSED = {"DEFAULT_CLOSED"}
 FIGURES = (
     "Loss: what training makes small, of the last step. Success: the share of the last training images in which the "
     "detector does not report the body, a running mean"
@@ -43,20 +43,32 @@ def figure(layout: bpy.types.UILayout, text: str, tip: str, icon: str = "BLANK1"
     row.operator("cloak.explain", text=said(text), icon=icon, emboss=False).tip = tip
 
 
-class CloakPanel:
+class CloakPanel(bpy.types.Panel):
     """Base of the panels."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Cloak"
 
-    @staticmethod
-    def is_done(context: bpy.types.Context) -> bool:
-        """Whether this step has what the next ones need: its header gets a tick."""
-        return False
+    def __init_subclass__(
+        cls,
+        label: str,
+        inside: str = "",
+        closed: bool = False,
+        unfinished: Callable[[bpy.types.Context], str] = lambda context: "it never is",
+    ) -> None:
+        """inside: the panel that it is part of; it is closed at first, as with `closed`.
+
+        unfinished: why the next steps cannot have what they need of this one; without a reason its header gets a tick.
+        """
+        cls.bl_label, cls.unfinished = label, staticmethod(unfinished)
+        if inside:
+            cls.bl_parent_id = f"CLOAK_PT_{inside}"
+        if inside or closed:
+            cls.bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        if self.is_done(context):
+        if not self.unfinished(context):
             self.layout.label(icon="CHECKMARK")
 
     def body_column(self, context: bpy.types.Context) -> bpy.types.UILayout:

@@ -13,8 +13,7 @@ from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
 from cloak.poses.reasons import export_summary, poses_reason
 from cloak.result.operators import check_reason
-from cloak.result.reasons import judged_reason
-from cloak.result.worn_scenes import export_worn
+from cloak.result.reasons import export_worn, judged_reason
 from cloak.training import runs
 from conftest import folder_of, run_job
 from made import centers, make_egg
