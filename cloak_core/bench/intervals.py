@@ -106,6 +106,8 @@ def ours(draw: Draw) -> Bounds:
     return rate.low, rate.high
 
 
+ASKED = 0.93
+"""Coverage that is asked of every design."""
 METHODS: dict[str, Callable[[Draw], Bounds]] = {"bootstrap": bootstrap, "Korn-Graubard": korn_graubard, "ours": ours}
 
 
@@ -120,6 +122,16 @@ def coverage(design: Design, repetitions: int, seed: int = 0) -> dict[str, dict[
             found[name].append((low <= design.target <= high, high - low))
     means = {name: np.mean(values, axis=0) for name, values in found.items()}
     return {name: {"coverage": float(hit), "width": float(width)} for name, (hit, width) in means.items()}
+
+
+def least_width(bodies: int, covers: float) -> float:
+    """Compute the least width at a success of 1 of any interval that covers in this share, whoever else there is.
+
+    Where a share q of all people is never hidden, the tested bodies hold none of them with probability (1 - q)^bodies,
+    and then look like people all of whom are hidden. So the interval of such an outcome must reach down to 1 - q for
+    every q for which that happens more often than it may miss.
+    """
+    return 1 - (1 - covers) ** (1 / bodies)
 
 
 def run_bench_intervals(repetitions: int = 200) -> dict:
@@ -141,6 +153,8 @@ def intervals_page(result: dict, command: str) -> str:
         ]
         for row in result["rows"]
     ]
+    counts = sorted({row["bodies"] for row in result["rows"]})
+    least = ", ".join(f"{least_width(n, ASKED):.2f} with {n} bodies" for n in counts)
     text = [
         "# Do 95 % intervals hold?",
         "",
@@ -154,6 +168,12 @@ def intervals_page(result: dict, command: str) -> str:
         "`bootstrap` is the pigeonhole bootstrap with a multiway clustered deviation, `Korn-Graubard` an exact "
         "binomial interval at the effective sample size, `ours` what every report prints: the bootstrap's interval, "
         "widened by what people unlike any of the tested bodies could change (`cloak_core/evaluation/intervals.py`).",
+        "",
+        "The width is not caution: no method can be much narrower. Where a share q of all people is never hidden, n "
+        "tested bodies hold none of them with probability (1 - q)^n, and the evaluation looks as if everybody were "
+        f"hidden. An interval that covers {100 * ASKED:.0f} times in 100 whatever q is must then reach down to 1 - q "
+        f"for every q of which that probability exceeds {100 * (1 - ASKED):.0f} %. So at a success of 1 its width is "
+        f"at least {least}. More bodies make it narrower; more images do not.",
         "",
         *table(heads, rows),
         "",

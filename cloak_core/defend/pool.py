@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -22,6 +21,7 @@ from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
 from cloak_core.defend.logos import draw_colors, draw_logo
+from cloak_core.defend.picture_parts import PictureParts
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import person_boxes
@@ -53,9 +53,6 @@ KEPT = 32
 SHOWN, UNTRAINED = 4, 4
 """Textures of a decoy: of finished cloaks, and of patterns that nobody trained, beside those of the cloaks as they are:
 their colours must not decide either."""
-FINER, LEAST_PART = 2, 0.4
-"""Pictures are taken from photographs decoded this many times finer, of at least this share of their side: a detector
-that learns whole photographs by heart reports more in the parts of others."""
 MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
 _LOGO, _VIEWS, _PICTURES, _DECOYS = 1, 2, 3, 4
@@ -80,6 +77,10 @@ class Cloak:
     objective: Objective
     optimizer: ColorOptimizer
     flat: FlatCloth
+
+    def texture(self) -> Texture:
+        """The cloak as it is, laid flat."""
+        return self.flat.texture(self.optimizer.colors().detach().cpu().numpy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,8 @@ class Pool:
         people: Sequence[Fit] = (),
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.given, self.photographs, self.teacher = tuple(given), photographs, teacher or detector
+        self.given, self.teacher = tuple(given), teacher or detector
+        self._parts = PictureParts(backgrounds, photographs, settings.size)
         self.people = tuple(people)
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
@@ -139,7 +141,7 @@ class Pool:
         if known is None or known.generation != generation:
             if known is not None:
                 self._remember(slot, known)
-                first, later = np.split(np.array([*self.finished, _texture(known)]), [self.settings.finished])
+                first, later = np.split(np.array([*self.finished, known.texture()]), [self.settings.finished])
                 self.finished = [*first, *later[-KEPT:]]
             self.cloaks[slot] = self._new(slot, generation)
         return self.cloaks[slot]
@@ -150,7 +152,7 @@ class Pool:
         for k in range(FINISH):
             gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
             cloak.optimizer.update(self.settings.attack_lr)
-        self.finished.append(_texture(cloak))
+        self.finished.append(cloak.texture())
 
     def attack(self, turn: int) -> StepFigures | None:
         """Move the colours against the detector as it stands; figures of the last step, None without steps."""
@@ -186,20 +188,9 @@ class Pool:
         rng, size = np.random.default_rng([self.settings.seed, _PICTURES, turn]), self.settings.size
         images = torch.zeros(self.settings.pictures, 3, size, size)
         for k, image in enumerate(images):
-            picture, _ = self._picture(rng, photograph=bool(k % 2))
+            picture, _ = self._parts.draw(rng, photograph=bool(k % 2))
             image.copy_(picture.flip(2) if rng.random() < 0.5 else picture)
         return images.to(self.device)
-
-    def _picture(self, rng: np.random.Generator, photograph: bool) -> tuple[Float[Tensor, "3 H W"], bool]:
-        """A part of a photograph, where there are some, or of a background; and whether people may be in it."""
-        people = self.photographs is not None and photograph
-        source = self.photographs if people else self.backgrounds
-        size = self.settings.size
-        whole = source.image(int(rng.integers(len(source))), (FINER * size, FINER * size)).float() / 255
-        side = int(size * rng.uniform(LEAST_PART, 1) * FINER)
-        y, x = (int(rng.integers(FINER * size - side + 1)) for _ in range(2))
-        part = whole[None, :, y : y + side, x : x + side]
-        return F.interpolate(part, (size, size), mode="bilinear", antialias=True)[0].clamp(0, 1), people
 
     @torch.no_grad()
     def decoys(self, turn: int) -> Decoys:
@@ -207,20 +198,20 @@ class Pool:
         rng, size = np.random.default_rng([self.settings.seed, _DECOYS, turn]), self.settings.size
         without, shown = (torch.zeros(self.settings.decoys, 3, size, size) for _ in range(2))
         for k in range(len(shown)):
-            without[k], people = self._picture(rng, photograph=bool(k % 2))
+            without[k], people = self._parts.draw(rng, photograph=bool(k % 2))
             clear = self._people_in(without[k]) if people else ()
             shown[k] = draw_decoy(without[k], self._textures(rng), rng, self._silhouette(rng), clear)
         return Decoys(shown.to(self.device), without.to(self.device))
 
     def _textures(self, rng: np.random.Generator) -> list[Texture]:
         cloaks = [self.cloaks[slot] for slot in sorted(self.cloaks)]  # a resumed hardening made them in another order
-        worn = [_texture(cloak) for cloak in cloaks]
+        worn = [cloak.texture() for cloak in cloaks]
         if self.finished:
             worn += [self.finished[k] for k in rng.integers(len(self.finished), size=SHOWN)]
         if self.given:
             chosen = self.given[rng.integers(len(self.given))]
             worn.append(self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32)))
-        print_of, _ = self._picture(rng, photograph=False)
+        print_of, _ = self._parts.draw(rng, photograph=False)
         return worn + [random_texture(rng, print_of) for _ in range(UNTRAINED)]
 
     def _flat(self, logo: Logo) -> FlatCloth:
@@ -311,9 +302,3 @@ class Pool:
             distance=f"{DISTANCES[slot % len(DISTANCES)]}",
             elevation=f"{ELEVATIONS[slot % len(ELEVATIONS)]}",
         )
-
-
-@torch.no_grad()
-def _texture(cloak: Cloak) -> Texture:
-    """The cloak as it is, laid flat."""
-    return cloak.flat.texture(cloak.optimizer.colors().cpu().numpy())

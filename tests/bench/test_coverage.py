@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from cloak_core.bench.intervals import Design, coverage, designs, simulate
+from cloak_core.bench.intervals import ASKED, Design, coverage, designs, least_width, simulate
+from cloak_core.evaluation.intervals import clustered_rate
 
 
 def test_designs_draw_the_rate_they_promise() -> None:
@@ -32,3 +33,10 @@ def test_intervals_cover_where_the_bootstrap_does_not(design: Design) -> None:
     assert found["ours"]["coverage"] >= 0.93
     assert found["bootstrap"]["coverage"] <= 0.93
     assert found["ours"]["width"] < found["Korn-Graubard"]["width"]
+
+
+@pytest.mark.parametrize("bodies", [4, 6, 8, 16])
+def test_what_is_printed_is_not_much_wider_than_any_honest_interval(bodies: int) -> None:
+    body, background = (way.ravel() for way in np.indices((bodies, 12)))
+    rate = clustered_rate(np.ones(body.size, bool), body, background)
+    assert 0 < (rate.high - rate.low) - least_width(bodies, ASKED) < 0.05

@@ -23,7 +23,13 @@ from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.card import words
 from cloak_core.evaluation.card import work as work_module
 from cloak_core.evaluation.card.assess import Assessment
-from cloak_core.evaluation.card.leaderboard import folder_names, gather, leaderboard_row, write_leaderboard
+from cloak_core.evaluation.card.leaderboard import (
+    folder_names,
+    gather,
+    is_too_short,
+    leaderboard_row,
+    write_leaderboard,
+)
 from cloak_core.evaluation.card.page import write_card, write_comparison
 from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Budget, nested_areas
 from cloak_core.evaluation.card.work import Work
@@ -234,6 +240,7 @@ def test_each_part_gets_its_share_of_the_time_that_is_left(tmp_path: Path, monke
     again = make()
     with again.part("c") as share:
         assert share == shares["c"], "a stopped card goes on with the same numbers"
+    assert again.total == pytest.approx(60 + 100 + 100 * shares["c"]), "what is left is told of what will be done"
     with Work({"a": (0.0, 60.0)}, tmp_path / "other.json", "x").part("a") as share:
         assert share == 1.0, "any time"
 
@@ -272,6 +279,17 @@ def test_photographs_come_before_renders(made: tuple[Path, dict, list], tmp_path
 def test_the_leaderboard_has_robustness_first(made: tuple[Path, dict, list]) -> None:
     heads = list(leaderboard_row(made[1]))
     assert heads[:4] == ["detector", "76 % ↓", "5 % ↓", "all around ↓"] and heads.index("clean recall ↑") > 3
+
+
+@pytest.mark.slow
+def test_an_attack_that_was_too_short_shows_a_lower_bound(made: tuple[Path, dict, list]) -> None:
+    card = made[1]
+    assert not any(is_too_short(card, row) for row in (*card["white_box"], card["around"]))
+    short = card | {"counts": card["counts"] | {"steps": 1000}}
+    assert words.verdict(short)[0] == "unknown" or words.verdict(card)[0] == "bad"
+    assert leaderboard_row(short)["5 % ↓"].startswith("≥ ") and not leaderboard_row(card)["5 % ↓"].startswith("≥ ")
+    tile = next(tile for tile in words.tiles(short) if "all around" in tile["what"])
+    assert tile["value"].startswith("≥ ") and "4 updates" in tile["what"] and tile["kind"] != "good"
 
 
 def test_a_score_at_the_threshold_is_not_rounded_up_to_it() -> None:

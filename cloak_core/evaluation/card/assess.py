@@ -38,6 +38,8 @@ from cloak_core.zoo.shelf import MARK, run_path, shelved
 FORMAT = "cloak card 1"
 BESIDE = (CLOTHING, "random")
 """Controls beside every cloak."""
+BARE = 256
+"""Scenes without anybody, for false alarms; they are looked at once, and not again with every cloak."""
 LEAST_COUNT = 12
 """Steps and images that are never fewer, however short the time."""
 
@@ -132,7 +134,7 @@ class Assessment:
         batch, places = self.store.train_settings().run.batch, poses * budget.images_per_view * budget.seeds
         looks = (len(BESIDE) + 1) * places
         steps = TRAINED * batch * budget.steps * budget.seeds
-        costs = {"clean": (0.0, 6.0 * budget.clean_images)}
+        costs = {"clean": (0.0, 6.0 * budget.clean_images + BARE)}
         if self.white_box:
             costs |= {_name(area): (steps, looks * len(budget.front_angles)) for area in budget.areas}
             # All around, an image that is trained on is a new view, as one that is looked at.
@@ -181,6 +183,7 @@ class Assessment:
             "distances": distances,
             "images_per_view": math.ceil(self.budget.clean_images / views),
             "most_images": _fewer(self.budget.clean_images, part),
+            "bare": _fewer(BARE, part),
             "controls": (CLOTHING, "grey", "random", *NATURAL),
         }
         results = self._evaluated("clean", [worn], angles, settings)
@@ -243,7 +246,7 @@ class Assessment:
         return {"zoo": found, "counted": len(counted), "worst": worst and worst["name"]} | most
 
     def _front(self, part: float) -> dict:
-        settings = {"images_per_view": self.budget.images_per_view, "controls": BESIDE}
+        settings = {"images_per_view": self.budget.images_per_view, "controls": BESIDE, "bare": 1}
         full = self.split.unseen.pose_count * len(self.budget.front_angles) * self.budget.images_per_view
         return settings | ({"most_images": _fewer(full, part)} if part < 1 else {})
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cloak_core.evaluation.card.leaderboard import name_of
+from cloak_core.evaluation.card.leaderboard import is_too_short, name_of
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_toml
 from cloak_core.files.writing import write_text
@@ -44,14 +44,28 @@ def read_gate(path: Path) -> list[Bound]:
 
 
 def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
-    """Say of each bound how the card breaks it, "" where it is kept. A figure that the card lacks breaks its bound."""
-    figures, said = dict(_flat(card)), {}
+    """Say of each bound how the card breaks it, "" where it is kept.
+
+    A figure that the card lacks breaks its bound, and so does one that may be at most so much where the attack behind
+    it was too short to say so.
+    """
+    figures, said, short = dict(_flat(card)), {}, _short_attacks(card)
     for bound in bounds:
         value = figures.get(bound.figure)
         kept = _is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
         found = f"is {value:g}" if _is_number(value) else "was not measured"
+        steps = next((n for place, n in short.items() if f"{bound.figure}.".startswith(f"{place}.")), None)
+        if kept and bound.side == "max" and steps:
+            kept, found = False, f"{found} after {steps} updates of the cloak, too few to say"
         said[bound] = "" if kept else f"{name_of(card)}: {bound.figure} {found}; the gate asks for {bound}"
     return said
+
+
+def _short_attacks(card: dict) -> dict[str, int]:
+    """Updates of the attacks that were too short, by the place of their figures."""
+    rows = {f"white_box.{_row_name(row, 0)}": row for row in card.get("white_box", [])}
+    rows |= {"around": card["around"], "circle": card["around"]} if card.get("around") else {}
+    return {place: row["steps"] for place, row in rows.items() if is_too_short(card, row)}
 
 
 def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:

@@ -83,6 +83,21 @@ def _lines(card: dict, rows: list[tuple[str, dict]]) -> list[tuple[str, list[str
     return [(name, [cell(row) for cell in columns]) for name, row in rows]
 
 
+ENOUGH = 0.5
+"""Share of the budget's updates below which an attack is too short to say that a detector withstands it."""
+
+
+def is_too_short(card: dict, row: dict) -> bool:
+    """Whether the time left the attack of this row so few updates that people may hide far better."""
+    full = card.get("counts", {}).get("steps", 0) * (2 if row is card.get("around") else 1)
+    return row.get("steps", full) < ENOUGH * full
+
+
+def at_least(card: dict, row: dict) -> str:
+    """The mark before a share of hidden people that is a lower bound: the attack was too short."""
+    return "≥ " if is_too_short(card, row) else ""
+
+
 def leaderboard_row(card: dict) -> dict[str, str]:
     """The card's line in a leaderboard, column by column."""
     clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
@@ -90,8 +105,8 @@ def leaderboard_row(card: dict) -> dict[str, str]:
     return {
         "detector": name_of(card),
         **({"photographs ↓": _both(worst, "success_own")} if worst else {}),
-        **{f"{percent(row['asked'])} ↓": _both(row, "success_own") for row in reversed(attacks)},
-        "all around ↓": _both(around, "success_own") if around else "–",
+        **{f"{percent(row['asked'])} ↓": at_least(card, row) + _both(row, "success_own") for row in reversed(attacks)},
+        "all around ↓": at_least(card, around) + _both(around, "success_own") if around else "–",
         "others' cloaks ↓": percent(black["success_own"]) if black["counted"] else "–",
         "clean recall ↑": _both(clean, "recall_own"),
         "AP50 ↑": _points(clean["ap50"]),
@@ -155,9 +170,14 @@ def markdown_rows(cards: list[dict]) -> list[str]:
 
 def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
     """Write all cards, the most robust first: by how few people the white-box cloaks hide; those without one last."""
-    ranked = sorted(cards.values(), key=lambda card: (not card["white_box"], _hidden(card), card["spec"]))
+    ranked = sorted(cards.values(), key=lambda card: (_untested(card), _hidden(card), card["spec"]))
     made = dict.fromkeys(f"cloak {card['made']['cloak']}, torch {card['made'].get('torch', '?')}" for card in ranked)
     write_text(path, "\n".join([HEAD, *markdown_rows(ranked), "", f"Made with {'; '.join(made)}."]) + "\n")
+
+
+def _untested(card: dict) -> int:
+    """0: attacked in earnest; 1: too shortly to be ranked with those; 2: not at all."""
+    return 1 if any(is_too_short(card, row) for row in card["white_box"]) else 0 if card["white_box"] else 2
 
 
 def _hidden(card: dict) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.card.leaderboard import name_of, worn_rows
+from cloak_core.evaluation.card.leaderboard import at_least, is_too_short, name_of, worn_rows
 from cloak_core.evaluation.card.protocol import AGAINST
 from cloak_core.evaluation.report.words import interval, percent
 
@@ -107,7 +107,7 @@ def advice(card: dict) -> str:
 def verdict(card: dict) -> tuple[str, str]:
     """Judge by the least area that hides half of the people: kind (good, bad, unknown) and words of the badge.
 
-    unknown: there was no attack, or the intervals reach beyond half.
+    unknown: there was no attack, it was too short, or the intervals reach beyond half.
     """
     rows = card["white_box"]
     if not rows:
@@ -115,6 +115,8 @@ def verdict(card: dict) -> tuple[str, str]:
     hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
     if hiding:
         return "bad", f"hidden by {percent(min(hiding))} of the body"
+    if any(is_too_short(card, row) for row in rows):
+        return "unknown", "white box too short to say"
     sure = all(row["ci95_own"][1] < HALF for row in rows)
     return "good" if sure else "unknown", "no cloak hid half"
 
@@ -124,9 +126,12 @@ def tiles(card: dict) -> list[dict]:
     clean, black, rows = card["clean"], card["black_box"], card["white_box"]
     ends = [rows[k] for k in sorted({0, len(rows) - 1})] if rows else []
     found = [_tile("finds people in own clothing", clean, "recall_own", "up")]
-    found += [_tile(f"hidden by {percent(row['area'])} of the body", row, "success_own", "down") for row in ends]
-    if card.get("around"):
-        found.append(_tile("hidden all around", card["around"], "success_own", "down"))
+    attacks = [(f"hidden by {percent(row['area'])} of the body", row) for row in ends]
+    attacks += [("hidden all around", card["around"])] if card.get("around") else []
+    for what, row in attacks:
+        tile, mark = _tile(what, row, "success_own", "down"), at_least(card, row)
+        unsure = {"what": f"{what} ({row['steps']} updates)", "value": mark + tile["value"]} if mark else {}
+        found.append(tile | unsure | ({"kind": "unknown"} if mark and tile["kind"] == "good" else {}))
     if black["counted"]:
         worst = next(row for row in black["zoo"] if row["name"] == black["worst"])
         found.append(_tile("hidden by others' cloaks", worst, "success_own", "down"))

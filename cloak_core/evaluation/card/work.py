@@ -43,7 +43,6 @@ class Work:
         minutes: the time for all; rate: seconds that an image takes, as long as nothing was measured.
         """
         self.costs, self.on_work, self.seeds = costs, on_work, seeds
-        self.total = sum(map(sum, costs.values()))
         self.minutes, self._rate = minutes, rate
         self._file = file
         self._record: dict = {"asked": asked, "seconds": {}, "training": {}, "done": [], "shares": {}}
@@ -51,6 +50,7 @@ class Work:
         if earlier.get("asked") == asked:
             self._record |= earlier
         self._name, self._before, self._ended, self._steps, self._began = "", 0.0, 0, 1, 0.0
+        self._share = 1.0
 
     @property
     def seconds(self) -> float:
@@ -62,13 +62,22 @@ class Work:
         """By part, the share of its full size that the time allowed."""
         return self._record["shares"]
 
+    @property
+    def total(self) -> float:
+        """Cost of all parts; those to come are expected to get the share of the latest one."""
+        return sum(sum(self._cost(name)) for name in self.costs)
+
+    def _cost(self, name: str) -> tuple[float, float]:
+        share = self.shares.get(name, self._share)
+        return self.costs[name][0] * share, self.costs[name][1] * share
+
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[float]:
         """Count what is done inside as this part; gives the share of its full size that the time allows."""
         if name not in self.shares:
             self.shares[name] = self._affordable()
             write_json(self._file, self._record)
-        share = self.shares[name]
+        share = self._share = self.shares[name]
         self._name, self._ended, started, done = name, 0, time.monotonic(), False
         self._tell(0.0)
         try:
@@ -80,7 +89,7 @@ class Work:
                 seconds[name] = seconds.get(name, 0.0) + time.monotonic() - started
                 finished += [name] * done
                 write_json(self._file, self._record)
-        self._before += sum(self.costs[name])
+        self._before += sum(self._cost(name))
         self._tell(0.0)
 
     def _affordable(self) -> float:
@@ -108,7 +117,7 @@ class Work:
             self._steps, self._began = event.get("steps") or 1, time.monotonic()
         elif event.get("type") == "step":
             share = (self._ended + min(1.0, event["step"] / self._steps)) / self.seeds
-            self._tell(self.costs[self._name][0] * share)
+            self._tell(self._cost(self._name)[0] * share)
         elif event.get("type") == "end":
             self._ended += 1
             trained = self._record["training"]
@@ -116,7 +125,7 @@ class Work:
 
     def on_images(self, done: int, total: int) -> None:
         """Take the progress of an evaluation."""
-        trained, looked = self.costs[self._name]
+        trained, looked = self._cost(self._name)
         self._tell(trained + looked * done / total)
 
     def _tell(self, done: float) -> None:
