@@ -67,6 +67,13 @@ def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
     assert build("::: cloak_core.Absent") != 0
 
 
+def test_files_that_the_guide_names_are_there() -> None:
+    places = (ROOT, ROOT / "cloak_core", ROOT / "cloak_core" / "evaluation", ROOT / "blender_addon")
+    named = re.findall(r"`((?:[\w.-]+/)+[\w-]+\.\w+)`", (ROOT / "CONTRIBUTING.md").read_text("utf-8"))
+    assert len(named) > 20
+    assert not [name for name in named if not any((place / name).exists() for place in places)]
+
+
 def test_the_picture_of_the_rooms_has_each_room_and_no_way_that_another_shows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     draw = importlib.import_module("draw_rooms")
