@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Shaped
 
 from cloak_core.detectors import IOU, THRESHOLD
 from cloak_core.evaluation.average_precision import OVERLAPS, average_precision_of, first_hits
-from cloak_core.evaluation.controls import LOGO
+from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.evaluation.results import NOBODY, Results
 
@@ -238,16 +238,16 @@ def rate_row(value: Rate, name: str = "success", low: str = "low", high: str = "
 
 def training_row(results: Results, spec: str) -> dict:
     """Everything a table says about the repetitions of a training under one detector: plain numbers, four digits."""
-    rows, clean = results.rows(spec, LOGO), results.rows(spec, "clothing")
+    rows, clean = results.rows(spec, LOGO), results.rows(spec, CLOTHING)
     spread = [round(value, 6) for value in by_training(rows)]
     others = {control: share(results.rows(spec, control)) for control in results.controls[1:]}
     more = {
         "success_iou": hidden_rate(rows, column="score_on").value,
         "conditional": conditional_rate(rows).value,
         # Unlike success it does not saturate at 0 or 100 %.
-        "mean_score": _mean_of_trainings(rows),
+        "mean_score": float(np.mean([mine["score"].to_numpy().mean() for _, mine in by_value(rows, "training")])),
         **others,
-        "clean_detection": 1 - others["clothing"],
+        "clean_detection": 1 - others[CLOTHING],
         "average_precision": average_precision(results, rows),
         "clean_average_precision": average_precision(results, clean),
         "false_alarms": false_alarms(results, spec),
@@ -258,31 +258,20 @@ def training_row(results: Results, spec: str) -> dict:
 
 
 def operating_row(results: Results, spec: str) -> dict:
-    """Summarize repetitions of a training at 0.6 and at the detector's own threshold: plain numbers, four digits.
+    """Add to `training_row` what is told at the detector's own threshold, which has to be known.
 
-    Each control is told at both; `clean_*` is the bodies' own clothing.
+    Each control is told at both thresholds; `clean_*` is the bodies' own clothing.
     """
-    rows, clean = results.rows(spec, LOGO), results.rows(spec, "clothing")
+    row, rows = training_row(results, spec), results.rows(spec, LOGO)
     point = operating_point(rows)
-    more: dict = {"operating_point": point, **rate_row(hidden_rate(rows, point), "success_own", "own_low", "own_high")}
-    for control in results.controls[1:]:
-        mine = results.rows(spec, control)
-        more |= {control: share(mine), f"{control}_own": share(mine, point)}
-    more |= {
-        "ap50": average_precision(results, rows),
-        "clean_ap50": average_precision(results, clean),
-        "clean_recall": 1 - more["clothing"],
-        "clean_recall_own": 1 - more["clothing_own"],
-        "false_alarms": false_alarms(results, spec),
-        "false_alarms_own": false_alarms(results, spec, point),
-        "mean_score": _mean_of_trainings(rows),
-    }
-    row = rate_row(hidden_rate(rows)) | {key: digits(value) for key, value in more.items() if key != "n"}
-    return row | {"seeds": results.trainings}
-
-
-def _mean_of_trainings(rows: pd.DataFrame) -> float:
-    return float(np.mean([mine["score"].to_numpy().mean() for _, mine in by_value(rows, "training")]))
+    missed = {control: share(results.rows(spec, control), point) for control in results.controls[1:]}
+    more = {f"{control}_own": value for control, value in missed.items()}
+    more |= {"operating_point": point, "clean_recall_own": 1 - missed[CLOTHING]}
+    more |= {"false_alarms_own": false_alarms(results, spec, point)}
+    own = rate_row(hidden_rate(rows, point), "success_own", "own_low", "own_high")
+    same = {"ap50": "average_precision", "clean_ap50": "clean_average_precision", "clean_recall": "clean_detection"}
+    row |= {name: row[column] for name, column in same.items()}
+    return row | own | {key: digits(value) for key, value in more.items()}
 
 
 def rows_at(results: Results, spec: str, column: str, values: Sequence[float], **where: float) -> list[dict]:

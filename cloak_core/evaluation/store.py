@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -31,7 +29,7 @@ from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
-from cloak_core.evaluation.trained_run import read_history
+from cloak_core.evaluation.trained_run import clocked, cpu_seconds, read_history
 from cloak_core.evaluation.wearing.clothes import LogoClothes
 from cloak_core.evaluation.wearing.judging import PeopleRenderer
 from cloak_core.evaluation.wearing.settings import WearSettings
@@ -40,7 +38,6 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
-from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, remove_leftovers, write_json, written
 from cloak_core.render.photographs.fits import fit_people, people_identity
 from cloak_core.render.photographs.views import logo_positions
@@ -137,13 +134,13 @@ class RunStore:
                 self.tell(f"training {key} ({named})")
                 self._train_into(folder, settings, bodies, logo, specs, precision)
         colors = read_colors(folder / "colors.npy", len(logo))
-        return Trained(colors, logo, folder, read_history(folder).seconds, _cpu_seconds(folder), settings)
+        return Trained(colors, logo, folder, read_history(folder).seconds, cpu_seconds(folder), settings)
 
     def _train_into(
         self, folder: Path, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], precision: str
     ) -> None:
         chosen = [self.split.detectors[spec] for spec in specs]
-        with _precision(chosen, precision) as detectors, _clocked(folder):
+        with _precision(chosen, precision) as detectors, clocked(folder):
             backgrounds, on_event = self.split.backgrounds, self.on_event
             people = () if self.split.people is None else fit_people(self.split.people)
             heard = {"resume": True, "on_event": on_event, "people": people}
@@ -326,23 +323,6 @@ def _precision(detectors: Sequence[Detector], precision: str) -> Iterator[Sequen
     finally:
         for detector, old in zip(detectors, before, strict=True):
             detector.precision = old
-
-
-@contextlib.contextmanager
-def _clocked(folder: Path) -> Iterator[None]:
-    """Add the processor time of what happens inside to the run's `cost.json`; skip runs begun without a clock."""
-    earlier = _cpu_seconds(folder) if (folder / "cost.json").exists() else 0.0
-    started, known = time.process_time(), not folder.exists() or (folder / "cost.json").exists()
-    try:
-        yield
-    finally:
-        if known and folder.exists():
-            write_json(folder / "cost.json", {"cpu_seconds": round(earlier + time.process_time() - started, 2)})
-
-
-def _cpu_seconds(folder: Path) -> float:
-    path = folder / "cost.json"
-    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
 
 
 def _is_done(folder: Path) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.selection import split_selection
 
@@ -90,6 +93,24 @@ def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+@contextmanager
+def clocked(folder: Path) -> Iterator[None]:
+    """Add the processor time of what happens inside to the run's `cost.json`; skip runs begun without a clock."""
+    earlier = cpu_seconds(folder) if (folder / "cost.json").exists() else 0.0
+    started, known = time.process_time(), not folder.exists() or (folder / "cost.json").exists()
+    try:
+        yield
+    finally:
+        if known and folder.exists():
+            write_json(folder / "cost.json", {"cpu_seconds": round(earlier + time.process_time() - started, 2)})
+
+
+def cpu_seconds(folder: Path) -> float:
+    """Read the processor time of a run, all threads; nan where it was not measured."""
+    path = folder / "cost.json"
+    return float(read_json(path)["cpu_seconds"]) if path.exists() else math.nan
 
 
 def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgrounds) -> tuple[dict, list[str]]:
