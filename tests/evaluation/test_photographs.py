@@ -247,7 +247,7 @@ def test_the_plan_narrows_with_people_and_scenes() -> None:
 def test_the_command_says_what_the_contract_promises(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(judge_command.DetectorOptions, "load", lambda self, specs, device: [Painted() for _ in specs])
+    monkeypatch.setattr(judge_command.Judge, "load_all", lambda self, specs: [Painted() for _ in specs])
     for side, color in (("with", GREEN), ("without", BLUE)):
         paint(tmp_path / side / "1.png", (color,))
     with pytest.raises(SystemExit) as end:
