@@ -154,6 +154,11 @@ def make_renderer(
     return BodyRenderer(colors, logo, bodies, backgrounds, trials, settings.camera, view_cache, settings.seed)
 
 
+def headline(record: Mapping[str, object]) -> dict:
+    """Select success at both thresholds, intervals and count of one S of contract C6; None for what it lacks."""
+    return {key: record.get(key) for key in ("success", "success_own", "ci95", "ci95_own", "n")}
+
+
 # --- the folder of an evaluation
 
 FOLDER = "evaluation"
@@ -218,7 +223,6 @@ def write_evaluation(
 # --- success over time
 
 _NAME = re.compile(r"step-(\d{8,})\.npy")
-_KEPT = ("success", "success_own", "ci95", "ci95_own", "n")
 
 
 def over_time(
@@ -249,8 +253,7 @@ def over_time(
         summary = evaluate(
             read_colors(path, len(logo)), logo, bodies, backgrounds, detectors, angles, bare, on_progress=on_progress
         )
-        rates = {spec: {key: x["logo"][key] for key in _KEPT} for spec, x in summary["detectors"].items()}
-        rows.append(row | {"detectors": rates})
+        rows.append(row | {"detectors": {spec: headline(x["logo"]) for spec, x in summary["detectors"].items()}})
     write_json(run / "curve.json", {"rows": rows})
     with style():
         save_figure(success_over_time(rows), run / "curve")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from cloak_core.detectors.loading import load_detector
-from cloak_core.evaluation.evaluate import evaluate
+from cloak_core.evaluation.evaluate import evaluate, headline
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import EMBEDDED, kept_back
@@ -72,7 +72,7 @@ def evaluate_again(
     )
     pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
     return {
-        spec: {"recorded": _kept(old), "again": _kept(new), "holds": _holds(old, new)}
+        spec: {"recorded": headline(old), "again": headline(new), "holds": _holds(old, new)}
         for spec, (old, new) in pairs.items()
     }
 
@@ -111,10 +111,6 @@ def _settings(recorded: dict, most_images: int | None) -> EvaluateSettings:
     # What is compared is the logo; controls and bare backgrounds would only take time.
     kept |= {"controls": ("clothing",), "bare": 1, "most_images": most_images or recorded["most_images"]}
     return EvaluateSettings(**kept)
-
-
-def _kept(rates: dict) -> dict:
-    return {key: rates.get(key) for key in ("success", "success_own", "ci95", "ci95_own", "n")}
 
 
 def _holds(old: dict, new: dict) -> bool:

@@ -1,4 +1,7 @@
-"""What an experiment declares: the cells of its table, its figures, its caption and the paper's values."""
+"""What an experiment declares: the cells of its table, its figures, its caption and the paper's values.
+
+A declaration needs no other import than this one, but for what it trains on.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,15 @@ from dataclasses import dataclass, field
 
 from PIL import Image
 
+from cloak_core.evaluation.report.charts import Bars, Lines, Rings
 from cloak_core.evaluation.report.rows import Rows
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained
-from cloak_core.experiments.charts import Chart
+from cloak_core.experiments.charts import Chart, Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
 
+__all__ = ["MULTI", "SINGLE", "Bars", "Cell", "Cells", "Experiment", "Lines", "Matrix", "Numbers", "Rings", "RunStore"]
+__all__ += ["Thresholds", "Trainings", "test_angles"]
 SINGLE, MULTI = "0", "-10:10:5"
 """Training azimuths of the paper, degrees."""
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Bars
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import MULTI, SINGLE, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, SINGLE, Bars, Cell, Cells, Experiment, RunStore
 
 CHANGES: dict[str, dict[str, object]] = {
     "preset best": {},

@@ -6,9 +6,7 @@ from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import Cell, Cells, Experiment, Trainings
+from cloak_core.experiments.declaration import Cell, Cells, Experiment, Lines, RunStore, Trainings
 from cloak_core.experiments.sheets import draw_sheet, trial_cells
 from cloak_core.scene.logos.garments import shirt_trousers
 

@@ -8,9 +8,7 @@ from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors.defended.detector import defend
 from cloak_core.detectors.defended.table import read_head
 from cloak_core.evaluation.controls import STANDARD
-from cloak_core.evaluation.report.charts import Bars
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Bars, Cell, Cells, Experiment, RunStore
 from cloak_core.experiments.tables import beats_adaptive
 
 DEFENCES = ("jpeg=75", "blur=1", "median=3", "bits=4", "resize-pad", "entropy-mask", "segment")

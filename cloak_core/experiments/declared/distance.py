@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Lines, RunStore
 
 TRAINED = {"trained at 2.2 m": "2.2", "trained at 1.4 to 3.0 m": "1.4:3.0"}
 DISTANCES = tuple(round(1.4 + 0.2 * k, 1) for k in range(9))

@@ -16,12 +16,11 @@ from cloak_core.evaluation.cycles import (
     require_blender,
 )
 from cloak_core.evaluation.renderer import BodyRenderer, render_images
-from cloak_core.evaluation.report.charts import Bars
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.report.words import file_name
 from cloak_core.evaluation.statistics import training_row
-from cloak_core.evaluation.store import CONTROLS, RunStore
-from cloak_core.experiments.declaration import MULTI, Experiment, Numbers
+from cloak_core.evaluation.store import CONTROLS
+from cloak_core.experiments.declaration import MULTI, Bars, Experiment, Numbers, RunStore
 from cloak_core.experiments.runner import threshold_rows
 from cloak_core.scene.logos.garments import chest_thighs
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Lines, RunStore
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Lines, RunStore
 from cloak_core.experiments.logos import shapes
 
 

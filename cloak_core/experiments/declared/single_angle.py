@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, test_angles
+from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Lines, RunStore, test_angles
 from cloak_core.experiments.declared import table1
 
 

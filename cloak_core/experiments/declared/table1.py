@@ -6,11 +6,19 @@ from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.charts import Bars
 from cloak_core.evaluation.report.words import file_name
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Thresholds
-from cloak_core.experiments.declaration import MULTI, SINGLE, Cell, Cells, Experiment, Trainings, test_angles
+from cloak_core.experiments.declaration import (
+    MULTI,
+    SINGLE,
+    Bars,
+    Cell,
+    Cells,
+    Experiment,
+    RunStore,
+    Thresholds,
+    Trainings,
+    test_angles,
+)
 from cloak_core.experiments.logos import paper_logos
 from cloak_core.experiments.sheets import contact_sheets
 

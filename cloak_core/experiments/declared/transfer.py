@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.charts import Matrix
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Matrix, RunStore
 
 
 def cells(store: RunStore) -> Cells:

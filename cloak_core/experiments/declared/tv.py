@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Trainings, test_angles
+from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Lines, RunStore, Trainings, test_angles
 from cloak_core.experiments.sheets import Cell as Picture
 from cloak_core.experiments.sheets import draw_sheet
 from cloak_core.scene.pictures import read_picture

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from cloak_core.evaluation.controls import STANDARD
-from cloak_core.evaluation.report.charts import Bars
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Bars, Cell, Cells, Experiment, RunStore
 from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
 
 IMAGES_PER_VIEW = 4

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.evaluation.report.charts import Lines, Rings
-from cloak_core.evaluation.store import RunStore
-from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment
+from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, Lines, Rings, RunStore
 from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
 
 CIRCLE = "0:330:30"
