@@ -102,9 +102,6 @@ class Backend(Protocol):
     def logo_matrix(self, views: Sequence[BakedView]) -> LogoMatrix:
         """Make the matrix of the views' logos."""
 
-    def lay_image(self, own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
-        """Convert one image's bytes to numbers in [0, 1]."""
-
 
 def backend(device: torch.device) -> Backend:
     """Choose the implementation for a device: numba on the CPU where there is numba, else torch."""

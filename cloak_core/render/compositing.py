@@ -43,12 +43,9 @@ def blank(count: int, height: int, width: int, device: torch.device | str = "cpu
 
 def lay_backdrop(rows: Float32[Tensor, "P 3"], images: Sequence[UInt8[Tensor, "3 H W"]]) -> None:
     """Fill a canvas (see `blank`) with one background for each of its images, all of one size."""
-    start = 0
-    for image in images:
-        pixels = image.permute(1, 2, 0).reshape(-1, 3)
-        own = rows[start : start + len(pixels)]
-        backend(rows.device).lay_image(own, pixels)
-        start += len(pixels)
+    for own, image in zip(pixels_of(rows, (len(images), *images[0].shape)), images, strict=True):
+        # Bytes travel to the device; numbers are made there.
+        own.copy_(image.to(own.device, non_blocking=True)).div_(255)
 
 
 def pixels_of(rows: Float32[Tensor, "P 3"], shape: Sequence[int]) -> Float32[Tensor, "B 3 H W"]:

@@ -3,7 +3,7 @@
 from cloak_core.render.cpu.areas import visible_areas
 from cloak_core.render.cpu.baking import split
 from cloak_core.render.cpu.matrix import build_view
-from cloak_core.render.cpu.painting import draw_bodies, lay_image, logo_matrix
+from cloak_core.render.cpu.painting import draw_bodies, logo_matrix
 from cloak_core.render.cpu.projection import project_rows
 from cloak_core.render.cpu.sampling import cover, merge_samples
 
@@ -11,7 +11,6 @@ __all__ = [
     "build_view",
     "cover",
     "draw_bodies",
-    "lay_image",
     "logo_matrix",
     "merge_samples",
     "project_rows",

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import torch
 
-from cloak_core.render.compiled import inner, loop
+from cloak_core.render.compiled import loop
 from cloak_core.render.cpu.edge_hash import WHOLE, hash_corners
 from cloak_core.render.cpu.hidden_parts import cut_hidden
 from cloak_core.render.cpu.pieces import NOTHING, find_candidates, find_pieces, sort_by_pixel
@@ -81,23 +81,10 @@ def resolve_visibility(mesh, owner, share, begin, edge_sum, x0, y0, width):
         own = slice(start, start + count)
         used, exact = cut_hidden(mesh, at, owner[own], share[:, own], work, max(ROW_CUTS - cuts, PIXEL_CUTS))
         cuts += used
-        if exact:
-            _write_back(share, start, count, work.visible)
-        else:
+        if not exact:
             sampled += 1
             sample_pixel(mesh, at[0], at[1], owner[own], share[:, own])
     return sampled
-
-
-@inner
-def _write_back(share, start, count, visible):
-    """Write visible area and centroid of a pixel's pieces, from area and moments."""
-    for i in range(count):
-        area, at = visible[i, 0], start + i
-        if area >= 0:
-            share[0, at] = area if area > NOTHING else 0.0
-            share[1, at] = min(max(visible[i, 1] / area, 0.0), 1.0) if area > 0 else 0.0
-            share[2, at] = min(max(visible[i, 2] / area, 0.0), 1.0) if area > 0 else 0.0
 
 
 @loop

@@ -14,6 +14,7 @@ import numpy as np
 
 from cloak_core.render.compiled import inner, loop
 from cloak_core.render.cpu.edge_hash import WHOLE, edge_sum
+from cloak_core.render.cpu.pieces import NOTHING
 from cloak_core.render.cpu.polygons import TOUCH, copy, cut, measure, reach
 from cloak_core.render.cpu.triangles import doubled_area
 from cloak_core.render.cpu.workspace import MOST_PARTS, describe
@@ -24,41 +25,40 @@ FULL = 1 - 2e-7
 """Share of a pixel from which nothing is seen behind; shares are float32."""
 _PARTS = 2
 """The first polygon of the pool that is a part of a piece; those before it are workspace."""
-_NOTHING = 1e-15
+_LEAST = 1e-15
+"""Area below which a part is dropped."""
 _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 
 
 @loop
 def cut_hidden(mesh, at, owner, share, work, most):
-    """Measure the visible part of each of a pixel's pieces: area and moments to `visible`, area -1 for all of it.
+    """Reduce a pixel's pieces to what is visible of them.
 
-    at: column, row and size (as a shift) of the pixel; owner [n] and share [3, n]: triangle, and area and centroid, of
-    each piece. Returns how many tests of a convex part against a triangle it took, and False where that is more than
-    `most`, or too many pieces or parts; `visible` is unfinished then.
+    at: column, row and size (as a shift) of the pixel; owner [n]: the triangle of each piece; share [3, n]: area (0:
+    hidden) and centroid, changed in place. Returns how many tests of a convex part against a triangle it took, and
+    False where that is more than `most`, or too many pieces or parts; `share` is unfinished then.
     """
     found = len(owner)
     if found > MOST_PIECES:
         return 0, False
-    pieces, visible, cuts, seen, far = work.pieces, work.visible, 0, 0.0, np.inf
+    pieces, cuts, seen, far = work.pieces, 0, 0.0, np.inf
     for i in range(found):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
-        visible[i, 0] = visible[i, 1] = visible[i, 2] = 0.0
     order = np.argsort(work.behind[:found])
     whole, left = _closed_front(mesh, at, owner, share, order, pieces)
-    for k in range(left):
+    for k in range(left if whole < left else 0):
         i = order[k]
         if (seen >= FULL) & (pieces[i].bounds[1] < far):
+            left = k
             break
-        if whole == left:
-            visible[i, 0] = -1.0
-            continue
-        used, fits = _cut_piece(i, order, left, work, most - cuts)
+        used, fits = _cut_piece(i, order, left, share, work, most - cuts)
         cuts += used
         if not fits:
             return cuts, False
-        seen += share[0, i] if visible[i, 0] < 0 else visible[i, 0]
-        far = min(far, pieces[i].bounds[0])
+        seen, far = seen + share[0, i], min(far, pieces[i].bounds[0])
+    for k in range(left, found):
+        share[0, order[k]] = 0.0
     return cuts, True
 
 
@@ -86,9 +86,9 @@ def _closed_front(mesh, at, owner, share, order, pieces):
 
 
 @inner
-def _cut_piece(i, order, left, work, most):
+def _cut_piece(i, order, left, share, work, most):
     """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
-    pieces, visible, pool, end, cuts = work.pieces, work.visible, work.pool, 0, 0
+    pieces, pool, end, cuts = work.pieces, work.pool, 0, 0
     for k in range(_find_hiders(work, i, order, left)):
         q = work.hiders[k]
         if q == i or _beside(pieces, i, q):
@@ -105,12 +105,14 @@ def _cut_piece(i, order, left, work, most):
         if end == _PARTS:
             work.fields[i] = 0
             break
-    visible[i, 0] = -1.0 if end == 0 else 0.0
-    for slot in range(_PARTS, end):
-        area, across, down = measure(pool, slot)
-        visible[i, 0] += area
-        visible[i, 1] += across
-        visible[i, 2] += down
+    if end > 0:
+        area = across = down = 0.0
+        for slot in range(_PARTS, end):
+            part = measure(pool, slot)
+            area, across, down = area + part[0], across + part[1], down + part[2]
+        share[0, i] = area if area > NOTHING else 0.0
+        share[1, i] = min(max(across / area, 0.0), 1.0) if area > 0 else 0.0
+        share[2, i] = min(max(down / area, 0.0), 1.0) if area > 0 else 0.0
     return cuts, True
 
 
@@ -205,7 +207,7 @@ def _take_away(pool, pieces, i, q, depth, end):
             u, v, w = _line(pieces, q, k, nearer)
             if end >= MOST_PARTS or not cut(pool, source, u, v, w, into, end):
                 return end, False
-            end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _NOTHING)
+            end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _LEAST)
             if pool[into, 0] < 3:
                 break
             source, into = into, 1 - into

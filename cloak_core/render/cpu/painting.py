@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64, Integer, UInt8
+from jaxtyping import Float32, Int64, Integer
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
@@ -99,17 +99,6 @@ class LogoMatrix:
 def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
     """See `Backend.logo_matrix`."""
     return LogoMatrix([(view.arrays[3:], own) for view, own in zip(views, _logo_parts(views), strict=True)])
-
-
-def lay_image(own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
-    """See `Backend.lay_image`."""
-    _to_numbers(*(array.reshape(-1) for array in arrays(own, pixels)))
-
-
-@loop
-def _to_numbers(numbers, values):
-    for i in range(len(values)):
-        numbers[i] = np.float32(values[i]) / np.float32(255)
 
 
 @loop

@@ -78,8 +78,6 @@ class Workspace(NamedTuple):
     """Pieces that may hide another one [n]."""
     pool: np.ndarray
     """Polygons, see polygons.py [MOST_PARTS, SLOT]."""
-    visible: np.ndarray
-    """Visible area of each piece and its moments in x and y; area -1 where nothing is hidden [n, 3]."""
 
 
 @loop
@@ -91,7 +89,6 @@ def make_workspace(count):
         np.empty(count, PIECE),
         np.empty(count, np.int64),
         np.empty((MOST_PARTS, SLOT)),
-        np.empty((count, 3)),
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
-from jaxtyping import Bool, Float32, Int64, Integer, UInt8
+from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
 from cloak_core.render.sparse import csr
@@ -96,11 +96,6 @@ def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
     columns = [t[1] + start if start else t[1] for t, start in zip(flipped, starts, strict=False)]
     backward = _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], starts[-1])
     return LogoMatrix(forward, backward, len(views))
-
-
-def lay_image(own: Float32[Tensor, "P 3"], pixels: UInt8[Tensor, "P 3"]) -> None:
-    """See `Backend.lay_image`. Bytes travel to the device; numbers are made there."""
-    own.copy_(pixels.to(own.device, non_blocking=True)).div_(255)
 
 
 def _shifted(
