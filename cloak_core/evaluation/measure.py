@@ -15,11 +15,11 @@ from cloak_core.detectors import IOU
 from cloak_core.detectors.outcomes import OnBody, class_name
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.scoring import box_iou, max_person_score, person_boxes
-from cloak_core.evaluation.average_precision import MOST_BOXES, first_hits
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.renderer import EvaluationRenderer, Indices
 from cloak_core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
 from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.evaluation.statistics_precision import MOST_BOXES, first_hits
 
 BOX_THRESHOLD = 0.001
 """Boxes with a lower score are not kept. COCO evaluations commonly use it: a cloak that only makes a detector unsure

@@ -1,7 +1,8 @@
-"""Count: rates with their intervals, threshold curves and average precision, from rows of the results table.
+"""Count: rates with their intervals and threshold curves, from rows of the results table.
 
 Every figure that an evaluation, card, matrix, film or experiment shows is computed here, from rows of
-`Results.images` (or of a table with the same columns) and, for average precision, from `Results.boxes`.
+`Results.images` (or of a table with the same columns) and, for average precision, from `Results.boxes`; what cards,
+films, photographs and precision have of their own stands in `statistics_*.py`.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Shaped
 
-from cloak_core.detectors import IOU, THRESHOLD
-from cloak_core.evaluation.average_precision import OVERLAPS, average_precision_of, first_hits
+from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.intervals import RESAMPLES, Rate, clustered_rate
 from cloak_core.evaluation.results import NOBODY, Results
+from cloak_core.evaluation.statistics_precision import OVERLAPS, average_precision
 
 THRESHOLDS = tuple(round(0.1 * k, 1) for k in range(1, 10))
 CLUSTERS = (("person", "pose"), ("photograph", "background"), ("training",))
@@ -89,32 +90,6 @@ def by_value(rows: pd.DataFrame, column: str) -> Iterator[tuple[object, pd.DataF
 def by_training(rows: pd.DataFrame, threshold: float = THRESHOLD) -> list[float]:
     """Compute attack success of each repetition of the training."""
     return [share(mine, threshold) for _, mine in by_value(rows, "training")]
-
-
-# --- average precision
-
-
-def average_precision(results: Results, rows: pd.DataFrame, overlaps: Sequence[float] = (IOU,)) -> float:
-    """Compute COCO's average precision of these images: AP50, or the mean over `overlaps` (`OVERLAPS`: AP50:95).
-
-    rows: of one detector and control; the mean over several trainings. nan without images, and for other overlaps than
-    0.5 where an earlier version measured.
-    """
-    boxes = results.boxes_of(rows)
-    values = [
-        _average_precision(boxes[(boxes["training"] == training).to_numpy()], len(mine), overlaps)
-        for training, mine in by_value(rows, "training")
-    ]
-    return float(np.mean(values)) if values else math.nan
-
-
-def _average_precision(boxes: pd.DataFrame, images: int, overlaps: Sequence[float]) -> float:
-    score, iou, image = (boxes[name].to_numpy() for name in ("score", "iou", "image"))
-    if np.isnan(iou).any() and set(overlaps) != {IOU}:
-        return math.nan
-    hit = boxes["hit"].to_numpy()
-    hits = (hit if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
-    return float(np.mean([average_precision_of(one, score, images) for one in hits]))
 
 
 # --- records: plain values, ready for JSON

@@ -11,13 +11,11 @@ import numpy as np
 import pandas as pd
 
 from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation.average_precision import OVERLAPS
 from cloak_core.evaluation.controls import CLOTHING, LOGO, STANDARD
 from cloak_core.evaluation.intervals import Rate, wilson
 from cloak_core.evaluation.results import NOBODY, Results
 from cloak_core.evaluation.statistics import (
     THRESHOLDS,
-    average_precision,
     by_training,
     by_value,
     digits,
@@ -31,6 +29,7 @@ from cloak_core.evaluation.statistics import (
     share,
     threshold_curve,
 )
+from cloak_core.evaluation.statistics_precision import OVERLAPS, average_precision
 
 LOW = 0.25
 """The threshold at which YOLOv5 and later are run."""

@@ -10,9 +10,8 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from cloak_core.detectors.scoring import box_iou
-from cloak_core.evaluation.average_precision import OVERLAPS, first_hits
 from cloak_core.evaluation.results import make_results
-from cloak_core.evaluation.statistics import average_precision
+from cloak_core.evaluation.statistics_precision import OVERLAPS, average_precision, first_hits
 from cloak_core.evaluation.trials import make_trials
 
 IMAGES = 60

@@ -7,7 +7,6 @@ import pytest
 
 from cloak_core.evaluation.results import Results, make_results
 from cloak_core.evaluation.statistics import (
-    average_precision,
     by_value,
     false_alarms,
     outcome_record,
@@ -15,6 +14,7 @@ from cloak_core.evaluation.statistics import (
     success_record,
     summarize,
 )
+from cloak_core.evaluation.statistics_precision import average_precision
 from cloak_core.evaluation.trials import make_trials
 
 CLEAN = [0.9, 0.5, 0.9, 0.9, 0.9, 0.1]

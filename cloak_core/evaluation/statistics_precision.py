@@ -8,15 +8,43 @@ because measurements keep overlaps and no boxes.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Int64
+
+from cloak_core.detectors import IOU
+from cloak_core.evaluation.results import Results
 
 MOST_BOXES = 100
 """Boxes of an image that count, best first, as in COCO."""
 OVERLAPS = tuple(round(0.5 + 0.05 * k, 2) for k in range(10))
 """0.5, 0.55 ... 0.95: what AP50:95 is the mean over."""
 _RECALLS = np.linspace(0, 1, 101)
+
+
+def average_precision(results: Results, rows: pd.DataFrame, overlaps: Sequence[float] = (IOU,)) -> float:
+    """Compute COCO's average precision of these images: AP50, or the mean over `overlaps` (`OVERLAPS`: AP50:95).
+
+    rows: of one detector and control; the mean over several trainings. nan without images, and for other overlaps than
+    0.5 where an earlier version measured.
+    """
+    boxes = results.boxes_of(rows)
+    values = [
+        _of_training(boxes[(boxes["training"] == training).to_numpy()], len(mine), overlaps)
+        for training, mine in rows.groupby("training")
+    ]
+    return float(np.mean(values)) if values else math.nan
+
+
+def _of_training(boxes: pd.DataFrame, images: int, overlaps: Sequence[float]) -> float:
+    score, iou, image = (boxes[name].to_numpy() for name in ("score", "iou", "image"))
+    if np.isnan(iou).any() and set(overlaps) != {IOU}:
+        return math.nan
+    hit = boxes["hit"].to_numpy()
+    hits = (hit if overlap == IOU else first_hits(iou, image, overlap) for overlap in overlaps)
+    return float(np.mean([average_precision_of(one, score, images) for one in hits]))
 
 
 def first_hits(iou: Float[np.ndarray, N], image: Int64[np.ndarray, N], overlap: float) -> Bool[np.ndarray, N]:
