@@ -45,7 +45,8 @@ def cut_hidden(mesh, at, owner, share, work, most):
     for i in range(found):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
-    order = np.argsort(work.behind[:found])
+    order = work.order[:found]
+    _sort(order, work.behind)
     whole, left = _closed_front(mesh, at, owner, share, order, pieces)
     for k in range(left if whole < left else 0):
         i = order[k]
@@ -60,6 +61,24 @@ def cut_hidden(mesh, at, owner, share, work, most):
     for k in range(left, found):
         share[0, order[k]] = 0.0
     return cuts, True
+
+
+@inner
+def _sort(order, behind):
+    """Sort pieces, nearest first (Shell 1959); allocates nothing, which pixels of few pieces would wait for."""
+    gap = 1
+    while gap < len(order) // 3:
+        gap = 3 * gap + 1
+    for k in range(len(order)):
+        order[k] = k
+    while gap > 0:
+        for k in range(gap, len(order)):
+            i, at = order[k], k
+            while at >= gap and behind[order[at - gap]] > behind[i]:
+                order[at] = order[at - gap]
+                at -= gap
+            order[at] = i
+        gap //= 3
 
 
 @inner

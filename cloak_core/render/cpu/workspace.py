@@ -72,6 +72,8 @@ class Workspace(NamedTuple):
     """The fields that each piece touches, as bits; 0 for one that is hidden [n]."""
     behind: np.ndarray
     """The greatest inverse depth of each piece, negative: pieces are sorted by it [n]."""
+    order: np.ndarray
+    """The pieces, nearest first [n]."""
     pieces: np.ndarray
     """Of PIECE [n]."""
     hiders: np.ndarray
@@ -86,6 +88,7 @@ def make_workspace(count):
     return Workspace(
         np.empty(count, np.int64),
         np.empty(count),
+        np.empty(count, np.int64),
         np.empty(count, PIECE),
         np.empty(count, np.int64),
         np.empty((MOST_PARTS, SLOT)),
