@@ -5,6 +5,7 @@ Exit codes: 0 done, 1 a defect (with its traceback), 2 bad input (one line that 
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
@@ -12,9 +13,8 @@ import sys
 
 from cloak_core import __version__
 from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
-from cloak_core.commands.failures import in_words
 from cloak_core.commands.streams import kept_for_json, prepare_streams, saying
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, first_line, one_line
 
 GROUPS: dict[str, dict[str, str]] = {
     "Start": {
@@ -115,7 +115,7 @@ def run_or_say_usage(command: Command, name: str, options: list[str]) -> int:
         return run(command)
     except InputError as error:
         if set(options) <= {"--json"}:
-            from cloak_core.commands.usage import usage
+            from cloak_core.commands.help import usage
 
             raise InputError(f"{error}; usage: {usage(type(command), name)} (cloak {name} --help)") from None
         raise
@@ -196,3 +196,41 @@ def parse(name: str, arguments: list[str]) -> Command:
     from cloak_core.commands import parsing
 
     return parsing.parse(load(name), name, arguments)
+
+
+_FULL_MEMORY = (
+    "can't allocate memory",
+    "Cannot allocate memory",
+    "out of memory",
+    "bad_alloc",
+    "bad allocation",
+    "failed to map segment from shared object",  # the loader, of a module whose file is there
+)
+
+
+def in_words(error: BaseException) -> str | None:
+    """Say what to tell the user of an error; None for a defect, whose traceback is to be seen."""
+    if isinstance(error, InputError):
+        return str(error)
+    if memory_is_full(error):
+        return f"not enough memory ({one_line(first_line(error))[:160]})"
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return one_line(f"{error.filename or 'a file'}: cannot be written ({error.strerror})")
+    foreign = sys.modules.get("cloak_core.detectors.foreign_code")
+    words = foreign and foreign.culprit(error)
+    return one_line(words) if words else None
+
+
+def memory_is_full(error: BaseException | None) -> bool:
+    """Tell whether an error, or one behind it, says that no memory is left: Python's, torch's, the system's."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+            return True
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+            return True
+        if isinstance(error, (RuntimeError, ImportError)) and any(word in str(error) for word in _FULL_MEMORY):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

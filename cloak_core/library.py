@@ -31,7 +31,7 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, load_logo
 from cloak_core.scene.opening import load_scene
 from cloak_core.scene.photographs.people import People, load_people
-from cloak_core.zoo.shelf import run_path
+from cloak_core.zoo.entry import run_path
 
 if TYPE_CHECKING:
     from cloak_core.evaluation.measure import OnProgress

@@ -15,8 +15,7 @@ from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.self_ensemble import SelfEnsemble
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.world import ALONE, World
-from cloak_core.detectors.company import only_hers
-from cloak_core.detectors.outcomes import as_anything
+from cloak_core.detectors.outcomes import as_anything, only_hers
 from cloak_core.detectors.protocol import Detections, Detector, join_detections
 from cloak_core.detectors.scoring import is_detected
 from cloak_core.files.errors import InputError

@@ -20,7 +20,7 @@ from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.logo import Logo
-from cloak_core.zoo.shelf import run_path
+from cloak_core.zoo.entry import run_path
 
 _log = logging.getLogger("cloak")
 

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Int64
 
 from cloak_core.attack.batches import Batcher, require_visible_logo
-from cloak_core.attack.black_box import Search, search_settings
+from cloak_core.attack.black_box import QueryPrior, Search, search_settings
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.first_colors import first_colors
@@ -23,15 +23,13 @@ from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.near import Near
 from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.pattern import Inks, Pattern
+from cloak_core.attack.pattern import Inks, Pattern, Smoothing
 from cloak_core.attack.people import PeopleViews
-from cloak_core.attack.query_prior import QueryPrior
 from cloak_core.attack.run_config import run_config
 from cloak_core.attack.run_folder import RunFolder, open_run, read_start
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.components import PatternSettings, ViewSettings
-from cloak_core.attack.smoothing import Smoothing
 from cloak_core.attack.stopping import stop_request
 from cloak_core.attack.world import LostProcess, World, join_world, local_device
 from cloak_core.detectors.protocol import Detector
@@ -44,8 +42,7 @@ from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.geometry import face_centres
-from cloak_core.scene.logos.cloth import tile_of_face
-from cloak_core.scene.logos.garment_colors import garment_colors
+from cloak_core.scene.logos.garment_colors import garment_colors, tile_of_face
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 from cloak_core.scene.logos.patches import patch_of_face

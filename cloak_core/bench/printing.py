@@ -18,8 +18,8 @@ from PIL import Image
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.writing import new_folder, write_bytes
-from cloak_core.output.calibration.calibrating import profile_of
 from cloak_core.output.calibration.chart import write_chart
+from cloak_core.output.calibration.fitting import profile_of
 from cloak_core.scene.color_difference import mean_difference
 from cloak_core.scene.meshes.mesh_file import to_linear, to_srgb
 from cloak_core.scene.pictures import read_picture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,7 +17,34 @@ from cloak_core.files.writing import write_text
 
 
 @dataclass(kw_only=True)
-class Views(Command):
+class Bench(Command):
+    """A command that measures; it shows the figures as --json has them."""
+
+    def show(self, result: dict) -> None:
+        for line in figures(result):
+            out.print(line)
+
+
+def figures(record: dict, indent: str = "") -> Iterator[str]:
+    """Write a record's figures, one a line; those of a part below its name, further in."""
+    flat = lambda row: ", ".join(f"{name} {_figure(value)}" for name, value in row.items())
+    for name, value in record.items():
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            yield f"{indent}{name}"
+            yield from (f"{indent}  {flat(row)}" for row in value)
+        elif isinstance(value, dict) and any(isinstance(part, dict | list) for part in value.values()):
+            yield f"{indent}{name}"
+            yield from figures(value, f"{indent}  ")
+        else:
+            yield f"{indent}{name}: {flat(value) if isinstance(value, dict) else _figure(value)}"
+
+
+def _figure(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(kw_only=True)
+class Views(Bench):
     """Time visibility, a new view and a cached render, per view."""
 
     example = "--scene scene"
@@ -37,22 +65,9 @@ class Views(Command):
 
         return run_bench_views(**self.given())
 
-    def show(self, result: dict) -> None:
-        way = "by area" if result["samples"] == "area" else f"{result['samples']} sample(s) per pixel"
-        out.print(f"{way}, {result['threads']} threads; ms per view")
-        names = ("visibility", "new view", "stored", "cached")
-        for key, name in ((f"{name.replace(' ', '_')}_ms", name) for name in names):
-            out.print(f"{name:<12} median {result[key]['median']:8.3f}   min {result[key]['min']:8.3f}")
-        for number, row in result["by_samples"].items():
-            parts = (
-                f"{title} {row[f'{name}_ms']:8.3f} (batch of 8: {row[f'{name}_batch_ratio']:.1f} times)"
-                for name, title in (("visibility", "visibility"), ("new_view", "new view"))
-            )
-            out.print(f"{number:>4} samples: " + "   ".join(parts))
-
 
 @dataclass(kw_only=True)
-class Step(Command):
+class Step(Bench):
     """Time a training step beside its floor, the detector alone on a ready batch."""
 
     example = "--detector builtin"
@@ -99,20 +114,9 @@ class Step(Command):
             write_text(self.out, step_table(result))
         return result
 
-    def show(self, result: dict) -> None:
-        for spec, figures in result.items():
-            if not isinstance(figures, dict) or "floor_ms" not in figures:
-                continue
-            out.print(
-                f"{spec}: floor {figures['floor_ms']:.1f} ms, step {figures['step_ms']:.1f} ms, ratio "
-                f"{figures['ratio']:.3f}; {figures['overhead_ms_per_image']:.2f} ms per image beside the detector"
-            )
-            parts = ", ".join(f"{name.replace('_', ' ')} {value:.1f}" for name, value in figures["parts_ms"].items())
-            out.print(f"    ms per step: {parts}")
-
 
 @dataclass(kw_only=True)
-class Ranks(Command):
+class Ranks(Bench):
     """Time training in several processes (torchrun) beside one.
 
     Both have the same number of threads together.
@@ -143,13 +147,6 @@ class Ranks(Command):
         from cloak_core.bench.ranks import run_bench_ranks
 
         return run_bench_ranks(self.detector, **self.given("detector"))
-
-    def show(self, result: dict) -> None:
-        found = result[self.detector]
-        out.print(
-            f"{self.detector}: {found['one']:.1f} images/s in one process, {found['many']:.1f} in {found['ranks']}: "
-            f"{found['throughput']:.3f} of the throughput, {found['threads']} threads each way"
-        )
 
 
 @dataclass(kw_only=True)
@@ -187,7 +184,7 @@ class Jobs(Command):
 
 
 @dataclass(kw_only=True)
-class Detectors(Command):
+class Detectors(Bench):
     """Time detectors as Cloak runs them beside the same models used naively."""
 
     example = "--detector builtin"
@@ -217,13 +214,9 @@ class Detectors(Command):
             write_table(result, self.out, self.device)
         return result
 
-    def show(self, result: dict) -> None:
-        for spec, figures in result.items():
-            out.print(f"{spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()))
-
 
 @dataclass(kw_only=True)
-class Accuracy(Command):
+class Accuracy(Bench):
     """Measure speed against error: every way to build a view, and installed peers."""
 
     example = "--scene sample --only bench"
@@ -245,18 +238,9 @@ class Accuracy(Command):
 
         return run_bench_accuracy(load_scene(self.scene), tell=err.print, **self.given("scene"))
 
-    def show(self, result: dict) -> None:
-        for name, version in result["peers"].items():
-            out.print(f"{name} {version}")
-        for name, scene in result["scenes"].items():
-            out.print(f"{name} (reference: {scene['reference']})")
-            for point in scene["points"]:
-                figures = (f"{key} {value:.4g}" for key, value in point.items() if isinstance(value, float))
-                out.print(f"  {point['name']:<12} " + ", ".join(figures))
-
 
 @dataclass(kw_only=True)
-class Growth(Command):
+class Growth(Bench):
     """Measure how time and memory grow with triangles, views, pixels and samples.
 
     Exponents of at most 1.05 are the aim.
@@ -281,15 +265,9 @@ class Growth(Command):
         memory = int(self.memory * 2**30)
         return run_bench_growth(self.threads, memory, self.quick, only=self.only, out=self.out, tell=err.print)
 
-    def show(self, result: dict) -> None:
-        for name, series in result["series"].items():
-            out.print(f"{name}: time grows with exponent {series['exponent']:.3f}")
-            for point in series["points"]:
-                out.print(f"  {point['size']:>9,} {point['seconds']:9.3f} s  peak {point['peak_mib']:8.0f} MiB")
-
 
 @dataclass(kw_only=True)
-class Stability(Command):
+class Stability(Bench):
     """Check hard cases of visibility against exact integer arithmetic.
 
     Exit code 1 on any mismatch.
@@ -303,15 +281,9 @@ class Stability(Command):
             result["failed"] = f"{result['mismatches']} mismatches in {result['cases']} cases"
         return result
 
-    def show(self, result: dict) -> None:
-        for name, row in result["by_case"].items():
-            remark = f" ({row['remark']})" if "remark" in row else ""
-            out.print(f"{name:<48} {row['cases']:>4} cases, {row['mismatches']} mismatches{remark}")
-        out.print(f"largest error of a depth {result['max_error_ulp']:.3g} units in the last place")
-
 
 @dataclass(kw_only=True)
-class Intervals(Command):
+class Intervals(Bench):
     """Simulate evaluations with a known rate; count how often intervals cover it."""
 
     example = "--repetitions 200"
@@ -329,13 +301,9 @@ class Intervals(Command):
             write_text(self.out, intervals_page(result, f"cloak bench intervals --repetitions {self.repetitions}"))
         return result
 
-    def show(self, result: dict) -> None:
-        for name, value in result["worst"].items():
-            out.print(f"{name:<16} covers at least {100 * value:.0f} % in each of {len(result['rows'])} designs")
-
 
 @dataclass(kw_only=True)
-class Printing(Command):
+class Printing(Bench):
     """Try `cloak calibrate` on a synthetic printer and camera.
 
     Chart, photographs, profile, and what it is worth.
@@ -356,7 +324,3 @@ class Printing(Command):
 
         require_new(self.out)
         return try_calibration(self.out, self.photographs, self.colors).record() | {"out": str(self.out)}
-
-    def show(self, result: dict) -> None:
-        for name, value in result.items():
-            out.print(f"{name:<16} {value}")

@@ -29,8 +29,8 @@ class Calibrate(Command):
     """Profile to write (.npz)."""
 
     def run(self) -> dict:
-        from cloak_core.output.calibration.calibrating import profile_of
         from cloak_core.output.calibration.chart import patch_colors, write_chart
+        from cloak_core.output.calibration.fitting import profile_of
 
         if bool(self.measured) != (self.out is not None):
             raise InputError("--measured and --out: one needs the other")

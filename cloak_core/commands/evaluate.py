@@ -57,7 +57,7 @@ class Evaluate(Detecting):
         from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import evaluate
         from cloak_core.scene.photographs.people import load_people
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         self.prepare()
         config = read_run(run_path(self.run_folder))

@@ -75,7 +75,7 @@ class Coco(Computing):
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.opening import load_scene
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         settings, folder = self._settings(), run_path(self.run_folder)
         config = read_run(folder)

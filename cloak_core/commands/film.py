@@ -51,7 +51,7 @@ class Film(Detecting):
         check_film(self.out)
         from cloak_core.evaluation.trained_run import read_run
         from cloak_core.library import film
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
         detectors = self.by_spec(self.detector or trained)

@@ -100,7 +100,7 @@ class Harden(Computing):
         from cloak_core.defend.pool import Given
         from cloak_core.exchange.colors import read_colors
         from cloak_core.scene.logos.logo import load_logo
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         folder = run_path(name)
         logo = load_logo(bodies, folder / "logo.npy")

@@ -181,7 +181,7 @@ class Transfer(Command):
         from cloak_core.exchange.colors import read_colors, write_colors
         from cloak_core.output.transfer import transfer_logo
         from cloak_core.scene.logos.logo import load_logo
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         painted = self.out.with_name(self.out.stem + "-colors.npy")
         for path in [self.out] + [painted] * (self.colors is not None):

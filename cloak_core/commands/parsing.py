@@ -13,8 +13,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from cloak_core.attack.settings.values import Parsable
 from cloak_core.commands.base import Command
-from cloak_core.commands.help import one_command
-from cloak_core.commands.usage import FOUR_DEEP, missing, usage
+from cloak_core.commands.help import FOUR_DEEP, missing, one_command, usage
 from cloak_core.files.errors import InputError
 
 REGISTRY = ConstructorRegistry()

@@ -50,7 +50,7 @@ class Print(Command):
         from cloak_core.output.printing import print_logo
         from cloak_core.scene.logos.logo import load_logo
         from cloak_core.scene.logos.palette import read_palette
-        from cloak_core.zoo.shelf import run_path
+        from cloak_core.zoo.entry import run_path
 
         if self.palette is not None and self.profile is not None:
             raise InputError("--palette and --profile: either tells which colours there are")

@@ -1,5 +1,8 @@
-"""How far a training or another long command is: a live bar in a terminal, plain lines in a pipe; standard error either
-way, and a file of events for programs where one is asked for."""
+"""How far a training or another long command is.
+
+A live bar in a terminal, plain lines in a pipe, on standard error either way; a file of events for programs, and
+TensorBoard's files, where they are asked for.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,8 @@ from types import TracebackType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from cloak_core.commands.base import err, require_new
+from cloak_core.files.errors import InputError
+from cloak_core.scene.pictures import read_picture
 
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
@@ -137,3 +142,44 @@ QUICK = 0.002
 
 def _minutes(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
+
+
+SHOWN = {"step": "training", "held_out": "held out"}
+"""Events whose numbers become scalars, and the group they stand in."""
+
+
+class TensorBoardEvents:
+    """Takes a run's events and writes them into RUN/tensorboard. InputError where the package is not installed."""
+
+    def __init__(self, run: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            raise InputError("--tensorboard: needs TensorBoard: pip install 'cloak-core[tensorboard]'") from None
+        self._writer_type = SummaryWriter
+        self._run = run
+        self._writer: SummaryWriter | None = None
+
+    def __enter__(self) -> TensorBoardEvents:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        if self._writer:
+            self._writer.close()
+
+    def __call__(self, event: dict) -> None:
+        kind, step = event.get("type"), event["step"]
+        if kind in ("start", "resume"):
+            # Only now does the run folder exist. What an earlier part wrote of later steps is hidden.
+            self._writer = self._writer_type(str(self._run / "tensorboard"), purge_step=step + 1)
+        if self._writer is None:
+            return
+        if kind in SHOWN:
+            for name, value in event.items():
+                if isinstance(value, float) and name != "time":
+                    self._writer.add_scalar(f"{SHOWN[kind]}/{name}", value, step)
+        elif kind == "preview":
+            self._add_picture(self._run / event["path"], step)
+
+    def _add_picture(self, path: Path, step: int) -> None:
+        self._writer.add_image("preview", read_picture(path), step, dataformats="HWC")

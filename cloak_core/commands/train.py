@@ -25,8 +25,7 @@ from cloak_core.attack.settings.components import (
 from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.commands.base import RANK, Stopped, out, warn
 from cloak_core.commands.options import Detecting
-from cloak_core.commands.progress import TrainingProgress
-from cloak_core.commands.tensorboard import TensorBoardEvents
+from cloak_core.commands.progress import TensorBoardEvents, TrainingProgress
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json, read_toml
 

@@ -26,8 +26,7 @@ class List(Command):
     """
 
     def run(self) -> dict:
-        from cloak_core.zoo.entry import success, success_on_people
-        from cloak_core.zoo.shelf import entry, shelved
+        from cloak_core.zoo.entry import entry, shelved, success, success_on_people
 
         records = [entry(name).record for name in shelved()]
         kept = ("name", "detectors", "logo", "about", "licence", "faces")
@@ -59,7 +58,7 @@ class Show(Command):
     """Name of the entry."""
 
     def run(self) -> dict:
-        from cloak_core.zoo.shelf import entry
+        from cloak_core.zoo.entry import entry
 
         return entry(self.name).record
 
@@ -107,7 +106,7 @@ class Reproduce(Computing):
 
     def run(self) -> dict:
         from cloak_core.evaluation.zoo_reproduction import Files, evaluate_again
-        from cloak_core.zoo.shelf import entry, shelved
+        from cloak_core.zoo.entry import entry, shelved
 
         self.prepare()
         files, rows, left_out = Files(self.files, self.backgrounds), [], {}
@@ -173,7 +172,7 @@ class Export(Command):
     """Of a .glb: pixels of its texture per inch of the body."""
 
     def run(self) -> dict:
-        from cloak_core.zoo.shelf import entry
+        from cloak_core.zoo.entry import entry
 
         found = entry(self.name)
         told = {"out": str(self.out), "faces": len(found.ids), "name": found.record["name"], "format": self.format}
@@ -226,8 +225,7 @@ class Add(Command):
     """Folder of entries (default: the one that ships)."""
 
     def run(self) -> dict:
-        from cloak_core.zoo.entry import write_entry
-        from cloak_core.zoo.shelf import SHELF
+        from cloak_core.zoo.entry import SHELF, write_entry
 
         folder = self.folder or SHELF
         words = {"about": self.about, "licence": self.licence, "command": self.command, "logo": self.logo}

@@ -13,9 +13,9 @@ from cloak_core.defend.distillation import distance
 from cloak_core.defend.student import Student
 from cloak_core.detectors.darknet.heads import Yolo
 from cloak_core.detectors.resizing import YOLO_GREY, fit
+from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, Maps, distances, rows
-from cloak_core.detectors.ultralytics_family.writing import write_ultralytics
 from cloak_core.files.errors import InputError
 
 

@@ -6,10 +6,9 @@ from typing import Literal
 
 import torch
 
-from cloak_core.detectors.compiling import compile_detector
 from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 
@@ -122,3 +121,25 @@ def _precision(wanted: str, device: torch.device) -> Literal["float32", "bfloat1
     # Tensor cores for bfloat16 came with compute capability 8; CPUs gained nothing where it was measured.
     fast = device.type == "cuda" and torch.cuda.get_device_capability(device)[0] >= 8
     return "bfloat16" if fast else "float32"
+
+
+def compile_detector(detector: Detector) -> Detector:
+    """Compile the detector's `detect`. InputError: a black box, or no compiler is found.
+
+    Results equal the uncompiled ones up to rounding; what torch cannot compile runs as before.
+    """
+    if not detector.differentiable:
+        raise InputError(f"--compile: {detector.spec} does not run in torch")
+    run = torch.compile(detector.detect)
+
+    def detect(images: torch.Tensor) -> Detections:
+        try:
+            return run(images)
+        except (torch._inductor.exc.InvalidCxxCompiler, torch._dynamo.exc.BackendCompilerFailed) as error:
+            reason = str(error).strip().splitlines()[0][:160]
+            raise InputError(
+                f"--compile: torch cannot compile here ({reason}); install a C++ compiler, or drop it"
+            ) from error
+
+    detector.detect, detector.compiled = detect, True
+    return detector

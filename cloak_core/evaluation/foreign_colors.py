@@ -16,10 +16,10 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.render.texture import look_up
 from cloak_core.scene.geometry import face_centres, face_normals, sum_by_face
-from cloak_core.scene.logos.cloth import cloth_coordinates
+from cloak_core.scene.logos.garment_colors import cloth_coordinates
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import read_picture
-from cloak_core.zoo.shelf import run_path
+from cloak_core.zoo.entry import run_path
 
 CLOTH_CELL = 0.01
 """Metres; faces are about as wide, and show no finer pattern."""

@@ -20,7 +20,7 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import load_logo
-from cloak_core.zoo.shelf import MARK, run_path, shelved
+from cloak_core.zoo.entry import MARK, run_path, shelved
 
 COUNT, BATCH = 200, 8
 CLOAK, RANDOM = "cloak", "random"

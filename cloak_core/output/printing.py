@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer
+from PIL import Image
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
-from cloak_core.files.writing import new_folder, write_bytes, write_json
-from cloak_core.output.baking import bake, dressed
+from cloak_core.files.writing import new_folder, write_bytes, write_json, write_text
+from cloak_core.output.baking import Texture, bake, dressed
 from cloak_core.output.layout import Layout, lay_out
 from cloak_core.output.print_sheets import write_sheets
-from cloak_core.output.printer_gamut import nearest_printable
-from cloak_core.output.textured import png, write_glb, write_obj
 from cloak_core.output.tiling import PAGES
 from cloak_core.scene.logos.palette import TOLERANCE, nearest_in_palette
+from cloak_core.scene.meshes.mesh_file import to_linear, to_srgb
+from cloak_core.scene.meshes.polygons import per_corner, polygon_loops
 
 DPI = (10, 1200)
 MOST_ALLOWANCE = 0.05
@@ -114,3 +116,81 @@ def _figures(layout: Layout) -> dict[str, object]:
         "sheet_used": round(layout.used, 4),
         "sheet_m": [round(extent, 4) for extent in layout.size],
     }
+
+
+# Overprints of (cyan, magenta, yellow), each 0 or 1: paper, Y, M, MY, C, CY, CM, CMY, in sRGB bytes.
+OVERPRINTS = np.array([
+    [255, 255, 255], [255, 237, 0], [230, 0, 126], [227, 6, 19],
+    [0, 158, 224], [0, 150, 64], [49, 39, 131], [38, 35, 33],
+])  # fmt: skip
+STEPS = 33
+
+
+def printable() -> Float[np.ndarray, "mixtures 3"]:
+    """Mix a dense grid of ink amounts, sRGB in [0, 1], by Neugebauer's model.
+
+    Dots of cyan, magenta and yellow fall on each other at random, so a printed colour is a mean, in linear light, of
+    the eight solid overprints on paper. A real printer's own profile will differ; this tells what is surely out of
+    reach.
+    """
+    amount = np.linspace(0, 1, STEPS)
+    c, m, y = (axis.reshape(-1, 1) for axis in np.meshgrid(amount, amount, amount, indexing="ij"))
+    share = np.concatenate(
+        [(c if i & 4 else 1 - c) * (m if i & 2 else 1 - m) * (y if i & 1 else 1 - y) for i in range(8)], axis=1
+    )
+    return to_srgb(share @ to_linear(OVERPRINTS / 255))
+
+
+def nearest_printable(colors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Find the nearest printable colour (sRGB in [0, 1]), itself where it is one; tell whether it is not."""
+    nearest, beyond = nearest_in_palette(colors, printable())
+    return np.where(beyond[:, None], nearest, colors), beyond
+
+
+def write_glb(path: Path, bodies: Bodies, texture: Texture) -> None:
+    """Write binary glTF of the first pose with the picture inside; vertices split where texture coordinates do."""
+    import trimesh
+
+    rows = np.concatenate([bodies.triangles.reshape(-1, 1).astype(np.float64), texture.uv.reshape(-1, 2)], axis=1)
+    unique, index = np.unique(rows, axis=0, return_inverse=True)
+    material = trimesh.visual.material.PBRMaterial(
+        name="cloak",
+        baseColorTexture=Image.fromarray(texture.image),
+        metallicFactor=0.0,
+        roughnessFactor=0.8,
+    )
+    mesh = trimesh.Trimesh(
+        bodies.vertices[0][unique[:, 0].astype(np.int64)],
+        index.reshape(-1, 3),
+        visual=trimesh.visual.TextureVisuals(unique[:, 1:], material),
+        process=False,
+    )
+    write_bytes(path, mesh.export(file_type="glb"))
+
+
+def png(image: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG")
+    return file.getvalue()
+
+
+def write_obj(path: Path, bodies: Bodies, texture: Texture, picture: str) -> None:
+    """Write OBJ of the first pose with its polygons in their order, and an MTL beside it.
+
+    The MTL names `picture`, a file in the same folder.
+    """
+    loop_total, loop, _ = polygon_loops(bodies)
+    unique, index = np.unique(texture.uv.reshape(-1, 2), axis=0, return_inverse=True)
+    corner_uv = per_corner(bodies, index.reshape(-1, 3))
+    lines = [f"mtllib {path.stem}.mtl", f"o {bodies.names[0].replace(' ', '_')}"]
+    lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in bodies.vertices[0].tolist()]
+    lines += [f"vt {u:.8g} {v:.8g}" for u, v in unique.tolist()]
+    lines.append("usemtl cloak")
+    words = np.char.add(np.char.add((loop + 1).astype(str), "/"), (corner_uv + 1).astype(str)).tolist()
+    at = 0
+    for count in loop_total.tolist():
+        lines.append("f " + " ".join(words[at : at + count]))
+        at += count
+    write_text(path, "\n".join(lines) + "\n")
+    material = f"newmtl cloak\nKd 1 1 1\nKs 0 0 0\nNs 10\nd 1\nillum 1\nmap_Kd {picture}\n"
+    write_text(path.with_suffix(".mtl"), material)

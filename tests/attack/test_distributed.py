@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file
 
-from cloak_core.attack import hard_views
+from cloak_core.attack import sampling
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.exchange.colors import read_colors
@@ -23,12 +23,12 @@ import json, os, sys
 from pathlib import Path
 from safetensors.torch import save_file
 from cloak_core.files.errors import InputError
-from cloak_core.attack import hard_views, loop
+from cloak_core.attack import loop, sampling
 from tests.attack.test_training import run
 plan = json.loads(sys.argv[1])
 out = Path(plan["out"])
 for name, value in plan["hard_views"].items():
-    setattr(hard_views, name, value)
+    setattr(sampling, name, value)
 def say(event):
     if event["type"] == "step":
         print(event["step"], flush=True)
@@ -123,9 +123,9 @@ def test_processes_agree_about_hard_views_and_resume_to_the_same_bits(tmp_path, 
     two, resumed = (read_colors(tmp_path / name / "colors.npy") for name in ("two", "stopped"))
     assert np.array_equal(two, resumed)
     for name, value in QUICK_TO_JUDGE.items():
-        monkeypatch.setattr(hard_views, name, value)
+        monkeypatch.setattr(sampling, name, value)
     one = run(tmp_path / "one", batch=5, threads=1, **scheme)
     assert np.abs(two - one.colors).max() < 1e-5
     # What was found decides what is drawn: without it the same run goes elsewhere.
-    monkeypatch.setattr(hard_views.HardViews, "observe", lambda *args: None)
+    monkeypatch.setattr(sampling.HardViews, "observe", lambda *args: None)
     assert np.abs(run(tmp_path / "blind", batch=5, threads=1, **scheme).colors - one.colors).max() > 1e-3

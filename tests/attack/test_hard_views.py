@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.hard_views import EVERY, HardViews
-from cloak_core.attack.sampling import Sampler
+from cloak_core.attack.sampling import EVERY, HardViews, Sampler
 from cloak_core.attack.settings import make_settings
 
 

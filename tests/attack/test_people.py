@@ -9,7 +9,7 @@ from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.attack.training import train
-from cloak_core.detectors.company import only_hers
+from cloak_core.detectors.outcomes import only_hers
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fits import fit_people

@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 
-from cloak_core.attack import hard_views, run_folder
+from cloak_core.attack import run_folder, sampling
 from cloak_core.attack.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -60,7 +60,7 @@ def test_fresh_views_go_on_to_the_same_bits(tmp_path):
 @pytest.mark.slow
 def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch):
     """New chances every third step, so that the run stops with some that are not yet in force."""
-    monkeypatch.setattr(hard_views, "EVERY", 3)
+    monkeypatch.setattr(sampling, "EVERY", 3)
     scheme = {"angles": "0..360", "hard_views": 0.6, "occluders": 2, "blur": 1, "jpeg": "40:80", "zoom": "0.8:1.2"}
     whole = run(tmp_path / "whole", steps=9, **scheme)
     for seconds in (1e-6,) * 4:

@@ -4,9 +4,8 @@ import numpy as np
 import torch
 
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.pattern import Pattern
+from cloak_core.attack.pattern import Pattern, Smoothing
 from cloak_core.attack.settings import make_settings
-from cloak_core.attack.smoothing import Smoothing
 from tests.attack.fakes import box_bodies, front_logo
 
 LOGO = front_logo(box_bodies())

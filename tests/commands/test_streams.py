@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cloak_core import __version__, cli
-from cloak_core.commands.failures import in_words
+from cloak_core.cli import in_words
 
 ASCII = {"PYTHONIOENCODING": "ascii", "LC_ALL": "C", "PYTHONUTF8": "0"}
 

@@ -21,8 +21,7 @@ from cloak_core.files.specs import without_folders
 from cloak_core.render.texture import look_up
 from cloak_core.scene.logos.logo import load_logo, make_logo
 from cloak_core.scene.people.samples import sample_bodies
-from cloak_core.zoo.entry import Entry, names, read_entry, write_entry
-from cloak_core.zoo.shelf import SHELF, entry, run_path, shelved
+from cloak_core.zoo.entry import SHELF, Entry, entry, names, read_entry, run_path, shelved, write_entry
 
 
 def test_folders_are_left_out_of_commands_and_specs():

@@ -54,8 +54,7 @@ def spec(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def yolo(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture
-    from cloak_core.detectors.ultralytics_family.random_weights import settle_batch_norm
+    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture, settle_batch_norm
     from tests.detectors.test_ultralytics_files import original
 
     path = folder / "best.pt"

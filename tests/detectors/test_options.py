@@ -8,7 +8,6 @@ import torch
 from PIL import Image
 
 from cloak_core import cli
-from cloak_core.detectors import compiling
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.detectors.specs import parse_spec
@@ -74,7 +73,7 @@ def test_compiled_runs_through_torch(spec: str, monkeypatch: pytest.MonkeyPatch)
     def compile(function):
         return lambda images: ran.append(len(images)) or function(images)
 
-    monkeypatch.setattr(compiling.torch, "compile", compile)
+    monkeypatch.setattr(torch, "compile", compile)
     plain, compiled = (load_detector(spec, person_class="1", compiled=c) for c in (False, True))
     assert torch.equal(compiled(images(3)).scores, plain(images(3)).scores)
     assert ran == [3] and compiled.compiled and not plain.compiled and state_hash(compiled) == state_hash(plain)
@@ -87,7 +86,7 @@ def test_a_missing_compiler_is_one_line(spec: str, monkeypatch: pytest.MonkeyPat
 
         return fail
 
-    monkeypatch.setattr(compiling.torch, "compile", compile)
+    monkeypatch.setattr(torch, "compile", compile)
     with pytest.raises(InputError, match="--compile: torch cannot compile here"):
         load_detector(spec, person_class="1", compiled=True)(images())
 

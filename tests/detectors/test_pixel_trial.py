@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from cloak_core.detectors.pixel_trial import plausibility, try_pixels
+from cloak_core.detectors.check import plausibility, try_pixels
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector
 

@@ -22,9 +22,8 @@ from tests.detectors.test_gradients import lowers_score
 if find_spec("ultralytics") is None:
     pytest.skip("pip install 'cloak-core[ultralytics]' (AGPL-3.0)", allow_module_level=True)
 
-from cloak_core.detectors.ultralytics_family.architecture import build, fuse, read_architecture
+from cloak_core.detectors.ultralytics_family.architecture import build, fuse, read_architecture, settle_batch_norm
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
-from cloak_core.detectors.ultralytics_family.random_weights import settle_batch_norm
 
 
 def long(*names: str) -> list:

@@ -10,7 +10,7 @@ from cloak_core.cli import main
 from cloak_core.evaluation import zoo_reproduction
 from cloak_core.evaluation.zoo_reproduction import Files, evaluate_again
 from cloak_core.files.errors import InputError
-from cloak_core.zoo.shelf import entry, shelved
+from cloak_core.zoo.entry import entry, shelved
 
 RATES = {"success": 0.9, "success_own": 0.5, "ci95": [0.8, 1.0], "ci95_own": [0.4, 0.6], "n": 10}
 

@@ -14,8 +14,7 @@ from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.output.baking import Texture, bake, dressed
 from cloak_core.output.layout import Layout, lay_out, signed_areas
-from cloak_core.output.printer_gamut import OVERPRINTS, nearest_printable
-from cloak_core.output.printing import print_logo
+from cloak_core.output.printing import OVERPRINTS, nearest_printable, print_logo
 from cloak_core.output.seams import find_borders
 from cloak_core.output.tiling import PAGES, cloth_of, pages, tiles
 from cloak_core.render.compositing import compose

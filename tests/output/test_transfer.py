@@ -4,8 +4,7 @@ import pytest
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import read_scene
 from cloak_core.files.errors import InputError
-from cloak_core.output.nearest import nearest_triangles, point_distances
-from cloak_core.output.transfer import transfer_logo
+from cloak_core.output.transfer import nearest_triangles, point_distances, transfer_logo
 from cloak_core.scene.geometry import face_areas, inner_edges
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.meshes.subdivision import subdivide

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from cloak_core.detectors.defended.patch_segmenter import SIDE, PatchSegmenter, load_segmenter
+from cloak_core.detectors.defended.masking import SIDE, PatchSegmenter, load_segmenter
 from cloak_core.files.errors import InputError
 from tools.pretrain.segmenter_training import SegmenterSettings, Shown, loss, train_segmenter
 

@@ -21,7 +21,7 @@ from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.opening import load_scene
 from cloak_core.scene.videos import save_film
-from cloak_core.zoo.shelf import run_path
+from cloak_core.zoo.entry import run_path
 
 LYING = 6
 """EXIF: stored turned to the left."""

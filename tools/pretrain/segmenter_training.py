@@ -22,7 +22,7 @@ from torch import Tensor
 
 from cloak_core.defend.pool import Pool
 from cloak_core.defend.settings import HardenSettings
-from cloak_core.detectors.defended.patch_segmenter import SIDE, WEIGHTS, PatchSegmenter
+from cloak_core.detectors.defended.masking import SIDE, WEIGHTS, PatchSegmenter
 from cloak_core.detectors.loading import load_detector
 from cloak_core.files.writing import write_bytes
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds

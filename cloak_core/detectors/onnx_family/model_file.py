@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloak_core.detectors.described import Description, read_description
-from cloak_core.detectors.onnx_family.bounds import check_tensors
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import MAX_BYTES, read_bytes
@@ -19,6 +19,7 @@ from cloak_core.files.reading import MAX_BYTES, read_bytes
 if TYPE_CHECKING:
     import onnx
     import onnxruntime
+
 
 DEFAULT_SIDE = 640
 QUANTISED = (
@@ -206,3 +207,40 @@ def _said_confidence(said: dict[str, str]) -> float | None:
         if 0 < value < 1:
             return value
     return None
+
+
+MAX_DEPTH = 32
+"""Graphs within graphs (branches of If, bodies of Loop)."""
+
+
+def check_tensors(model: onnx.ModelProto, path: Path) -> None:
+    """Check the tensors' shapes. InputError: a negative extent, or more numbers than any model taken here.
+
+    Before any library sees them: onnxruntime ends the process over some.
+    """
+    nodes = [*model.graph.node, *(node for function in model.functions for node in function.node)]
+    for name, extents in _extents(model.graph, nodes, path, 0):
+        if min(extents, default=0) < 0 or math.prod(extents) > MAX_BYTES:
+            shape = "x".join(map(str, extents[:8]))
+            raise InputError(f"{path}: its tensor {name or '(without a name)'} declares a shape of {shape}")
+
+
+def _extents(
+    graph: onnx.GraphProto, nodes: list[onnx.NodeProto], path: Path, depth: int
+) -> Iterator[tuple[str, list[int]]]:
+    """Name and extents of every tensor of a graph, and of the graphs and constants in its nodes."""
+    if depth > MAX_DEPTH:
+        raise InputError(f"{path}: graphs within graphs without end")
+    attributes = [attribute for node in nodes for attribute in node.attribute]
+    sparse = [*graph.sparse_initializer]
+    tensors = [*graph.initializer]
+    for attribute in attributes:
+        tensors += [attribute.t, *attribute.tensors]
+        sparse += [attribute.sparse_tensor, *attribute.sparse_tensors]
+    tensors += [part for tensor in sparse for part in (tensor.values, tensor.indices)]
+    yield from ((tensor.name, list(tensor.dims)) for tensor in tensors)
+    yield from (("(sparse)", list(tensor.dims)) for tensor in sparse)
+    for attribute in attributes:
+        for inner in (attribute.g, *attribute.graphs):
+            if inner.ByteSize():
+                yield from _extents(inner, list(inner.node), path, depth + 1)

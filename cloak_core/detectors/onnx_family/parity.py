@@ -16,8 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.onnx_family.layouts import Decoded
-from cloak_core.detectors.verification.comparing import BOXES_PX, SCORES
-from cloak_core.detectors.verification.slopes import AGREES, gradient_error
+from cloak_core.detectors.verification.comparing import AGREES, BOXES_PX, SCORES, gradient_error
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, sha256_arrays

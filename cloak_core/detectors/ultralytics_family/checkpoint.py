@@ -5,6 +5,7 @@ Nothing of it is run and no class that it names is imported: see `files.torch_pi
 
 from __future__ import annotations
 
+import copy
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,12 +14,15 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
+from cloak_core.detectors.ultralytics_family.heads import DenseHead
+from cloak_core.detectors.ultralytics_family.library import library
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import MAX_BYTES, open_regular
 from cloak_core.files.torch_pickles import read_torch_pickle, rewrite_torch_pickle
 from cloak_core.files.unpickling import Record
+from cloak_core.files.writing import replace_file
 
 MAX_DEPTH, MAX_MODULES = 64, 1 << 16
 """Of modules inside modules, and of all together."""
@@ -183,3 +187,28 @@ def _image_size(said: object) -> tuple[int, int] | None:
     if not 1 <= len(sides) <= 2 or not all(isinstance(side, int) and side > 0 for side in sides):
         return None
     return sides[0], sides[-1]
+
+
+def write_ultralytics(path: Path, network: nn.Module, source: Path) -> None:
+    """Write a network that was loaded, unfolded, from `source`.
+
+    From a .pt: that file with the network's parameters in the place of its own (in the precision that it keeps them
+    in, mostly half), so that whatever else it says stays. From a .yaml: a whole model of the package, in float32.
+    """
+    if source.suffix.lower() == ".pt":
+        replace_weights(source, path, _as_the_package_has_it(network))
+        return
+    with library():
+        model = copy.deepcopy(network)
+        model.model[-1] = model.model[-1].replaced[0]
+        content = {"model": model.cpu().requires_grad_(False), "ema": None}
+        replace_file(path, lambda file: torch.save(content, file))
+
+
+def _as_the_package_has_it(network: nn.Module) -> dict[str, Tensor]:
+    """List the parameters by the names that they have in files."""
+    own, last = network.model[-1], f"model.{len(network.model) - 1}."
+    if not isinstance(own, DenseHead):
+        return dict(network.named_parameters())
+    body = {name: value for name, value in network.named_parameters() if not name.startswith(last)}
+    return body | {f"{last}{name}": value for name, value in own.replaced[0].named_parameters()}

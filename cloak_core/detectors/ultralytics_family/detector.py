@@ -18,11 +18,17 @@ from cloak_core.detectors.onnx_family.layouts import Decoded
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request
-from cloak_core.detectors.ultralytics_family.architecture import QUERIES, build, fuse, read_architecture
+from cloak_core.detectors.ultralytics_family.architecture import (
+    QUERIES,
+    SEED,
+    build,
+    fuse,
+    read_architecture,
+    settle_batch_norm,
+)
 from cloak_core.detectors.ultralytics_family.checkpoint import Checkpoint, read_checkpoint
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, queries
 from cloak_core.detectors.ultralytics_family.library import PACKAGE
-from cloak_core.detectors.ultralytics_family.random_weights import SEED, settle_batch_norm
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 

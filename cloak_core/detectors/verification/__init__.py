@@ -2,8 +2,8 @@
 
     report = verify(load_detector(SPEC), images)
 
-Read in this order: `kit` (the report), `checks` (what is asked), `comparing` (when two answers are the same), `slopes`
-(gradients against differences).
+Read in this order: `kit` (the report), `checks` (what is asked), `comparing` (when two answers are the same, and
+gradients against finite differences).
 """
 
 from cloak_core.detectors.verification.kit import verify

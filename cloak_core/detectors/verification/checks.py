@@ -13,8 +13,7 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.detectors.verification.comparing import Apart, apart
-from cloak_core.detectors.verification.slopes import AGREES, gradient_error, gradient_of
+from cloak_core.detectors.verification.comparing import AGREES, Apart, apart, gradient_error, gradient_of
 
 BATCH = 4
 """Images at a time, where several are asked about at once."""

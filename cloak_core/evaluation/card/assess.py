@@ -33,7 +33,7 @@ from cloak_core.files.writing import write_json
 from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import area_share, load_logo, make_logo
 from cloak_core.scene.photographs.people import People
-from cloak_core.zoo.shelf import MARK, run_path, shelved
+from cloak_core.zoo.entry import MARK, run_path, shelved
 
 FORMAT = "cloak card 1"
 BESIDE = (CLOTHING, "random")

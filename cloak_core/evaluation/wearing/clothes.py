@@ -18,12 +18,12 @@ from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import logo_positions, shares_of
-from cloak_core.scene.logos.cloth import cloth_coordinates
+from cloak_core.scene.logos.garment_colors import cloth_coordinates
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.photographs.rig import NUMBER, body_rig
 from cloak_core.scene.pictures import read_picture
-from cloak_core.zoo.shelf import run_path
+from cloak_core.zoo.entry import run_path
 
 CLOTHES = "shirt+trousers"
 """What a cloth covers, and the controls."""

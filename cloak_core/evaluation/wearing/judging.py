@@ -11,8 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.detectors.company import HERS, only_hers
-from cloak_core.detectors.outcomes import OnBody, on_body
+from cloak_core.detectors.outcomes import HERS, OnBody, on_body, only_hers
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import OnProgress, measure

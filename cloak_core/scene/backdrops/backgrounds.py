@@ -1,7 +1,7 @@
 """Backgrounds: a folder of images, or procedural scenes as the embedded default.
 
 Images are kept in memory as uint8 at the size they were asked for, up to a bound, and those of folders decoded on disk
-(`scene.backdrops.decoded`); what is in neither is made anew.
+(`DecodedImages`); what is in neither is made anew.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,16 +21,69 @@ from jaxtyping import Float, UInt8
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from cloak_core.files.caching import MemoryCache, cache_folder
+from cloak_core.files.caching import DiskCache, MemoryCache, cache_folder
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.likeness import picture_look
 from cloak_core.files.reading import read_bytes
 from cloak_core.files.specs import split_spec
-from cloak_core.scene.backdrops.decoded import DecodedImages, Picture
 from cloak_core.scene.backdrops.procedural import draw_scene
 from cloak_core.scene.pictures import MAX_FILE_BYTES, open_picture
 from cloak_core.scene.selection import select, split_selection
+
+LIMIT_BYTES = 4 << 30
+"""Of all files together."""
+IDENTITIES_BYTES = 64 << 20
+
+
+class Picture(NamedTuple):
+    """What a picture is, wherever and however it is stored."""
+
+    pixels: str
+    """SHA-256 (hex) of its decoded pixels, upright and at full size; of a picture that is drawn, its name."""
+    look: str = ""
+    """See `files.likeness.picture_look`; "" where nobody looked."""
+    file: str = ""
+    """SHA-256 (hex) of its file."""
+
+
+class DecodedImages:
+    """Decoded and resized images on disk, so that no run pays for the same photograph twice.
+
+    One file of raw bytes for each picture and size, named after the SHA-256 of the picture's own file and what decodes
+    it, and one of what the picture is (files/caching.py). folder None keeps none. Never raises: what cannot be kept is
+    made anew.
+    """
+
+    def __init__(self, folder: Path | None, limit: int = LIMIT_BYTES) -> None:
+        self._files = DiskCache(folder, ".rgb", limit, "decoded images")
+        self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
+        decoder = [
+            code_hash("scene/backdrops/backgrounds.py", "files/likeness.py", "files/crops.py"),
+            package_versions("pillow"),
+        ]
+        self._decoder = sha256_record(decoder)[:8]
+
+    def get(self, key: str, height: int, width: int) -> UInt8[np.ndarray, "H W 3"] | None:
+        """Map the image from its file; None where there is none, or a damaged one."""
+        data = self._files.get(f"{key}-{height}x{width}-{self._decoder}")
+        return None if data is None or len(data) != height * width * 3 else data.reshape(height, width, 3)
+
+    def put(self, key: str, image: UInt8[np.ndarray, "H W 3"]) -> None:
+        """Keep an image. A full or read-only disk ends the keeping, with a warning."""
+        height, width = image.shape[:2]
+        self._files.put(f"{key}-{height}x{width}-{self._decoder}", np.ascontiguousarray(image).tobytes())
+
+    def picture(self, key: str) -> Picture | None:
+        """Tell what the picture with this key is; None where that is not known yet."""
+        data = self._pictures.get(f"{key}-{self._decoder}")
+        pixels, comma, look = ("" if data is None else data.tobytes().decode("ascii", "replace")).partition(",")
+        return Picture(pixels, look, key) if comma else None
+
+    def put_picture(self, picture: Picture) -> None:
+        """Keep what a picture is."""
+        self._pictures.put(f"{picture.file}-{self._decoder}", f"{picture.pixels},{picture.look}".encode())
+
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MEMORY_BYTES = 1 << 30

@@ -6,8 +6,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.files.caching import cache_folder
-from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.backdrops.decoded import DecodedImages
+from cloak_core.scene.backdrops.backgrounds import DecodedImages, load_backgrounds
 
 
 def picture(seed: int = 0, height: int = 6, width: int = 8) -> np.ndarray:

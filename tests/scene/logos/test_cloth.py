@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloak_core.scene.geometry import face_centres, face_normals
-from cloak_core.scene.logos.cloth import cloth_coordinates, tile_of_face
+from cloak_core.scene.logos.garment_colors import cloth_coordinates, tile_of_face
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.opening import load_scene
 
