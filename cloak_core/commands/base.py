@@ -12,7 +12,7 @@ from rich.console import Console
 from cloak_core.files.errors import InputError, one_line
 from cloak_core.scene.opening import load_scene
 
-__all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "warn"]
+__all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "share", "warn"]
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
@@ -74,3 +74,8 @@ def require_new(path: Path) -> None:
     """Refuse an output that is there already: nothing is overwritten unasked."""
     if path.exists():
         raise InputError(f"{path}: exists already")
+
+
+def share(value: float | None) -> str:
+    """Write a share in a table: two digits, a dash for none."""
+    return "–" if value is None else f"{value:.2f}"

@@ -10,7 +10,7 @@ from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import Command, out
+from cloak_core.commands.base import Command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_worn
@@ -115,12 +115,8 @@ def success_table(spec: str, measured: dict, own: float) -> Table:
         if isinstance(rates, dict) and "success" in rates:
             low, high = rates["ci95"]
             words = {"": name, "95 %": f"{low:.2f}–{high:.2f}", "images": str(rates["n"])}
-            table.add_row(*(_share(rates.get(key)) if key else words[head] for head, key in heads.items()))
+            table.add_row(*(share(rates.get(key)) if key else words[head] for head, key in heads.items()))
     return table
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
 
 
 def matrix(result: dict) -> Table:

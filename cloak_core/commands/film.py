@@ -9,7 +9,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import out, require_new
+from cloak_core.commands.base import out, require_new, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import FilmSettings
@@ -84,8 +84,7 @@ def _table(spec: str, told: dict, result: dict) -> Table:
     for control, x in told.items():
         for suffix, threshold in (("", result["threshold"]), ("_own", own)):
             hidden, sight = x[f"hidden{suffix}"], x[f"first_sight_m{suffix}"]
-            share = "–" if hidden is None else f"{hidden:.2f}"
             metres = "–" if sight is None else f"{sight:.1f} m"
             tracks = str(x["tracks"]) if suffix else ""  # they are made at the detector's own threshold
-            table.add_row(control, f"{threshold:g}", share, str(x[f"longest_run{suffix}"]), metres, tracks)
+            table.add_row(control, f"{threshold:g}", share(hidden), str(x[f"longest_run{suffix}"]), metres, tracks)
     return table

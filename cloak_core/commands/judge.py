@@ -10,7 +10,7 @@ from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import err, out, warn
+from cloak_core.commands.base import err, out, share, warn
 from cloak_core.commands.options import Detecting
 from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
@@ -84,17 +84,13 @@ def _table(spec: str, told: dict, result: dict) -> Table:
     for head in ("", "hidden", "95 %", own, "of", "found", "95 %", "of"):
         table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
     for name, s in {"with": told["with"], **told["controls"], "without": told["without"]}.items():
-        found = _share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"])
+        found = share(s["detected"]), _interval(s["ci95_detected"]), str(s["n_all"])
         hidden = ("", "", "", "")
         if name != "without":
-            shares = _share(s["conditional"]), _interval(s["ci95_conditional"]), _share(s["conditional_own"])
+            shares = share(s["conditional"]), _interval(s["ci95_conditional"]), share(s["conditional_own"])
             hidden = (*shares, str(s["n_conditional"]))
         table.add_row(name, *hidden, *found)
     return table
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
 
 
 def _interval(bounds: tuple) -> str:

@@ -9,7 +9,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import out, require_new
+from cloak_core.commands.base import out, require_new, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.evaluation.wearing.settings import WearSettings
@@ -76,14 +76,10 @@ def show_worn(result: dict, threshold: float | int) -> None:
             table.add_column(head, justify="right" if head else "left")
         for name, s in told.items():
             low, high = s["ci95"]
-            rest = (_share(s[key]) for key in ("success_own", "renamed", "gone"))
-            table.add_row(name, _share(s["success"]), f"{low:.2f}–{high:.2f}", *rest)
+            rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
+            table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest)
         out.print(table)
     left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
     out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")
     if "out" in result:
         out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
