@@ -78,7 +78,7 @@ def summary(words: str) -> str:
 def _groups(cls: type, default: object) -> Iterator[tuple[str, str, list[Option]]]:
     """Yield the command's own options, then each group of them: its title, what it is about, and the options.
 
-    What a class inherits comes last, --json at the very end.
+    Options that a class inherits come last, --json at the very end; groups begin with detectors and end with computing.
     """
     own: list[Option] = []
     groups = []
@@ -95,7 +95,7 @@ def _groups(cls: type, default: object) -> Iterator[tuple[str, str, list[Option]
         else:
             own.append(_option(cls, field, kind, extras, value))
     yield "Options", "", own
-    yield from groups
+    yield from sorted(groups, key=lambda group: {"Detectors": 0, "Computing": 2}.get(group[0], 1))
 
 
 def _option(cls: type, field: dataclasses.Field, kind: object, extras: list, value: object) -> Option:

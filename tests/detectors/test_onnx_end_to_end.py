@@ -107,8 +107,8 @@ def test_another_layout_that_is_asked_for_is_not_cut(tmp_path: Path) -> None:
 def test_what_ultralytics_exports(name: str, tmp_path: Path) -> None:
     """Random weights, exported as the package does it, whose biases are equal and so written once."""
     pytest.importorskip("ultralytics", reason="pip install 'cloak-core[ultralytics]'")
-    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture
-    from cloak_core.detectors.ultralytics_family.random_weights import settle_batch_norm
+
+    from cloak_core.detectors.ultralytics_family.architecture import build, read_architecture, settle_batch_norm
 
     model, side = build(read_architecture(f"{name}.yaml"), name), 128
     settle_batch_norm(model)
