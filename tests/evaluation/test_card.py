@@ -289,6 +289,12 @@ def test_an_attack_that_was_too_short_shows_a_lower_bound(made: tuple[Path, dict
     assert words.verdict(short)[0] == "unknown" or words.verdict(card)[0] == "bad"
     assert leaderboard_row(short)["5 % ↓"].startswith("≥ ") and not leaderboard_row(card)["5 % ↓"].startswith("≥ ")
     tile = next(tile for tile in words.tiles(short) if "all around" in tile["what"])
+    photographs = dict(PEOPLE["rows"], **{"texture@tile=0.5": PEOPLE["rows"]["clothing"] | {"success_own": 0.02}})
+    photographs["made against it"] = photographs["texture@tile=0.5"]
+    worn = short | {"photographs": PEOPLE | {"rows": photographs}, "clean": card["clean"] | {"recall_own": 1.0}}
+    worn["clean"]["false_alarms_own"] = 0.0
+    assert words.headline(worn).startswith("In photographs, at least 2 %") and "more time" in words.advice(worn)
+    assert words.worst(worn)["value"] == "≥ 2 %" and words.worst(worn)["kind"] == "unknown"
     assert tile["value"].startswith("≥ ") and "4 updates" in tile["what"] and tile["kind"] != "good"
 
 

@@ -48,8 +48,9 @@ def headline(card: dict) -> str:
     if photographs:
         worn, row = max(photographs.items(), key=lambda pair: pair[1]["success_own"])
         own = percent(card["photographs"]["rows"]["clothing"]["success_own"])
+        hidden = f"{'at least ' if _is_unsure(card) else ''}{percent(row['success_own'])}"
         return (
-            f"In photographs, {percent(row['success_own'])} of people who wear {_worn(worn)} are hidden from {name}; "
+            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}; "
             f"in their own clothing it misses {own} of them."
         )
     if not rows and black["counted"]:
@@ -63,6 +64,11 @@ def headline(card: dict) -> str:
     if half is None:
         return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}. {own}"
     return f"A cloak {what}, made against {name}, hides {hidden} of people from it. {own}"
+
+
+def _is_unsure(card: dict) -> bool:
+    """Whether any cloak made against it had too little time to say how well people hide."""
+    return any(is_too_short(card, row) for row in card["white_box"])
 
 
 def _worn(name: str) -> str:
@@ -84,7 +90,10 @@ def worst(card: dict) -> dict:
     if not found:
         return {"what": "nothing attacked it", "value": "–", "interval": "–", "kind": "unknown"}
     what, row = max(found, key=lambda pair: pair[1]["success_own"])
-    return _tile(what, row, "success_own", "down")
+    tile = _tile(what, row, "success_own", "down")
+    if _is_unsure(card) and tile["kind"] == "good":
+        tile |= {"value": f"≥ {tile['value']}", "kind": "unknown"}
+    return tile
 
 
 def advice(card: dict) -> str:
@@ -99,6 +108,8 @@ def advice(card: dict) -> str:
             "Do not let it decide alone where somebody may want to hide: put a second sensor or an unlike detector "
             "beside it, harden it (cloak harden), and make this card again."
         )
+    if _is_unsure(card):
+        return "Give this card more time (--minutes): its attacks were too short to say how well people can hide."
     if worse == "unknown":
         return "Put a second sensor beside it where much depends on it, harden it (cloak harden), make this card again."
     return "Keep it so: hold every new version against bounds on these figures (cloak assess --gate)."
@@ -115,7 +126,7 @@ def verdict(card: dict) -> tuple[str, str]:
     hiding = [row["asked"] for row in rows if row["success_own"] >= HALF]
     if hiding:
         return "bad", f"hidden by {percent(min(hiding))} of the body"
-    if any(is_too_short(card, row) for row in rows):
+    if _is_unsure(card):
         return "unknown", "white box too short to say"
     sure = all(row["ci95_own"][1] < HALF for row in rows)
     return "good" if sure else "unknown", "no cloak hid half"
