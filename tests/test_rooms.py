@@ -11,7 +11,7 @@ MAY_IMPORT = {
     "files": set(),
     "jobs": {"files"},
     "exchange": {"files"},
-    "zoo": {"files", "exchange"},
+    "zoo": {"files", "exchange", "scene"},
     "scene": {"files", "exchange"},
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window, occluded
+from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
@@ -24,7 +25,7 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_centres
 
-_MIX, _CUTOUT, _WINDOW, _TINT = 1, 2, 3, 4
+_MIX, _CUTOUT, _WINDOW, _TINT, _CLOTH = 1, 2, 3, 4, 5
 """Streams of random numbers of an image, beside those drawn from its bare seed."""
 
 
@@ -87,8 +88,11 @@ class Batcher:
         backgrounds: Backgrounds,
         device: torch.device,
         people: PeopleViews | None = None,
+        cloth: ClothOnLogo | None = None,
     ) -> None:
-        self.people = people
+        """cloth: what the colours are of, where they are not those of the logo's faces."""
+        self.people, self.cloth = people, cloth
+        self.color_count = len(logo_faces) if cloth is None else cloth.count
         self.views, self.augmentation, self.sampler, self.view_cache = (
             settings.views,
             settings.augmentation,
@@ -98,7 +102,9 @@ class Batcher:
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
         self._fresh = is_fresh(settings.views)
-        self._centres = face_centres(view_cache.bodies)[logo_faces] if self.augmentation.cutout else None
+        self._centres = None
+        if self.augmentation.cutout:
+            self._centres = face_centres(view_cache.bodies)[logo_faces] if cloth is None else cloth.cloth.centres()
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's share of them."""
@@ -114,7 +120,8 @@ class Batcher:
             pose, camera, outfit, person, seed = one
             if person >= 0:
                 return self.people.view(person, seed)
-            return self.view_cache.bake(pose, camera, self.logo_faces, outfit)
+            view = self.view_cache.bake(pose, camera, self.logo_faces, outfit)
+            return view if self.cloth is None else self.cloth.view(view, np.random.default_rng([seed, _CLOTH]))
 
         views = spread(bake, list(wanted), workers(self.device) if self._fresh else 1)
         changes = is_photometric(settings)
@@ -132,7 +139,7 @@ class Batcher:
         return Batch(
             empty,
             self._occlude(Canvas.of(views, rows, shifts, on_render), views, draws),
-            LogoChange.draw(draws, settings, len(self.logo_faces), self.device) if changes and on_logo else None,
+            LogoChange.draw(draws, settings, self.color_count, self.device) if changes and on_logo else None,
             distorted,
             None if self._centres is None else self._cutout(draws),
             distorted.boxes(true_boxes(views, shifts), size, size),

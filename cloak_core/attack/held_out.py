@@ -127,7 +127,7 @@ class HeldOut:
         colors, figures = tensors.get(_STATE + "colors"), tensors.get(_STATE + "figures")
         if colors is None or figures is None:
             return
-        if colors.shape != (len(self.batcher.logo_faces), 3) or figures.shape != (3,):
+        if colors.shape != (self.batcher.color_count, 3) or figures.shape != (3,):
             raise ValueError("the best colours are of another shape")
         step, seen, success = figures.tolist()
         self.best = Best(int(step), seen, success, colors.to(self.batcher.device))

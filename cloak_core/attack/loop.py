@@ -119,7 +119,8 @@ class TrainingLoop:
             self.batches.close()
             if self.log:
                 self.log.close()
-        colors, colors_step = self._final_colors()
+        last, colors_step = self._final_colors()
+        colors = self._on_faces(last)
         return RunResult(
             out=self.run.path,
             step=self.step,
@@ -130,7 +131,7 @@ class TrainingLoop:
             colors=colors,
             colors_step=colors_step,
             enough=self._enough(),
-            closeness=None if self.optimizer.near is None else self.optimizer.near.closeness(colors),
+            closeness=None if self.optimizer.near is None else self.optimizer.near.closeness(_as_array(last)),
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
@@ -255,18 +256,26 @@ class TrainingLoop:
             self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
 
     def _colors_array(self) -> Float[np.ndarray, "L 3"]:
-        return _as_array(self.optimizer.finished())
+        return self._on_faces(self.optimizer.finished())
 
-    def _final_colors(self) -> tuple[Float[np.ndarray, "L 3"], int]:
+    def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
+        """Give the colours of the logo's faces: of a cloth, of the squares under them."""
+        cloth = self.batcher.cloth
+        return _as_array(colors) if cloth is None else _as_array(colors)[cloth.square]
+
+    def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
         """Give the colours the run ends with, and the step they are of."""
         if self.held_out is None or self.held_out.best is None:
-            return self._colors_array(), self.step
-        return _as_array(self.held_out.best.colors), self.held_out.best.step
+            return self.optimizer.finished(), self.step
+        return self.held_out.best.colors, self.held_out.best.step
 
     def _save(self, final: bool = False) -> None:
         """Write a checkpoint, and the colours: the latest, or those the run ends with."""
         if self.world.is_first:
-            write_colors(self.run.colors, self._final_colors()[0] if final else self._colors_array())
+            colors = self._final_colors()[0] if final else self.optimizer.finished()
+            write_colors(self.run.colors, self._on_faces(colors))
+            if self.batcher.cloth is not None:
+                self.run.write_cloth(_as_array(colors), self.batcher.cloth.cloth)
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
             tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
             tensors |= self.objective.ensemble.state()

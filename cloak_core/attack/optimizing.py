@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.near import Near
+from cloak_core.attack.octaves import Octaves
 from cloak_core.attack.pattern import Pattern
 from cloak_core.attack.settings.components import OptimizerSettings
 
@@ -51,15 +52,18 @@ class ColorOptimizer:
         initial: Float[Tensor, "N 3"],
         pattern: Pattern | None = None,
         near: Near | None = None,
+        octaves: Octaves | None = None,
     ) -> None:
-        """Begin with N parameters as `initial`, of which `pattern` makes colours; None: they are the colours.
+        """Begin with N values as `initial`, of which `pattern` makes colours; None: they are the colours.
 
-        `near`: the garment that the colours stay close to.
+        `near`: the garment that the colours stay close to. `octaves`: coarse grids whose sum moves the values, too.
         """
         self._sigmoid, self._pattern, self.settings = settings.gamut == "sigmoid", pattern, settings
-        self.near = near
+        self.near, self._octaves = near, octaves
         # 0.02 from the ends, where a sigmoid still moves.
         start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
+        if octaves is not None:
+            start = torch.cat([start.new_zeros(octaves.nodes, 3), start])
         self._parameter = start.requires_grad_()
         moves = {"sgd": partial(_sgd, momentum=settings.momentum), "mi": partial(_mi, momentum=settings.momentum)}
         self._move = moves.get(settings.optimizer, _adam)
@@ -104,20 +108,25 @@ class ColorOptimizer:
             self._parameter.copy_(self.near.project(self._parameter))
 
     def _values(self) -> Float[Tensor, "N 3"]:
-        return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
+        if self._octaves is None:
+            return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
+        coarse, own = self._parameter.split([self._octaves.nodes, len(self._parameter) - self._octaves.nodes])
+        summed = self._octaves(coarse)
+        # Inks that are learnt come after the faces, and lie on no grid.
+        return torch.sigmoid(own + torch.cat([summed, own.new_zeros(len(own) - len(summed), 3)]))
 
     @property
-    def gradient(self) -> Float[Tensor, "N 3"]:
+    def gradient(self) -> Float[Tensor, "P 3"]:
         """What the last backward pass left, with respect to the free parameters."""
         return self._parameter.grad
 
     @property
-    def momentum(self) -> Float[Tensor, "N 3"] | None:
+    def momentum(self) -> Float[Tensor, "P 3"] | None:
         """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
         return self._state.get("exp_avg", self._state.get("momentum_buffer"))
 
     @contextlib.contextmanager
-    def perturbed(self, direction: Float[Tensor, "N 3"] | None) -> Iterator[None]:
+    def perturbed(self, direction: Float[Tensor, "P 3"] | None) -> Iterator[None]:
         """Move the free parameters by `sharpness` (root mean square) along `direction` inside the block (SAM)."""
         if direction is None or not self.settings.sharpness:
             yield

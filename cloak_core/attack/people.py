@@ -8,16 +8,33 @@ import numpy as np
 
 from cloak_core.attack.settings.people import PeopleSettings
 from cloak_core.render.photographs.fitting import Fit
-from cloak_core.render.photographs.views import Framing, Looseness, logo_positions, photograph_view, shares_of
+from cloak_core.render.photographs.views import (
+    Framing,
+    Looseness,
+    cloth_places,
+    cloth_shares,
+    logo_positions,
+    photograph_view,
+    shares_of,
+)
 from cloak_core.render.types import BakedView
+from cloak_core.scene.logos.cloth import Cloth
 from cloak_core.scene.logos.logo import Logo
+
+_CLOTH = 1
+"""Stream of random numbers, beside the one of framing and looseness."""
 
 
 class PeopleViews:
-    """Views of fitted people who wear one logo. `InputError`: the logo's topology is none that the rig knows."""
+    """Views of fitted people who wear one logo, or a cloth over it.
 
-    def __init__(self, fits: Sequence[Fit], logo: Logo, settings: PeopleSettings, size: int) -> None:
-        self.fits, self.settings, self.size = tuple(fits), settings, size
+    `InputError`: the logo's topology is none that the rig knows.
+    """
+
+    def __init__(
+        self, fits: Sequence[Fit], logo: Logo, settings: PeopleSettings, size: int, cloth: Cloth | None = None
+    ) -> None:
+        self.fits, self.settings, self.size, self.cloth = tuple(fits), settings, size, cloth
         self._position = logo_positions(logo.topology, logo.face_ids)
         self._count = len(logo)
 
@@ -27,7 +44,14 @@ class PeopleViews:
     def view(self, person: int, seed: int) -> BakedView:
         """A view of one person; all that is random about it follows from `seed`."""
         fit, framing, looseness = self._drawn(person, seed)
-        return photograph_view(fit, shares_of(fit, self._position, self._count, looseness), framing, looseness)
+        if self.cloth is None:
+            shares = shares_of(fit, self._position, self._count, looseness)
+        else:
+            # Nobody cuts cloth in one place: it is laid anywhere, and as much wider or taller as a fit errs.
+            away = np.random.default_rng([seed, person, _CLOTH]).uniform(0, self.cloth.metres, 2)
+            places = cloth_places(fit) * looseness.stretch + away
+            shares = cloth_shares(fit, self._position, self.cloth, places)
+        return photograph_view(fit, shares, framing, looseness)
 
     def undressed(self, person: int, seed: int) -> BakedView:
         """The same view of the photograph as it is: no face of the logo is in it."""

@@ -1,6 +1,7 @@
 """The folder of one training: who may write into it, what it was started with, and how it is told to stop.
 
-config.json  logo.npy + logo.json  events.jsonl  colors.npy  checkpoint/  previews/  snapshots/  report.html  cancel
+config.json  logo.npy + logo.json  events.jsonl  colors.npy  cloth.png (a cloth that repeats)  checkpoint/  previews/
+snapshots/  report.html  cancel
 """
 
 import contextlib
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
+from PIL import Image
 
 from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import changes_around, check_same
@@ -19,10 +21,16 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.scene.logos.cloth import Cloth
 from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.pictures import save_picture
 from cloak_core.zoo.entry import run_path
 
 _log = logging.getLogger("cloak")
+
+
+CLOTH = "cloth.png"
+"""Of a cloth that repeats: what to print, a pixel for each square."""
 
 
 class RunFolder:
@@ -34,12 +42,18 @@ class RunFolder:
         self.logo = path / "logo.npy"
         self.events = path / "events.jsonl"
         self.colors = path / "colors.npy"
+        self.cloth = path / CLOTH
         self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
         self.snapshots = path / "snapshots"
         self.cancel = path / "cancel"
         self.changes: list[str] = []
         """What is not as it was when the run began, though it decides at most the last bits of the result."""
+
+    def write_cloth(self, colors: Float32[np.ndarray, "S 3"], cloth: Cloth) -> None:
+        """Write the cloth as a picture."""
+        squares = np.round(255 * colors.reshape(cloth.count, cloth.count, 3)).astype(np.uint8)
+        save_picture(self.cloth, Image.fromarray(squares))
 
     def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
         """Keep a copy of the colours after so many steps."""

@@ -22,6 +22,8 @@ from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings,
 from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.near import Near
 from cloak_core.attack.objective import Objective
+from cloak_core.attack.octaves import Octaves
+from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.pattern import Inks, Pattern, Smoothing
 from cloak_core.attack.people import PeopleViews
@@ -41,8 +43,9 @@ from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.geometry import face_centres
-from cloak_core.scene.logos.garment_colors import garment_colors, tile_of_face
+from cloak_core.scene.geometry import face_areas, face_centres
+from cloak_core.scene.logos.cloth import Cloth
+from cloak_core.scene.logos.garment_colors import garment_colors
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 from cloak_core.scene.logos.patches import patch_of_face
@@ -133,7 +136,8 @@ def _train(
     if is_search:
         _require_plain(settings, held, world)
     drawn = search_settings(settings, len(detectors)) if is_search else settings
-    batcher = make_batcher(drawn, trained, logo, device)
+    cloth = make_cloth(settings.pattern, bodies, logo)
+    batcher = make_batcher(drawn, trained, logo, device, cloth)
     if not material.people or settings.photographs.people_share < 1:
         require_visible_logo(batcher.view_cache, logo.face_ids, trained.bodies.pose_count, settings.views)
     given = (world.size, palette, held, start, profile, surrogates, material.people)
@@ -143,19 +147,23 @@ def _train(
         first = first_colors(settings.optimization, bodies, logo, settings.run.seed, device)
     else:
         first = torch.from_numpy(start).to(device)
+    if cloth is not None:
+        first = torch.from_numpy(cloth.of_faces(first.cpu().numpy())).to(device)
     with contextlib.ExitStack() as stack:
         run = world.on_rank0(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
-        objective = Objective(drawn, logo, detectors, device, palette)
+        objective = Objective(drawn, logo if cloth is None else cloth.as_logo(logo), detectors, device, palette)
         if is_search:
             centres = face_centres(bodies)[logo.face_ids]
             prior = QueryPrior(Objective(drawn, logo, surrogates, device), centres) if surrogates else None
             loop = Search(settings, run, batcher, objective, first, centres, on_event, prior)
         else:
-            held_out = None if held is None else _held_out(settings, held, logo, objective, world)
-            pattern = make_pattern(settings, bodies, logo, palette, profile, device)
+            held_out = None if held is None else _held_out(settings, held, logo, objective, world, cloth)
+            patch = patches(settings.pattern, bodies, logo)
+            pattern = make_pattern(settings, logo, patch, cloth, palette, profile, device)
             begun = first if pattern is None else pattern.begin(first)
-            optimizer = ColorOptimizer(settings.optimization, begun, pattern, near)
+            octaves = make_octaves(settings, bodies, logo, patch, cloth, device)
+            optimizer = ColorOptimizer(settings.optimization, begun, pattern, near, octaves)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
@@ -175,18 +183,18 @@ def _require_plain(settings: TrainSettings, held: TrainingData | None, world: Wo
 
 def make_pattern(
     settings: TrainSettings,
-    bodies: Bodies,
     logo: Logo,
+    patch: Int64[np.ndarray, " L"] | None,
+    cloth: ClothOnLogo | None,
     palette: np.ndarray | None,
     profile: Profile | None,
     device: torch.device,
 ) -> Pattern | None:
-    """Make what turns free parameters into the faces' colours; None where these are the colours."""
+    """Make what turns free values into colours; None where these are the colours."""
     wanted, rounds, inks = settings.pattern, settings.optimization.smooth, None
-    patch, edges, count = shared_colors(wanted, bodies, logo), logo.edges, len(logo)
+    edges, count = (logo.edges, len(logo)) if cloth is None else (cloth.cloth.neighbours(), cloth.count)
     if patch is not None:
         edges, count = patch[edges], int(patch.max()) + 1
-        edges = np.unique(np.sort(edges, axis=1), axis=0) if wanted.pattern == "tile" else edges
         edges = edges[edges[:, 0] != edges[:, 1]]
     if wanted.colors_at_most is not None:
         given = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
@@ -198,13 +206,39 @@ def make_pattern(
     return None if is_free else Pattern(smoothing, patch, profile, inks, device)
 
 
-def shared_colors(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Int64[np.ndarray, " L"] | None:
-    """Number the patch, or the square of the cloth, whose colour each face has; None where each has its own."""
-    if wanted.pattern == "camouflage":
-        return patch_of_face(bodies, logo, wanted.feature_cm / 100)
-    if wanted.pattern == "tile":
-        return tile_of_face(bodies, logo, wanted.tile_cm / 100, wanted.feature_cm / 100)
-    return None
+def patches(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Int64[np.ndarray, " L"] | None:
+    """Number the patch whose colour each face has; None where faces share none."""
+    return patch_of_face(bodies, logo, wanted.feature_cm / 100) if wanted.pattern == "camouflage" else None
+
+
+def make_cloth(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> ClothOnLogo | None:
+    """Lay a cloth that repeats onto the logo; None where its faces have colours of their own."""
+    if wanted.pattern != "tile":
+        return None
+    return ClothOnLogo.of(Cloth.of(wanted.tile_cm / 100, wanted.feature_cm / 100), bodies, logo)
+
+
+def make_octaves(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    patch: Int64[np.ndarray, " L"] | None,
+    cloth: ClothOnLogo | None,
+    device: torch.device,
+) -> Octaves | None:
+    """Coarse grids over the faces, patches or squares that have colours; None where there is one scale alone."""
+    count = settings.optimization.octaves
+    if count == 1:
+        return None
+    if cloth is not None:
+        width = cloth.cloth.metres / cloth.cloth.count
+        return Octaves(cloth.cloth.centres(), width, count, cloth.cloth.metres, device)
+    centres, areas = face_centres(bodies)[logo.face_ids], face_areas(bodies)[logo.face_ids]
+    if patch is not None:
+        members = np.bincount(patch)
+        centres = np.stack([np.bincount(patch, axis) for axis in centres.T], axis=1) / members[:, None]
+        areas = np.bincount(patch, areas)
+    return Octaves(centres, float(np.sqrt(np.median(areas))), count, None, device)
 
 
 def make_near(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Near:
@@ -218,15 +252,24 @@ def make_near(wanted: PatternSettings, bodies: Bodies, logo: Logo) -> Near:
     garment = read_start(Path(wanted.near), logo, "--near") if garment is None else garment
     if wanted.colors_at_most is not None and len(np.unique(garment, axis=0)) > 1:
         raise InputError("--near: with --colors-at-most the garment must have one colour")
-    patch = shared_colors(wanted, bodies, logo)
+    patch, cloth = patches(wanted, bodies, logo), make_cloth(wanted, bodies, logo)
+    if cloth is not None:
+        garment = cloth.of_faces(garment)
     if patch is not None:
         total = np.stack([np.bincount(patch, garment[:, channel]) for channel in range(3)], axis=1)
         garment = (total / np.bincount(patch)[:, None])[patch].astype(np.float32)
     return Near(garment, wanted.within, wanted.within_most or 2 * wanted.within)
 
 
-def _held_out(settings: TrainSettings, held: TrainingData, logo: Logo, objective: Objective, world: World) -> HeldOut:
-    batcher = make_batcher(held_out_settings(settings), held, logo, local_device(settings.compute.device))
+def _held_out(
+    settings: TrainSettings,
+    held: TrainingData,
+    logo: Logo,
+    objective: Objective,
+    world: World,
+    cloth: ClothOnLogo | None,
+) -> HeldOut:
+    batcher = make_batcher(held_out_settings(settings), held, logo, local_device(settings.compute.device), cloth)
     return HeldOut(settings.run, batcher, objective, world)
 
 
@@ -238,12 +281,20 @@ def make_view_cache(bodies: Bodies, settings: ViewSettings, device: torch.device
     return ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
 
 
-def make_batcher(settings: TrainSettings, material: TrainingData, logo: Logo, device: torch.device) -> Batcher:
+def make_batcher(
+    settings: TrainSettings,
+    material: TrainingData,
+    logo: Logo,
+    device: torch.device,
+    cloth: ClothOnLogo | None = None,
+) -> Batcher:
     """Make what draws and builds a run's batches."""
     bodies, backgrounds, folds = material.bodies, material.backgrounds, settings.augmentation
     if folds.wrinkles:
         bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds), len(material.people))
-    people = PeopleViews(material.people, logo, settings.photographs, settings.views.size) if material.people else None
+    people, flat = None, None if cloth is None else cloth.cloth
+    if material.people:
+        people = PeopleViews(material.people, logo, settings.photographs, settings.views.size, flat)
     view_cache = make_view_cache(bodies, settings.views, device)
-    return Batcher(settings, sampler, view_cache, logo.face_ids, backgrounds, device, people)
+    return Batcher(settings, sampler, view_cache, logo.face_ids, backgrounds, device, people, cloth)

@@ -16,7 +16,7 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.render.texture import look_up
 from cloak_core.scene.geometry import face_centres, face_normals, sum_by_face
-from cloak_core.scene.logos.garment_colors import cloth_coordinates
+from cloak_core.scene.logos.cloth import cloth_coordinates
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import read_picture
 from cloak_core.zoo.entry import run_path

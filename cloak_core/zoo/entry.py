@@ -15,6 +15,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
@@ -24,6 +25,7 @@ from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import new_folder, remove_leftovers, write_json, write_npz
+from cloak_core.scene.pictures import read_picture, save_picture
 
 FORMAT = "cloak zoo 1"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
@@ -40,6 +42,8 @@ class Entry:
     """The run's config.json, as far as an evaluation asks for it."""
     colors: np.ndarray
     ids: np.ndarray
+    cloth: np.ndarray | None = None
+    """The cloth that repeats, uint8 [count, count, 3], where the colours are of one."""
 
     def write_run(self, folder: Path) -> Path:
         """Make a run folder of it. InputError: it exists and holds something."""
@@ -50,6 +54,8 @@ class Entry:
             write_json(temporary / "zoo.json", self.record)
             write_face_list(temporary / "logo.npy", self.ids, self.config["topology"])
             write_colors(temporary / "colors.npy", self.colors)
+            if self.cloth is not None:
+                save_picture(temporary / "cloth.png", Image.fromarray(self.cloth))
         return folder
 
 
@@ -69,7 +75,7 @@ def read_entry(folder: Path, name: str) -> Entry:
         raise InputError(f"{path}: not a zoo entry ({error})") from None
     if colors.dtype != np.uint8 or colors.shape != (len(ids), 3) or sha256_arrays(colors) != record.get("colors"):
         raise InputError(f"{path}: damaged: its colours are not those of its record")
-    return Entry(record, config, colors.astype(np.float32) / 255, ids)
+    return Entry(record, config, colors.astype(np.float32) / 255, ids, arrays.get("cloth"))
 
 
 def names(folder: Path) -> list[str]:
@@ -115,7 +121,8 @@ def write_entry(
     for end in ("npz", "json"):
         remove_leftovers(folder / f"{name}.{end}")
     told = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
-    write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told)
+    cloth = {"cloth": read_picture(run / "cloth.png")} if (run / "cloth.png").exists() else {}
+    write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told, **cloth)
     write_json(folder / f"{name}.json", record)
     return record
 

@@ -199,7 +199,7 @@ class PatternSettings:
     None gives each face its own colour."""
     pattern: Literal["free", "camouflage", "tile"] = "free"
     """Where colours may change: free, from face to face; camouflage, between patches no smaller than --feature-cm;
-    tile, between squares of --feature-cm in a cloth that repeats every --tile-cm."""
+    tile, between squares of --feature-cm in a cloth that repeats every --tile-cm, and may lie anywhere on the body."""
     feature_cm: Annotated[float, Bounds(0, 100, "(]")] = 2.0
     """Diameter of the smallest patch, centimetres along the body in the first pose."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
@@ -271,6 +271,9 @@ class OptimizerSettings:
     smooth: Annotated[int, Bounds(0, 1000)] = 0
     """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
     frequencies are learnt; 0 gives each face its own colour."""
+    octaves: Annotated[int, Bounds(1, 10)] = 1
+    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
+    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
     schedule: Literal["constant", "step", "cosine"] = "step"
     """Learning rate over time: constant, times 0.1 every --lr-epochs (step), or a cosine that ends at 1 %."""
     lr_epochs: Positive = 10.0
@@ -288,6 +291,8 @@ class OptimizerSettings:
         """Check that values go together. InputError: they do not."""
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
+        if self.octaves > 1 and self.gamut != "sigmoid":
+            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
         if self.sharpness and self.ascent == "momentum" and self.optimizer == "sgd" and not self.momentum:
             raise InputError("--ascent momentum: there is none without --momentum")
 

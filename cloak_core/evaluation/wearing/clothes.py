@@ -17,8 +17,7 @@ from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fitting import Fit
-from cloak_core.render.photographs.views import logo_positions, shares_of
-from cloak_core.scene.logos.garment_colors import cloth_coordinates
+from cloak_core.render.photographs.views import cloth_places, logo_positions, shares_of
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.photographs.rig import NUMBER, body_rig
@@ -97,6 +96,8 @@ class PictureClothes:
     metres: float
     """Width of the picture on the body."""
     is_patch: bool
+    position: np.ndarray
+    """Of the rig's triangles among the faces that may wear it; -1 elsewhere."""
 
     def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
         """See `Clothes`."""
@@ -112,17 +113,16 @@ class PictureClothes:
 
     def _places(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metres right and down on the cloth for each pixel, and whether the pixel wears it."""
-        normal, segment, clothes = _surface()
-        n = normal[fit.main]
-        u, v = cloth_coordinates(fit.rest, n).T
+        u, v = cloth_places(fit).T
         if not self.is_patch:
-            return u, v, clothes[fit.main]
+            return u, v, self.position[fit.main] >= 0
+        rig = body_rig()
         height, width = self.picture.shape[:2]
         tall = self.metres * height / width
-        hips = body_rig().joints
-        top = -(hips["l_hip"][1] + CHEST) - tall / 2
+        top = -(rig.joints["l_hip"][1] + CHEST) - tall / 2
         u, v = u + self.metres / 2, v - top
-        on_chest = np.isin(segment[fit.main], (NUMBER["chest"], NUMBER["pelvis"])) & (n[:, 2] > 0.1)
+        segment, forward = rig.segment_of_triangle()[fit.main], rig.normals[fit.main, 2]
+        on_chest = np.isin(segment, (NUMBER["chest"], NUMBER["pelvis"])) & (forward > 0.1)
         return u, v, on_chest & (u >= 0) & (u < self.metres) & (v >= 0) & (v < tall)
 
     def _at_scale(self, scale: float) -> Float[np.ndarray, "h w 3"]:
@@ -145,16 +145,6 @@ def _bilinear(texture: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     upper = at(y0, x0) * (1 - fx) + at(y0, x0 + 1) * fx
     lower = at(y0 + 1, x0) * (1 - fx) + at(y0 + 1, x0 + 1) * fx
     return upper * (1 - fy) + lower * fy
-
-
-@lru_cache(maxsize=1)
-def _surface() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the rig's triangles: normals at rest, segments, and which are clothes."""
-    rig = body_rig()
-    a, b, c = (rig.vertices[rig.triangles[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return normal, rig.segment_of_triangle(), clothes_position() >= 0
 
 
 @lru_cache(maxsize=1)
@@ -186,9 +176,8 @@ def read_clothes(spec: str) -> Clothes:
         if not 0.01 <= metres <= 5:
             raise InputError(f"{spec}: {picture['metres']} metres are not between 0.01 and 5")
         path = Path(picture["file"])
-        return PictureClothes(
-            f"{path.stem}@{picture['kind']}={metres:g}", read_picture(path), metres, picture["kind"] == "patch"
-        )
+        name, is_patch = f"{path.stem}@{picture['kind']}={metres:g}", picture["kind"] == "patch"
+        return PictureClothes(name, read_picture(path), metres, is_patch, clothes_position())
     if not spec.startswith("zoo:") and Path(spec).is_file():
         raise InputError(f"{spec}: say how wide it is worn: {spec}@tile=0.5 or {spec}@patch=0.3 (metres)")
     folder = run_path(spec)
@@ -196,4 +185,14 @@ def read_clothes(spec: str) -> Clothes:
     faces = read_face_list(folder / "logo.npy")
     name = spec if spec.startswith("zoo:") else folder.name
     position = logo_positions(config["topology"], np.asarray(faces.ids, np.int64))
+    if (folder / "cloth.png").exists():
+        # Printed as one piece: finer than the faces that it is shown on elsewhere.
+        return PictureClothes(name, read_picture(folder / "cloth.png"), _tile_metres(config, folder), False, position)
     return LogoClothes(name, position, read_colors(folder / "colors.npy", len(faces.ids)))
+
+
+def _tile_metres(config: dict, folder: Path) -> float:
+    metres = config.get("settings", {}).get("tile_cm")
+    if not isinstance(metres, int | float) or not metres > 0:
+        raise InputError(f"{folder / 'config.json'}: does not say how wide cloth.png is (settings.tile_cm)")
+    return metres / 100

@@ -17,8 +17,9 @@ from cloak_core.render.baking import baked_view
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.types import BakedView
 from cloak_core.scene.cameras import Number
+from cloak_core.scene.logos.cloth import Cloth, cloth_coordinates
 from cloak_core.scene.photographs.people import Box
-from cloak_core.scene.photographs.rig import faces_on_rig
+from cloak_core.scene.photographs.rig import body_rig, faces_on_rig
 
 PADDING = 0.5
 """Grey beyond the photograph's border."""
@@ -92,6 +93,19 @@ def shares_of(
     kept = face >= 0
     before = np.concatenate([[0], np.cumsum(kept)])
     return sparse.csr_matrix((share[kept], face[kept], before[crow]), shape=(len(crow) - 1, logo_count))
+
+
+def cloth_places(fit: Fit) -> Float[np.ndarray, "P 2"]:
+    """Find where each pixel of a fitted person lies on a cloth that her clothes are cut of: metres right and down."""
+    return cloth_coordinates(fit.rest, body_rig().normals[fit.main])
+
+
+def cloth_shares(
+    fit: Fit, position: Int64[np.ndarray, " T"], cloth: Cloth, places: Float[np.ndarray, "P 2"]
+) -> sparse.csr_matrix:
+    """The squares of a cloth that a fit's pixels show, at these places on it, where the logo's faces are seen."""
+    worn = (position[fit.main] >= 0).astype(np.float64)
+    return sparse.diags(worn) @ cloth.shares(places)
 
 
 def photograph_view(

@@ -8,7 +8,7 @@ with a tongue and in triangles. So one fit of a person serves a logo of any of t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,13 @@ class Rig:
     """neck, head, and of either side (l_, r_) shoulder, elbow, wrist, hip, knee, ankle."""
     triangles: Int64[np.ndarray, "T 3"]
     """Of the whole skin, each quad of the sample bodies cut in two."""
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "T 3"]:
+        """Unit normals of the triangles at rest."""
+        a, b, c = (self.vertices[self.triangles[:, corner]] for corner in range(3))
+        normal = np.cross(b - a, c - a)
+        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
     def segment_of_triangle(self) -> Int64[np.ndarray, " T"]:
         """The segment that moves each triangle most."""

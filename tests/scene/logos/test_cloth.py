@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from cloak_core.scene.geometry import face_centres, face_normals
-from cloak_core.scene.logos.garment_colors import cloth_coordinates, tile_of_face
+from cloak_core.scene.logos.cloth import Cloth, cloth_coordinates, face_places
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.opening import load_scene
 
@@ -21,12 +21,22 @@ def test_faces_a_tile_apart_share_a_square():
     bodies = load_scene("sample[0:1]")
     logo = load_logo(bodies, region="shirt+trousers")
     tile, cell = 0.4, 0.05
-    patch = tile_of_face(bodies, logo, tile, cell)
-    assert 40 < len(np.unique(patch)) == patch.max() + 1 <= 64
-    places = cloth_coordinates(face_centres(bodies)[logo.face_ids], face_normals(bodies)[logo.face_ids])
+    places = face_places(bodies, logo)
+    square = Cloth.of(tile, cell).square_at(places)
+    assert 40 < len(np.unique(square)) and square.max() < 64
     inside = np.floor(places / cell).astype(int) % 8
-    for square in range(0, patch.max() + 1, 7):
-        assert len(np.unique(inside[patch == square], axis=0)) == 1
+    for number in np.unique(square)[::7]:
+        assert len(np.unique(inside[square == number], axis=0)) == 1
+
+
+def test_a_cloth_is_interpolated_between_its_squares_and_across_its_border():
+    cloth = Cloth.of(0.5, 0.26)
+    assert cloth == Cloth(0.5, 2)
+    shares = cloth.shares(cloth.centres() + [0.5, -1.0]).toarray()
+    assert np.allclose(shares, np.eye(4))
+    between = cloth.shares(np.array([[0.25, 0.125], [0.0, 0.125], [0.125, 0.1875]])).toarray()
+    assert np.allclose(between, [[0.5, 0.5, 0, 0], [0.5, 0.5, 0, 0], [0.75, 0, 0.25, 0]])
+    assert cloth.neighbours().tolist() == [[0, 1], [0, 2], [1, 3], [2, 3]]
 
 
 @pytest.mark.slow
@@ -41,7 +51,9 @@ def test_training_a_tile_gives_its_faces_one_colour(tmp_path):
         "best", steps=3, batch=2, size=64, translation=5, samples=1, pattern="tile", tile_cm=50, feature_cm=25
     )
     result = train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(), tmp_path / "run")
-    patch = tile_of_face(bodies, logo, 0.5, 0.25)
-    for square in np.unique(patch):
-        assert np.ptp(result.colors[patch == square], axis=0).max() < 1e-6
+    square = Cloth.of(0.5, 0.25).square_at(face_places(bodies, logo))
+    for number in np.unique(square):
+        assert np.ptp(result.colors[square == number], axis=0).max() < 1e-6
     assert np.abs(result.colors - 0.5).max() > 1e-4
+    printed = np.asarray(Image.open(tmp_path / "run" / "cloth.png")).reshape(-1, 3)
+    assert np.array_equal(printed[square], np.round(255 * result.colors).astype(np.uint8))
