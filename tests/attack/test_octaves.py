@@ -31,7 +31,7 @@ def test_a_grid_is_linear_between_its_nodes():
 
 def test_what_a_period_apart_lies_is_the_same():
     places = points(dimensions=2)
-    one, other = (Octaves(at, 0.04, 3, 0.5).weights.to_dense() for at in (places, places + [0.5, -1.0]))
+    one, other = (Octaves(at, 0.04, 3, 0.5).weights.to_dense() for at in (places, places + np.array([0.5, -1.0])))
     assert torch.allclose(one, other, atol=1e-5)
 
 
@@ -44,7 +44,7 @@ def test_the_gradient_is_the_transpose():
 
 
 def test_octaves_need_a_sigmoid():
-    with pytest.raises(InputError, match="--octaves.*--gamut sigmoid"):
+    with pytest.raises(InputError, match=r"--octaves.*--gamut sigmoid"):
         make_settings("best", octaves=3)
 
 
