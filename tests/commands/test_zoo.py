@@ -66,6 +66,14 @@ def test_what_a_killed_writer_left_is_removed(a_run, tmp_path):
     assert {path.name for path in folder.iterdir()} == {"name.npz", "name.json", ".other.npz.ab12_x9z"}
 
 
+def test_a_cloth_goes_with_its_run(a_run, tmp_path):
+    squares = np.random.default_rng(0).integers(0, 256, (6, 6, 3), np.uint8)
+    Image.fromarray(squares).save(a_run / "cloth.png")
+    write_entry(tmp_path, "cloth", a_run, about="", licence="CC0-1.0")
+    back = read_entry(tmp_path, "cloth").write_run(tmp_path / "back")
+    assert np.array_equal(np.asarray(Image.open(back / "cloth.png")), squares)
+
+
 def test_a_run_becomes_an_entry_and_a_run_again(a_run, tmp_path):
     record = write_entry(tmp_path, "mine-1", a_run, about="a test", licence="CC0-1.0", command="cloak train --out /a/b")
     assert (record["detectors"], record["logo"], record["command"]) == (
