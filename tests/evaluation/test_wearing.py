@@ -22,6 +22,7 @@ from cloak_core.library import wear
 from cloak_core.render.photographs.fits import fit_people
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.photographs.people import load_people
+from cloak_core.zoo.entry import entry
 from tests.attack.fakes import RedDetector
 from tests.scene.photographs.made_people import write_people
 from tests.schemas import validate
@@ -132,6 +133,21 @@ def test_zoo_entries_of_every_known_topology_are_worn():
         clothes = read_clothes(f"zoo:{name}")
         assert (clothes.position >= 0).sum() > 1000 and clothes.position.max() < len(clothes.colors)
     assert (clothes_position() >= 0).sum() > 5000
+
+
+def test_a_run_of_cloth_is_worn_as_the_cloth_where_its_logo_is(people, tmp_path):
+    run = entry("transfer-people").write_run(tmp_path / "run")
+    worn = read_clothes(str(run))
+    assert worn.metres == 0.25 and not worn.is_patch
+    picture = read_clothes(f"{run / 'cloth.png'}@tile=0.25")
+    fit = fit_people(people)[0]
+    (shares, colors), (same, other) = worn.on(fit, 0), picture.on(fit, 0)
+    assert np.array_equal(colors, other) and (shares - same).nnz == 0 and shares.nnz > 100
+    config = json.loads((run / "config.json").read_text())
+    del config["settings"]["tile_cm"]
+    (run / "config.json").write_text(json.dumps(config))
+    with pytest.raises(InputError, match="does not say how wide"):
+        read_clothes(str(run))
 
 
 BAD = {
