@@ -7,6 +7,7 @@ in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polyg
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import bmesh
@@ -79,6 +80,10 @@ def _missing(obj: bpy.types.Object, name: str) -> str:
 # --- reading and writing, in both modes ------------------------------------------------------------------------------
 
 
+HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")
+"""Blender before 4.4 gives Python no boolean layers in Edit Mode."""
+
+
 def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
     """Mask [F] of the logo `name`."""
     with arrays.current_mesh(obj) as mesh:
@@ -87,8 +92,23 @@ def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
     """Set the logo `name` to `mask`, making it where there is none."""
+    if obj.mode == "EDIT" and HAS_LAYERS:
+        _write_edited(obj, name, mask)
+        return
     with arrays.object_mode(obj):
         arrays.write_attribute(obj.data, name, "BOOLEAN", mask)
+
+
+def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
+    """Set the flags of the faces that change alone: Python visits each, and leaving Edit Mode takes longer."""
+    bm = bmesh.from_edit_mesh(obj.data)
+    known = bm.faces.layers.bool.get(name)
+    changed = mask != read_faces(obj, name) if known else mask
+    layer = known or bm.faces.layers.bool.new(name)
+    for face, flag in zip(itertools.compress(bm.faces, changed.tolist()), mask[changed].tolist(), strict=True):
+        face[layer] = flag
+    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    arrays.edited(obj)
 
 
 def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
@@ -212,9 +232,14 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
 def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """[Q] index of the point [N, 3] nearest to each query [Q, 3] within its own reach [Q]; -1 where there is none."""
     # Blender's tree takes quadratic time where many coordinates are equal, as on a regular mesh: turned, none are.
+    margin = reach.max(initial=0.0)
+    low, high = queries.min(0, initial=np.inf) - margin, queries.max(0, initial=-np.inf) + margin
+    near = np.flatnonzero(((points >= low) & (points <= high)).all(1))
+    if not len(near):
+        return np.full(len(queries), -1)
     turn = np.array(Euler((0.5, 0.7, 1.1)).to_matrix())
-    tree = KDTree(len(points))
-    for index, point in enumerate((points @ turn).tolist()):
+    tree = KDTree(len(near))
+    for index, point in zip(near.tolist(), (points[near] @ turn).tolist(), strict=True):
         tree.insert(point, index)
     tree.balance()
     found = [tree.find(query) for query in (queries @ turn).tolist()]

@@ -180,6 +180,7 @@ class Placed:
         sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
         behind = (points[:, 2] < plane[faces, 2].min()) * np.uint8(16)
         corners, face = self.surface.corners, self.surface.face
-        beyond = np.bitwise_and.reduce((sides[:, 0] | sides[:, 1] | behind)[corners], 1)
-        near = (beyond == 0) & ahead[corners].all(1)  # a triangle beyond one side hides nothing
+        beyond, (a, b, c) = sides[:, 0] | sides[:, 1] | behind, corners.T
+        near = (beyond[a] & beyond[b] & beyond[c]) == 0  # a triangle beyond one side hides nothing
+        near &= ahead[a] & ahead[b] & ahead[c]
         return seen(plane[faces], faces, points, corners[near], face[near])
