@@ -53,7 +53,7 @@ def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """List the worn objects, including those that the user left out."""
+    """List the worn objects, with the ones that the user left out."""
     armature, box = armature_of(obj), box_of(obj)
     children = set(obj.children_recursive)
     return sorted(

@@ -367,7 +367,7 @@ def shut_down() -> None:
 
 
 def forget() -> None:
-    """Drop all jobs: those that Blender started are stopped, a training that it attached to continues."""
+    """Drop all jobs: stop the ones that Blender started; a training that it attached to continues."""
     for job in session.jobs:
         if job.running:
             job.abandon()

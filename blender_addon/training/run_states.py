@@ -75,7 +75,7 @@ class RunState:
 
 
 def find_runs(place: Path) -> list[Path]:
-    """Find the runs in a folder, including those that have an input only because their training never began."""
+    """Find the runs in a folder, with runs that only have an input because their training never began."""
     found: dict[Path, float] = {}
     try:
         with os.scandir(place) as entries:

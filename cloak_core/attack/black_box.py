@@ -59,7 +59,7 @@ class SearchResult(RunResult):
 
 
 def queries_after(steps: int, cost: int) -> int:
-    """Count the images asked in so many steps; `cost`: those of a batch, every detector's."""
+    """Count the images that `steps` steps ask about; `cost`: images of a batch, over all detectors."""
     return cost * (2 * steps + -(-steps // EVERY))
 
 

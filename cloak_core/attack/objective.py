@@ -33,7 +33,7 @@ class LossAndGradient:
     gradient: Float[Tensor, "B 3 H W"] | None
     """Of `disappearance`, with respect to the images; None under `torch.no_grad`, and where there are no images."""
     detections: dict[int, Detections]
-    """By the number of the detector, those that were asked; see `Objective.detect`."""
+    """What each asked detector said, by its number; see `Objective.detect`."""
 
 
 class Objective:

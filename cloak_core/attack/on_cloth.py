@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -32,7 +33,7 @@ class ClothOnLogo:
         """Number of squares, and so of colours."""
         return self.cloth.count**2
 
-    @property
+    @cached_property
     def square(self) -> Int64[np.ndarray, " L"]:
         """The square under each face's centre."""
         return self.cloth.square_at(self.places)
@@ -45,14 +46,14 @@ class ClothOnLogo:
         return np.where(faces[:, None] > 0, means, values.mean(axis=0)).astype(np.float32)
 
     def view(self, view: BakedView, random: np.random.Generator) -> BakedView:
-        """Turn a view of the logo's faces into one of squares, the cloth laid anywhere: nobody cuts it in one place."""
+        """Turn a view of the logo's faces into one of squares, with the cloth laid at a random place."""
         square = self.cloth.square_at(self.places + random.uniform(0, self.cloth.metres, 2))
         return replace(
             view, logo_face=torch.from_numpy(square).to(view.logo_face)[view.logo_face], logo_count=self.count
         )
 
     def as_logo(self, logo: Logo) -> Logo:
-        """The logo with the squares' neighbours in place of its faces', for total variation."""
+        """Give the logo the squares' neighbours in place of its faces', for total variation."""
         edges = self.cloth.neighbours()
         lengths = np.full(len(edges), self.cloth.metres / self.cloth.count)
         return replace(logo, edges=edges.astype(logo.edges.dtype), edge_lengths=lengths.astype(logo.edge_lengths.dtype))

@@ -54,7 +54,7 @@ class ColorOptimizer:
         near: Near | None = None,
         octaves: Octaves | None = None,
     ) -> None:
-        """Begin with N values as `initial`, of which `pattern` makes colours; None: they are the colours.
+        """Begin with N values, `initial`. `pattern` makes colours of them; without one they are the colours.
 
         `near`: the garment that the colours stay close to. `octaves`: coarse grids whose sum moves the values, too.
         """

@@ -150,7 +150,7 @@ def assigned(
 
 
 def far_apart(colors: Float[np.ndarray, "P 3"], count: int) -> Float[np.ndarray, "K 3"]:
-    """Choose so many of the colours: the first, then always the one farthest from those there are."""
+    """Choose `count` colours: the first, then repeatedly the one farthest from all chosen before."""
     chosen = [0]
     distance = ((colors - colors[0]) ** 2).sum(axis=1)
     while len(chosen) < count:

@@ -21,16 +21,12 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
-from cloak_core.scene.logos.cloth import Cloth
+from cloak_core.scene.logos.cloth import CLOTH_FILE, Cloth
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import save_picture
 from cloak_core.zoo.entry import run_path
 
 _log = logging.getLogger("cloak")
-
-
-CLOTH = "cloth.png"
-"""Of a cloth that repeats: what to print, a pixel for each square."""
 
 
 class RunFolder:
@@ -42,7 +38,7 @@ class RunFolder:
         self.logo = path / "logo.npy"
         self.events = path / "events.jsonl"
         self.colors = path / "colors.npy"
-        self.cloth = path / CLOTH
+        self.cloth = path / CLOTH_FILE
         self.checkpoint = path / "checkpoint"
         self.previews = path / "previews"
         self.snapshots = path / "snapshots"

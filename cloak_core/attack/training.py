@@ -175,10 +175,9 @@ def _require_plain(settings: TrainSettings, held: TrainingData | None, world: Wo
     """Refuse what a search by questions does not do. InputError."""
     if held is not None or world.size > 1:
         raise InputError("--black-box-queries: searches in one process, without --held-out")
-    if settings.pattern.on:
-        raise InputError(
-            "--black-box-queries: free colours alone, without --colors-at-most, --pattern, --profile and --near"
-        )
+    if settings.pattern.on or settings.optimization.octaves > 1:
+        refused = "--colors-at-most, --pattern, --profile, --near and --octaves"
+        raise InputError(f"--black-box-queries: free colours alone, without {refused}")
 
 
 def make_pattern(

@@ -85,7 +85,7 @@ def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Im
 
 
 SHOWN, SAME, MOST = 0.2, 0.5, 50
-"""Boxes above this score are looked at, the best so many; two are one where they overlap so much."""
+"""Look at boxes above this score, at most this number; two that overlap this much (IoU) count as one."""
 AS_PLAUSIBLE = 0.7
 """Of the most plausible way's: of 84 trials on three detectors, the right way was among these in 80, and never was a
 wrong one alone."""

@@ -134,9 +134,9 @@ class JudgeSettings:
     iou: Annotated[float, Bounds(0, 1, "(]")] = IOU
     """Where a person's box is told: overlap from which a found box is that person's."""
     every: Annotated[int, Bounds(1)] = 10
-    """Of a video every so many-th frame is looked at."""
+    """Look at every N-th frame of a video."""
     most_frames: Annotated[int, Bounds(1)] = 50
-    """And no more than so many of one video, from its beginning."""
+    """Look at no more than this many frames of one video, from its beginning."""
     longest: Annotated[int, Bounds(32, 8192)] = 1280
     """Larger pictures are reduced to so many pixels along their longer side, by averaging, before a detector sees
     them."""

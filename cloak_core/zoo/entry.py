@@ -25,6 +25,7 @@ from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import parse_json, read_json, read_npz
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import new_folder, remove_leftovers, write_json, write_npz
+from cloak_core.scene.logos.cloth import CLOTH_FILE
 from cloak_core.scene.pictures import read_picture, save_picture
 
 FORMAT = "cloak zoo 1"
@@ -55,7 +56,7 @@ class Entry:
             write_face_list(temporary / "logo.npy", self.ids, self.config["topology"])
             write_colors(temporary / "colors.npy", self.colors)
             if self.cloth is not None:
-                save_picture(temporary / "cloth.png", Image.fromarray(self.cloth))
+                save_picture(temporary / CLOTH_FILE, Image.fromarray(self.cloth))
         return folder
 
 
@@ -121,7 +122,7 @@ def write_entry(
     for end in ("npz", "json"):
         remove_leftovers(folder / f"{name}.{end}")
     told = np.frombuffer(json.dumps(config, separators=(",", ":"), allow_nan=False).encode(), np.uint8)
-    cloth = {"cloth": read_picture(run / "cloth.png")} if (run / "cloth.png").exists() else {}
+    cloth = {"cloth": read_picture(run / CLOTH_FILE)} if (run / CLOTH_FILE).exists() else {}
     write_npz(folder / f"{name}.npz", compressed=True, colors=colors, faces=np.packbits(mask), config=told, **cloth)
     write_json(folder / f"{name}.json", record)
     return record

@@ -169,7 +169,9 @@ def test_a_run_through_a_profile_keeps_what_is_photographed(tmp_path):
     assert json.loads((tmp_path / "run" / "config.json").read_text())["profile"]["sha256"]
 
 
-@pytest.mark.parametrize("change", [{"colors_at_most": 3}, {"pattern": "camouflage"}])
+@pytest.mark.parametrize(
+    "change", [{"colors_at_most": 3}, {"pattern": "camouflage"}, {"octaves": 3, "gamut": "sigmoid"}]
+)
 def test_a_search_for_answers_alone_refuses_patterns(tmp_path, change):
     with pytest.raises(InputError, match="--black-box-queries: free colours alone"):
         run(tmp_path / "run", black_box_queries=64, **change)

@@ -93,7 +93,7 @@ def _worst(differences: Float[Tensor, "N C"]) -> Apart:
 AGREES = 0.1
 """The largest relative difference of a slope and a finite difference that counts as none."""
 SURE = 20
-"""A gradient is judged on the sum of so many of the best scores' logarithms."""
+"""Judge a gradient on the sum of the logarithms of this many best scores."""
 STEPS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001)
 """Widths of the finite differences: lengths of the change of the image."""
 

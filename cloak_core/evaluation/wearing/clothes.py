@@ -18,6 +18,7 @@ from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import cloth_places, logo_positions, shares_of
+from cloak_core.scene.logos.cloth import CLOTH_FILE
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.photographs.rig import NUMBER, body_rig
@@ -185,14 +186,14 @@ def read_clothes(spec: str) -> Clothes:
     faces = read_face_list(folder / "logo.npy")
     name = spec if spec.startswith("zoo:") else folder.name
     position = logo_positions(config["topology"], np.asarray(faces.ids, np.int64))
-    if (folder / "cloth.png").exists():
+    if (folder / CLOTH_FILE).exists():
         # Printed as one piece: finer than the faces that it is shown on elsewhere.
-        return PictureClothes(name, read_picture(folder / "cloth.png"), _tile_metres(config, folder), False, position)
+        return PictureClothes(name, read_picture(folder / CLOTH_FILE), _tile_metres(config, folder), False, position)
     return LogoClothes(name, position, read_colors(folder / "colors.npy", len(faces.ids)))
 
 
 def _tile_metres(config: dict, folder: Path) -> float:
     metres = config.get("settings", {}).get("tile_cm")
     if not isinstance(metres, int | float) or not metres > 0:
-        raise InputError(f"{folder / 'config.json'}: does not say how wide cloth.png is (settings.tile_cm)")
+        raise InputError(f"{folder / 'config.json'}: does not say how wide {CLOTH_FILE} is (settings.tile_cm)")
     return metres / 100

@@ -104,8 +104,7 @@ def cloth_shares(
     fit: Fit, position: Int64[np.ndarray, " T"], cloth: Cloth, places: Float[np.ndarray, "P 2"]
 ) -> sparse.csr_matrix:
     """The squares of a cloth that a fit's pixels show, at these places on it, where the logo's faces are seen."""
-    worn = (position[fit.main] >= 0).astype(np.float64)
-    return sparse.diags(worn) @ cloth.shares(places)
+    return cloth.shares(places, position[fit.main] >= 0)
 
 
 def photograph_view(

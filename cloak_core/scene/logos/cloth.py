@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy import sparse
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo
+
+CLOTH_FILE = "cloth.png"
+"""Of a run: what to print, a pixel for each square."""
 
 
 def cloth_coordinates(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
@@ -49,9 +52,9 @@ class Cloth:
         column, row = (np.floor(places / self.metres * self.count).astype(np.int64) % self.count).T
         return row * self.count + column
 
-    def shares(self, places: Float[np.ndarray, "N 2"]) -> sparse.csr_matrix:
-        """Interpolate between squares at each place, bilinearly: weights [N, squares] whose rows add up to 1."""
-        at = places / self.metres * self.count - 0.5
+    def shares(self, places: Float[np.ndarray, "N 2"], shown: Bool[np.ndarray, " N"]) -> sparse.csr_matrix:
+        """Interpolate bilinearly between squares: weights [N, squares] that add up to 1 where the cloth is shown."""
+        at = places[shown] / self.metres * self.count - 0.5
         first = np.floor(at).astype(np.int64)
         right, down = (at - first).T
         columns, weights = [], []
@@ -59,8 +62,8 @@ class Cloth:
             for y, along in ((0, 1 - down), (1, down)):
                 columns.append((first[:, 1] + y) % self.count * self.count + (first[:, 0] + x) % self.count)
                 weights.append(across * along)
-        rows = np.tile(np.arange(len(places)), 4)
-        entries = (np.concatenate(weights), (rows, np.concatenate(columns)))
+        rows = np.concatenate([[0], np.cumsum(4 * shown)])
+        entries = (np.stack(weights, axis=1).ravel(), np.stack(columns, axis=1).ravel(), rows)
         return sparse.csr_matrix(entries, shape=(len(places), self.count**2))
 
     def neighbours(self) -> Int64[np.ndarray, "E 2"]:

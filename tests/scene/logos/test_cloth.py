@@ -32,10 +32,11 @@ def test_faces_a_tile_apart_share_a_square():
 def test_a_cloth_is_interpolated_between_its_squares_and_across_its_border():
     cloth = Cloth.of(0.5, 0.26)
     assert cloth == Cloth(0.5, 2)
-    shares = cloth.shares(cloth.centres() + np.array([0.5, -1.0])).toarray()
+    shares = cloth.shares(cloth.centres() + np.array([0.5, -1.0]), np.ones(4, bool)).toarray()
     assert np.allclose(shares, np.eye(4))
-    between = cloth.shares(np.array([[0.25, 0.125], [0.0, 0.125], [0.125, 0.1875]])).toarray()
-    assert np.allclose(between, [[0.5, 0.5, 0, 0], [0.5, 0.5, 0, 0], [0.75, 0, 0.25, 0]])
+    places = np.array([[0.25, 0.125], [0.3, 0.3], [0.0, 0.125], [0.125, 0.1875]])
+    between = cloth.shares(places, np.array([True, False, True, True])).toarray()
+    assert np.allclose(between, [[0.5, 0.5, 0, 0], [0, 0, 0, 0], [0.5, 0.5, 0, 0], [0.75, 0, 0.25, 0]])
     assert cloth.neighbours().tolist() == [[0, 1], [0, 2], [1, 3], [2, 3]]
 
 
