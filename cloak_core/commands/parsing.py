@@ -52,17 +52,21 @@ def parse(cls: type[Command], name: str, arguments: list[str]) -> Command:
             config = (tyro.conf.FlagCreatePairsOff,)
             return tyro.cli(cls, prog=f"cloak {name}", args=arguments, config=config, registry=REGISTRY, **given)
     except SystemExit:
-        raise InputError(f"{name}: {_refusal(cls, name, said.getvalue())} (cloak {name} --help)") from None
+        why = _refusal(cls, name, said.getvalue(), arguments)
+        raise InputError(f"{name}: {why} (cloak {name} --help)") from None
 
 
-def _refusal(cls: type[Command], name: str, boxed: str) -> str:
+def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) -> str:
     """Say why tyro refused, on one line; with the usage where something is missing."""
     needs = missing(cls, boxed)
+    _, _, unknown = boxed.partition("Unrecognized options:")
+    words = [word for word in FOUR_DEEP.findall(unknown) if not word.startswith("cloak ")]
+    if value := re.search(r"Missing value for argument '(\w+)'", boxed):
+        # tyro says this of what stands without a name when the first word is an option it does not know.
+        needs, words = [value[1].upper()], arguments[:1]
     if not needs:
         return _one_line(boxed)
-    _, _, unknown = boxed.partition("Unrecognized options:")
-    words = FOUR_DEEP.findall(unknown)
-    strange = f"unknown: {' '.join(word for word in words if not word.startswith('cloak '))}; " if unknown else ""
+    strange = f"unknown: {' '.join(words)}; " if words else ""
     return f"{strange}needs {', '.join(needs)}; usage: {usage(cls, name)}"
 
 

@@ -62,9 +62,11 @@ def baked_view(
     cover = cover.to(device)
     per_pixel = torch.bincount(pixel, minlength=count)
     kind = torch.where(per_pixel > 0, 0, torch.where(cover <= 0, 3, torch.where(cover < 1, 1, 2)))
-    order = torch.argsort(kind, stable=True)
-    logo, edge, inside, _ = torch.bincount(kind, minlength=4).tolist()
-    pixels, entry = order[: logo + edge + inside], torch.argsort(pixel * logo_count + face, stable=True)
+    logo, edge, inside = ((kind == one).nonzero()[:, 0] for one in range(3))
+    pixels, key = torch.cat([logo, edge, inside]), pixel * logo_count + face
+    if (key[1:] < key[:-1]).any():
+        entry = torch.argsort(key, stable=True)
+        face, weight = face[entry], weight[entry]
     known = (cover >= 0.5).view(height, width) if mask is None else mask
     return BakedView(
         height,
@@ -72,10 +74,10 @@ def baked_view(
         pixels,
         cover[pixels],
         base_image.to(device).reshape(3, -1)[:, pixels].float().contiguous(),
-        logo + edge,
-        offsets(torch.repeat_interleave(per_pixel[order[:logo]]), logo),
-        face[entry],
-        weight[entry],
+        len(logo) + len(edge),
+        offsets(torch.repeat_interleave(per_pixel[logo]), len(logo)),
+        face,
+        weight,
         logo_count,
         light_color,
         box_of(known) if box is None else box,

@@ -89,6 +89,7 @@ def test_a_part_of_what_is_needed(capsys):
         ("print --out x", "needs RUN_FOLDER"),
         ("train --scen x", "unknown: --scen x; needs --logo, --out"),
         ("logo transfer --to x", "needs --from, --logo, --out"),
+        ("detectors check --detector x", "unknown: --detector; needs SPEC"),
     ):
         with pytest.raises(SystemExit):
             cli.main(line.split())

@@ -123,7 +123,9 @@ def photograph_view(
     across = _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
     base = _resample(photograph, down, across) + PADDING * _beyond(down, across)[..., None]
     lit = sparse.diags(_light(fit, looseness)) @ shares
-    image = (_pixels_to_pixels(fit.pixels, width, down, across) @ lit).tocoo()
+    image = (_pixels_to_pixels(fit.pixels, width, down, across) @ lit).tocsr()
+    image.sort_indices()
+    image = image.tocoo()
     return baked_view(
         torch.from_numpy(image.row.astype(np.int64)),
         torch.from_numpy(image.col.astype(np.int64)),
