@@ -259,9 +259,15 @@ class TrainingLoop:
         return self._on_faces(self.optimizer.finished())
 
     def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
-        """Give the colours of the logo's faces: of a cloth, of the squares under them."""
-        cloth = self.batcher.cloth
-        return _as_array(colors) if cloth is None else _as_array(colors)[cloth.square]
+        """Give the colours of the logo's faces: of a cloth, what they show of it.
+
+        Where colours are bound (inks, a garment to stay close to), a mean of several need not be: then it is the square
+        under the face's centre.
+        """
+        cloth, colors = self.batcher.cloth, _as_array(colors)
+        if cloth is None:
+            return colors
+        return colors[cloth.square] if self.settings.pattern.binds else cloth.on_faces(colors)
 
     def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
         """Give the colours the run ends with, and the step they are of."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,8 +12,12 @@ from jaxtyping import Float, Int64
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.types import BakedView
+from cloak_core.scene.geometry import face_areas
 from cloak_core.scene.logos.cloth import Cloth, face_places
 from cloak_core.scene.logos.logo import Logo
+
+_POINTS = 6
+"""Of a face, along and across, at which the cloth on it is looked up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +26,14 @@ class ClothOnLogo:
 
     cloth: Cloth
     places: Float[np.ndarray, "L 2"]
-    """Metres right and down."""
+    """Of the faces' centres, metres right and down."""
+    widths: Float[np.ndarray, " L"]
+    """Of a square as large as the face, metres."""
 
     @classmethod
     def of(cls, cloth: Cloth, bodies: Bodies, logo: Logo) -> ClothOnLogo:
         """Lay the cloth onto a logo."""
-        return cls(cloth, face_places(bodies, logo))
+        return cls(cloth, face_places(bodies, logo), np.sqrt(face_areas(bodies)[logo.face_ids]))
 
     @property
     def count(self) -> int:
@@ -44,6 +51,14 @@ class ClothOnLogo:
         total = np.stack([np.bincount(self.square, channel, self.count) for channel in values.T], axis=1)
         means = total / np.maximum(faces, 1)[:, None]
         return np.where(faces[:, None] > 0, means, values.mean(axis=0)).astype(np.float32)
+
+    def on_faces(self, colors: Float[np.ndarray, "S 3"]) -> Float[np.ndarray, "L 3"]:
+        """Average what each face shows of the cloth: finer squares than faces would be a matter of luck one by one."""
+        steps = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+        total = np.zeros((len(self.places), 3))
+        for step in itertools.product(steps, steps):
+            total += colors[self.cloth.square_at(self.places + self.widths[:, None] * step)]
+        return (total / _POINTS**2).astype(np.float32)
 
     def view(self, view: BakedView, random: np.random.Generator) -> BakedView:
         """Turn a view of the logo's faces into one of squares, with the cloth laid at a random place."""

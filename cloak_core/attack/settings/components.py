@@ -232,6 +232,11 @@ class PatternSettings:
         recolored = self.colors_at_most is not None or self.pattern != "free"
         return recolored or self.profile is not None or self.near is not None
 
+    @property
+    def binds(self) -> bool:
+        """Whether not every colour will do, so that a mean of two may not."""
+        return self.colors_at_most is not None or self.near is not None
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurrogateSettings:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from cloak_core.scene.logos.cloth import Cloth, cloth_coordinates, face_places
 from cloak_core.scene.logos.logo import load_logo
@@ -38,23 +37,3 @@ def test_a_cloth_is_interpolated_between_its_squares_and_across_its_border():
     between = cloth.shares(places, np.array([True, False, True, True])).toarray()
     assert np.allclose(between, [[0.5, 0.5, 0, 0], [0, 0, 0, 0], [0.5, 0.5, 0, 0], [0.75, 0, 0.25, 0]])
     assert cloth.neighbours().tolist() == [[0, 1], [0, 2], [1, 3], [2, 3]]
-
-
-@pytest.mark.slow
-def test_training_a_tile_gives_its_faces_one_colour(tmp_path):
-    from cloak_core.attack.settings import make_settings
-    from cloak_core.attack.training import train
-    from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
-
-    bodies = box_bodies()
-    logo = front_logo(bodies)
-    settings = make_settings(
-        "best", steps=3, batch=2, size=64, translation=5, samples=1, pattern="tile", tile_cm=50, feature_cm=25
-    )
-    result = train(settings, bodies, logo, [TinyDetector()], noise_backgrounds(), tmp_path / "run")
-    square = Cloth.of(0.5, 0.25).square_at(face_places(bodies, logo))
-    for number in np.unique(square):
-        assert np.ptp(result.colors[square == number], axis=0).max() < 1e-6
-    assert np.abs(result.colors - 0.5).max() > 1e-4
-    printed = np.asarray(Image.open(tmp_path / "run" / "cloth.png")).reshape(-1, 3)
-    assert np.array_equal(printed[square], np.round(255 * result.colors).astype(np.uint8))
