@@ -27,9 +27,8 @@ from cloak_core.render.photographs.fits import people_identity
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.photographs.people import People
 
-FORMAT = "cloak hardening 1"
-EARLIER = {"decoys": 0, "finished": 0}
-"""What settings that came later were in folders that do not have them, where that is not their default."""
+FORMAT, EARLIER = "cloak hardening 2", "cloak hardening 1"
+"""EARLIER drew other cloaks, with which its checkpoints do not go on."""
 FREE = ("max_seconds", "checkpoint_every")
 """Settings that a hardening may be resumed with otherwise."""
 
@@ -100,13 +99,12 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
 
 
 def _check(recorded: dict, config: dict, path: Path) -> None:
+    if recorded.get("format") == EARLIER:
+        raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin anew in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
-    usual = (
-        asdict(HardenSettings()) | EARLIER
-    )  # what a setting that is younger than the folder was before there was a choice
     before, now = (
-        {f"--{name.replace('_', '-')}": value for name, value in (usual | c["settings"]).items() if name not in FREE}
+        {f"--{name.replace('_', '-')}": value for name, value in c["settings"].items() if name not in FREE}
         | {"the scene": c["scene"]["identity"], "the detector": c["detector"]["sha256"]}
         | {name: c.get(name) for name in ("backgrounds", "photographs", "people", "cloaks")}
         for c in (recorded, config)

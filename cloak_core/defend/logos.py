@@ -19,8 +19,6 @@ TOO_ALIKE = 0.7
 """Area in common over area in either, from which a draw counts as one of them."""
 LEAST, MOST = 0.05, 1.0
 """Shares of the body's area."""
-WHOLE_BODY = 0.94
-"""From this draw in [0, 1) on the logo is the whole body: the largest that an attacker has."""
 CANDIDATES = 6
 """Logos of which the one nearest a share drawn evenly is taken; the shapes alone are small three times out of four,
 and a detector that saw few large cloaks falls to them."""
@@ -51,8 +49,6 @@ def _fitting(bodies: Bodies, areas: np.ndarray, rng: np.random.Generator) -> Boo
 
 def _shape(bodies: Bodies, rng: np.random.Generator) -> Bool[np.ndarray, " F"]:
     centres, kind = face_centres(bodies), rng.random()
-    if kind >= WHOLE_BODY:
-        return np.ones(len(centres), bool)
     if kind < 0.4 or not bodies.regions:
         chosen = np.zeros(len(centres), bool)
         for _ in range(rng.integers(1, 6)):

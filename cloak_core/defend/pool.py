@@ -46,6 +46,9 @@ SAMPLES = 4
 GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
+WHOLE_BODY = 4
+"""Each one in so many cloaks covers the whole body, the largest logo that an attacker has: of 200 drawn logos the
+largest covered four fifths, and a detector that never saw more fell to a cloak over everything."""
 FINISH = 240
 """Steps that train a cloak to its end."""
 KEPT = 32
@@ -259,7 +262,9 @@ class Pool:
             chosen = self.given[rng.integers(len(self.given))]
             logo, colors = chosen.logo, chosen.colors
         else:
-            logo = make_logo(self.bodies, draw_logo(self.bodies, rng))
+            whole = (slot + generation) % WHOLE_BODY == WHOLE_BODY - 1  # one slot after the other
+            faces = np.arange(self.bodies.face_count) if whole else draw_logo(self.bodies, rng)
+            logo = make_logo(self.bodies, faces)
             colors = draw_colors(self.centres[logo.face_ids].astype(np.float32), rng)
             if slot in self.skins and rng.random() < GOES_ON:
                 colors = self.skins[slot].cpu().numpy()[logo.face_ids]

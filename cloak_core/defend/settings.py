@@ -14,7 +14,7 @@ from cloak_core.attack.settings.values import Bounds
 class HardenSettings:
     """How a detector is hardened. The defaults are those that the figures in docs/defence.md were measured with."""
 
-    steps: Annotated[int, Bounds(1, 10_000_000)] = 700
+    steps: Annotated[int, Bounds(1, 10_000_000)] = 1500
     """Updates of the detector."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
@@ -22,12 +22,12 @@ class HardenSettings:
     """Rendered images per update, in a cloak."""
     clean: Annotated[int, Bounds(0, 4096)] = 3
     """The first so many of them are shown in their own clothes, too."""
-    cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 1.0
+    cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture: more makes the detector more robust, less
     keeps more of its answers without cloaks."""
-    pictures: Annotated[int, Bounds(0, 4096)] = 2
+    pictures: Annotated[int, Bounds(0, 4096)] = 3
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
-    decoys: Annotated[int, Bounds(0, 4096)] = 3
+    decoys: Annotated[int, Bounds(0, 4096)] = 5
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
     finished: Annotated[int, Bounds(0, 256)] = 4
@@ -37,9 +37,10 @@ class HardenSettings:
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     cloaks: Annotated[int, Bounds(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
-    life: Annotated[int, Bounds(1, 100_000)] = 32
-    """Turns after which a cloak makes room for a new one, on another logo and from other colours."""
-    attack_steps: Annotated[int, Bounds(0, 1000)] = 3
+    life: Annotated[int, Bounds(1, 100_000)] = 64
+    """Turns after which a cloak makes room for a new one, on another logo and from other colours: times attack_steps,
+    so many updates a cloak gets. Short lives teach the detector to withstand weak cloaks alone."""
+    attack_steps: Annotated[int, Bounds(0, 1000)] = 4
     """Steps of a cloak against the detector as it stands, before each update."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
