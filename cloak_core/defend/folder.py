@@ -100,7 +100,7 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
 
 def _check(recorded: dict, config: dict, path: Path) -> None:
     if recorded.get("format") == EARLIER:
-        raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin anew in another --out")
+        raise InputError(f"{path}: was begun by an earlier version, which drew other cloaks; begin in another --out")
     if recorded.get("format") != FORMAT:
         raise InputError(f"{path}: not a folder of cloak harden")
     before, now = (

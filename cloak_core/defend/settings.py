@@ -30,7 +30,7 @@ class HardenSettings:
     decoys: Annotated[int, Bounds(0, 4096)] = 5
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
-    finished: Annotated[int, Bounds(0, 256)] = 4
+    finished: Annotated[int, Bounds(0, 256)] = 2
     """Cloaks that are trained to their end against the unhardened detector before its first update, for such cloth:
     those of the pool are young when they are shown, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
@@ -40,7 +40,7 @@ class HardenSettings:
     life: Annotated[int, Bounds(1, 100_000)] = 64
     """Turns after which a cloak makes room for a new one, on another logo and from other colours: times attack_steps,
     so many updates a cloak gets. Short lives teach the detector to withstand weak cloaks alone."""
-    attack_steps: Annotated[int, Bounds(0, 1000)] = 4
+    attack_steps: Annotated[int, Bounds(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
