@@ -245,6 +245,24 @@ def test_each_part_gets_its_share_of_the_time_that_is_left(tmp_path: Path, monke
         assert share == 1.0, "any time"
 
 
+def test_small_cloaks_are_dropped_where_the_time_is_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(work_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    costs = {"clean": (0.0, 10.0)} | {name: (100.0, 100.0) for name in ("small", "middle", "large", "circle")}
+    make = lambda: Work(costs, tmp_path / "spent.json", "x", minutes=1.0, rate=0.05, optional=("small", "middle"))
+    work, shares = make(), {}
+    with work.part("clean") as shares["clean"]:
+        now[0] += 4.0
+    assert set(work.shares) == {"clean"}, "what a moment's clock says drops nothing"
+    for name in ("small", "middle", "large", "circle"):
+        with work.part(name) as shares[name]:
+            now[0] += 20 * shares[name]
+    assert shares["small"] == shares["middle"] == 0, "all four would get 50 s of 180"
+    assert shares["large"] == pytest.approx(50 / 90, abs=1e-3) and shares["circle"] == 1.0
+    with make().part("small") as share:
+        assert share == 0, "a stopped card drops the same"
+
+
 PEOPLE = {
     "people": 9,
     "left_out": {},

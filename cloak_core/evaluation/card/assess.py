@@ -74,7 +74,8 @@ class Assessment:
         """Make the card. `Interrupted` where a training was stopped in order: the same call goes on from there."""
         budget = self.budget
         rate = self._seconds_per_image() if budget.minutes else 0.0
-        told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate
+        smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []
+        told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate, smaller
         work = Work(self._costs(), self.folder / "spent.json", *told)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
@@ -83,10 +84,10 @@ class Assessment:
         card |= {"white_box": [], "circle": None}
         for area, faces in zip(budget.areas, self._areas, strict=True) if self.white_box else ():
             with work.part(_name(area)) as share:
-                card["white_box"].append(self._area(area, faces, share))
+                card["white_box"] += [self._area(area, faces, share)] if share else []
         if self.white_box:
             with work.part("circle") as share:
-                card |= self._circle(share)
+                card |= self._circle(share) if share else {}
         if self.people is not None:
             with work.part("people") as share:
                 card["photographs"] = self._photographs(share)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cloak_core.evaluation.card.protocol import VERSION
+from cloak_core.evaluation.card.protocol import ENOUGH, VERSION
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.words import file_name, interval, percent, short_name
 from cloak_core.files.errors import InputError
@@ -83,10 +83,6 @@ def _lines(card: dict, rows: list[tuple[str, dict]]) -> list[tuple[str, list[str
     return [(name, [cell(row) for cell in columns]) for name, row in rows]
 
 
-ENOUGH = 0.5
-"""Share of the budget's updates below which an attack is too short to say that a detector withstands it."""
-
-
 def is_too_short(card: dict, row: dict) -> bool:
     """Whether the time left the attack of this row so few updates that people may hide far better."""
     full = card.get("counts", {}).get("steps", 0) * (2 if row is card.get("around") else 1)
@@ -117,8 +113,8 @@ def leaderboard_row(card: dict) -> dict[str, str]:
 
 
 def _shares(card: dict) -> list[float]:
-    """Of each part, how much of it the time allowed; cards without a clock have all of it."""
-    return list(card.get("shares", {}).values()) or [1.0]
+    """Of each part that was done, how much of it the time allowed; cards without a clock have all of it."""
+    return [share for share in card.get("shares", {}).values() if share] or [1.0]
 
 
 def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:
@@ -176,8 +172,11 @@ def write_leaderboard(cards: dict[str, dict], path: Path) -> None:
 
 
 def _untested(card: dict) -> int:
-    """0: attacked in earnest; 1: too shortly to be ranked with those; 2: not at all."""
-    return 1 if any(is_too_short(card, row) for row in card["white_box"]) else 0 if card["white_box"] else 2
+    """0: attacked in earnest; 1: too shortly or too little to be ranked with those; 2: not at all."""
+    if not card["white_box"]:
+        return 2
+    dropped = 0 in card.get("shares", {}).values()
+    return int(dropped or any(is_too_short(card, row) for row in card["white_box"]))
 
 
 def _hidden(card: dict) -> float:

@@ -28,6 +28,10 @@ CLEAN_ELEVATIONS = (0.0, 6.0, 15.0, 30.0)
 CLEAN_DISTANCES = (1.4, 2.2, 3.2, 4.5, 6.0)
 
 
+ENOUGH = 0.5
+"""Share of the budget's updates below which an attack is too short to say that a detector withstands it."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """How much a card costs: steps of the attacks and numbers of images."""

@@ -180,7 +180,11 @@ def not_tested(card: dict) -> list[str]:
             f"Longer attacks: the largest cloak had {steps} updates{around} from one start{once}. "
             "An attacker with more time does as well or better."
         )
-    short = {part: share for part, share in card.get("shares", {}).items() if share < 1}
+    dropped = [part for part, share in card.get("shares", {}).items() if not share]
+    if dropped:
+        names = ", ".join("the full circle" if part == "circle" else part for part in dropped)
+        said.append(f"{names}: not attacked, so that the cloaks that were made got more of the time (--minutes).")
+    short = {part: share for part, share in card.get("shares", {}).items() if 0 < share < 1}
     if short:
         least = min(short.values())
         said.append(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from cloak_core.evaluation.card.protocol import ENOUGH
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
 
@@ -37,12 +38,14 @@ class Work:
         seeds: int = 1,
         minutes: float | None = None,
         rate: float = 0.0,
+        optional: Sequence[str] = (),
     ) -> None:
         """costs: by part, the images of its trainings (one for each seed) and of its evaluations.
 
-        minutes: the time for all; rate: seconds that an image takes, as long as nothing was measured.
+        minutes: the time for all; rate: seconds that an image takes, as long as nothing was measured; optional: parts
+        that are dropped, the first one first, where an attack would get less than `ENOUGH` of its full size.
         """
-        self.costs, self.on_work, self.seeds = costs, on_work, seeds
+        self.costs, self.on_work, self.seeds, self.optional = costs, on_work, seeds, optional
         self.minutes, self._rate = minutes, rate
         self._file = file
         self._record: dict = {"asked": asked, "seconds": {}, "training": {}, "done": [], "shares": {}}
@@ -73,11 +76,12 @@ class Work:
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[float]:
-        """Count what is done inside as this part; gives the share of its full size that the time allows."""
+        """Count what is done inside as this part; gives the share of its full size that the time allows, 0: none."""
         if name not in self.shares:
-            self.shares[name] = self._affordable()
+            self._plan(name)
             write_json(self._file, self._record)
-        share = self._share = self.shares[name]
+        share = self.shares[name]
+        self._share = share or self._share
         self._name, self._ended, started, done = name, 0, time.monotonic(), False
         self._tell(0.0)
         try:
@@ -91,6 +95,15 @@ class Work:
                 write_json(self._file, self._record)
         self._before += sum(self._cost(name))
         self._tell(0.0)
+
+    def _plan(self, name: str) -> None:
+        """Settle the share of a part; before an attack, drop optional parts until what is left is worth while."""
+        share = self._affordable()
+        for other in self.optional if self.costs[name][0] else ():
+            if share < ENOUGH and other not in self.shares:
+                self.shares[other] = 0.0
+                share = self._affordable()
+        self.shares.setdefault(name, share)
 
     def _affordable(self) -> float:
         """What is left of the time over what all parts that are left would take, at the paces so far; at most 1.
@@ -107,7 +120,8 @@ class Work:
         for k, seconds in enumerate(spent):
             done = sum(self.costs[name][k] * self.shares[name] for name in finished)
             pace = seconds / done if done and seconds else self._rate
-            rest += pace * sum(cost[k] for name, cost in self.costs.items() if name not in finished)
+            left_to_do = [name for name in self.costs if name not in finished and self.shares.get(name) != 0]
+            rest += pace * sum(self.costs[name][k] for name in left_to_do)
         left = 60 * self.minutes * (1 - RESERVE) - self.seconds
         return round(min(1.0, max(LEAST, left / rest)), 3) if rest else 1.0
 
