@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 class Harden(Computing):
     """Harden a detector against cloaks, by adversarial fine-tuning without labels.
 
-    The result is a detector of the same format.
+    The result is a detector of the same format. Give photographs (--photos) and people in photographs (--people) where
+    there are any: with renders alone it learns less about both.
 
     Ctrl-C, or a file named `cancel` in --out, ends it after the current step with everything in place (exit code 3);
     the same command with --resume goes on from there.
@@ -43,8 +44,8 @@ class Harden(Computing):
     backgrounds: str = "procedural:train"
     """Folder of images without people, or procedural[:train|test][:COUNT[:SEED]]."""
     photos: str | None = None
-    """Folder of photographs, with people or without: the detector is to keep what it reported there. No labels are
-    needed."""
+    """Folder of photographs, with people or without, as they are and with patterned cloth drawn into them: the detector
+    is to keep what it reported there. No labels are needed."""
     people: str | None = None
     """People in photographs, as in cloak wear: they wear the cloaks, too, and are to be reported as in their own
     clothes."""
@@ -53,7 +54,7 @@ class Harden(Computing):
     cloak: UseAppendAction[tuple[str, ...]] = ()
     """Runs or zoo:NAME to harden against as well, on the bodies of --scene. Judge the result by others."""
     assess: bool = True
-    """Leave out the robustness cards of the detector before and after, which otherwise are made in OUT/cards."""
+    """Leave out the robustness cards of the detector before and after in OUT/cards (twenty minutes)."""
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
 
     def run(self) -> dict:

@@ -12,7 +12,7 @@ from cloak_core.attack.settings.values import Bounds
 
 @dataclass(frozen=True, kw_only=True)
 class HardenSettings:
-    """How a detector is hardened. The defaults are those that the figures in docs/defence.md were measured with."""
+    """How a detector is hardened. The defaults are the best that is known; docs/defence.md has what they gain."""
 
     steps: Annotated[int, Bounds(1, 10_000_000)] = 1500
     """Updates of the detector."""
@@ -21,7 +21,7 @@ class HardenSettings:
     batch: Annotated[int, Bounds(1, 4096)] = 6
     """Rendered images per update, in a cloak."""
     clean: Annotated[int, Bounds(0, 4096)] = 3
-    """The first so many of them are shown in their own clothes, too."""
+    """The first so many of these images are shown in their own clothes, too."""
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture: more makes the detector more robust, less
     keeps more of its answers without cloaks."""
@@ -31,12 +31,13 @@ class HardenSettings:
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
     finished: Annotated[int, Bounds(0, 256)] = 2
-    """Cloaks that are trained to their end against the unhardened detector before its first update, for such cloth:
-    those of the pool are young when they are shown, and a strong cloak on nobody looks otherwise."""
+    """Cloaks that are trained against the unhardened detector before its first update, for such cloth alone: those of
+    the pool are young at first, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     cloaks: Annotated[int, Bounds(1, 256)] = 4
-    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own."""
+    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. One in four
+    covers the whole body, the others random parts of it."""
     life: Annotated[int, Bounds(1, 100_000)] = 64
     """Turns after which a cloak makes room for a new one, on another logo and from other colours: times attack_steps,
     so many updates a cloak gets. Short lives teach the detector to withstand weak cloaks alone."""
