@@ -9,10 +9,9 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-
-import numpy as np
 
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.loop import RunResult
@@ -22,9 +21,8 @@ from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.trained_run import kept_back, read_run
+from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
@@ -139,6 +137,7 @@ def evaluate(
     from cloak_core.evaluation.evaluate import FOLDER
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluate import over_time as judge_snapshots
+    from cloak_core.evaluation.foreign_colors import open_cloaked
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -149,9 +148,7 @@ def evaluate(
         specs = [trained["spec"] for trained in config["detectors"]] if detectors is None else detectors
         place = folder / "evaluation-people" if out is None else Path(out)
         return _on_people(folder, config, people, _by_name(specs, device), backgrounds, place, settings, on_progress)
-    bodies, backgrounds = _unseen(scene, backgrounds, config)
-    logo = load_logo(bodies, folder / "logo.npy")
-    worn, trained, name = _worn(folder, config, logo, bodies, colors)
+    cloaked, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
     place = f"{FOLDER}-{name}" if name else FOLDER
     if over_time and (profile is not None or settings.cycles is not None):
         raise InputError(
@@ -159,7 +156,8 @@ def evaluate(
         )
     if profile is not None:
         printer = read_profile(profile)
-        worn, place = printer.photographed(printer.to_send(worn)), f"{place}-printed"
+        cloaked = replace(cloaked, colors=printer.photographed(printer.to_send(cloaked.colors)))
+        place = f"{place}-printed"
     if settings.cycles is not None:
         place = f"{place}-{settings.cycles}"
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
@@ -167,14 +165,8 @@ def evaluate(
     target = folder / place if out is None else Path(out)
     if (target / "summary.json").exists():
         _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", target)
-    asked = (logo, bodies, backgrounds, judges, angles, settings)
-    summary = evaluate_logo(
-        worn,
-        *asked,
-        training=trained,
-        out=target,
-        on_progress=on_progress,
-    )
+    asked = (cloaked, judges, angles, settings)
+    summary = evaluate_logo(*asked, training=trained, out=target, on_progress=on_progress)
     if over_time:
         summary["over_time"] = judge_snapshots(folder, *asked, on_progress)
     return summary
@@ -219,14 +211,13 @@ def film(
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
     from cloak_core.evaluation.film import make_film
+    from cloak_core.evaluation.foreign_colors import open_cloaked
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
-    bodies, backgrounds = _unseen(scene, backgrounds, config)
-    logo = load_logo(bodies, folder / "logo.npy")
-    worn, _, _ = _worn(folder, config, logo, bodies, colors)
+    cloaked, _, _ = open_cloaked(folder, config, scene, backgrounds, colors)
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
-    return make_film(worn, logo, bodies, backgrounds, judges, Path(out), settings, on_progress)
+    return make_film(cloaked, judges, Path(out), settings, on_progress)
 
 
 def wear(
@@ -266,27 +257,6 @@ def wear(
         settings,
         on_progress,
     )
-
-
-def _worn(
-    folder: Path, config: dict, logo: Logo, bodies: Bodies, colors: Named | None
-) -> tuple[np.ndarray, dict | None, str]:
-    """Find the colours of the logo's faces, their training's record, and their name; "" for the run's own."""
-    if colors is None:
-        return read_colors(folder / "colors.npy", len(logo)), config, ""
-    from cloak_core.evaluation.foreign_colors import colors_of
-
-    return colors_of(colors, logo, bodies)
-
-
-def _unseen(
-    scene: Bodies | Named | None, backgrounds: Backgrounds | Named | None, config: dict
-) -> tuple[Bodies, Backgrounds]:
-    """Open what to evaluate on: as it is, by name, or what was kept back from the run's training."""
-    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
-    if not isinstance(backgrounds, Backgrounds):
-        backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
-    return bodies, backgrounds
 
 
 def _fitted(people: People | Named | None) -> list[Fit]:

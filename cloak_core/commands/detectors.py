@@ -61,7 +61,7 @@ class Check(Detecting):
             detector = self.load(self.spec)
             return check_image(detector, self.image, threshold=self.threshold, out=self.out)
         if self.people is not None:
-            from cloak_core.evaluation.certified import check_people
+            from cloak_core.evaluation.clean import check_people
             from cloak_core.scene.photographs.people import load_people
 
             return check_people(self.load(self.spec), load_people(self.people))

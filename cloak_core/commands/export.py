@@ -65,27 +65,14 @@ class Coco(Computing):
             return export_coco(renderer, self.out, self.format, told)
 
     def _renderer(self) -> BodyRenderer:
-        from cloak_core.evaluation.renderer import BodyRenderer
-        from cloak_core.evaluation.trained_run import kept_back, read_run
-        from cloak_core.evaluation.trials import draw_trials
-        from cloak_core.exchange.colors import read_colors
-        from cloak_core.render.settings import RenderSettings
-        from cloak_core.render.view_cache import ViewCache
-        from cloak_core.render.view_files import view_files
-        from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-        from cloak_core.scene.logos.logo import load_logo
-        from cloak_core.scene.opening import load_scene
+        from cloak_core.evaluation.evaluate import make_renderer
+        from cloak_core.evaluation.foreign_colors import open_cloaked
+        from cloak_core.evaluation.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 
-        settings, folder = self._settings(), run_path(self.run_folder)
-        config = read_run(folder)
-        bodies = load_scene(self.scene or kept_back("scene", config))
-        backgrounds = load_backgrounds(self.backgrounds or kept_back("backgrounds", config))
-        logo = load_logo(bodies, folder / "logo.npy")
-        colors = read_colors(folder / "colors.npy", len(logo))
-        trials = draw_trials(bodies.pose_count, self.angles, len(backgrounds), bodies.outfit_count, settings)
-        view_cache = ViewCache(bodies, RenderSettings(device=self.compute.device, files=view_files()))
-        return BodyRenderer(colors, logo, bodies, backgrounds, trials, settings.camera, view_cache, self.seed)
+        folder = run_path(self.run_folder)
+        cloaked, _, _ = open_cloaked(folder, read_run(folder), self.scene, self.backgrounds)
+        return make_renderer(cloaked, self.angles, self._settings(), self.compute.device)
 
     def _settings(self) -> EvaluateSettings:
         names = ("images_per_view", "most_images", "distances", "elevations", "size", "seed")

@@ -1,9 +1,11 @@
-"""Check detectors on clean images before they are attacked: recall, false alarms, agreement with the original."""
+"""Check detectors on clean images before they are attacked: recall, false alarms, agreement with the original.
+
+Of a detector behind masks also the certified recall: people whom one small patch cannot hide.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +16,27 @@ from torch import Tensor
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.check import read_image
+from cloak_core.detectors.defended.masks import Masks
 from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import max_person_score
 from cloak_core.detectors.verification.kit import framed, natural_size, verify
-from cloak_core.evaluation.certified import certified_recall
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.measure import batches
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.measure import batches, measure
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer, Indices, render_images
+from cloak_core.evaluation.results import NOBODY
+from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.trials import make_trials
+from cloak_core.evaluation.wearing.judging import PeopleRenderer
+from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.render.photographs.fits import fit_people
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import SUFFIXES, Backgrounds, load_backgrounds
 from cloak_core.scene.cameras import Camera
 from cloak_core.scene.logos.logo import make_logo
 from cloak_core.scene.people.samples import sample_bodies
+from cloak_core.scene.photographs.people import People
 
 SHIFT = (50, 20)
 """The body is moved by up to this many pixels, right or left and up or down: it stays in the picture."""
@@ -37,7 +44,6 @@ SIZE = 416
 BATCH = 16
 
 
-@torch.no_grad()
 def check_scene(
     detector: Detector,
     bodies: Bodies,
@@ -65,26 +71,66 @@ def check_scene(
     background = rng.integers(len(backgrounds), size=len(pose))
     shift = np.stack([rng.integers(-s, s, len(pose), endpoint=True) for s in SHIFT], 1)
     trials = make_trials(pose, angle, camera.elevation, camera.distance, background, shift)
-    renderer = _clean_renderer(
-        bodies, backgrounds, trials, camera, ViewCache(bodies, RenderSettings(device=detector.device))
+    view_cache = ViewCache(bodies, RenderSettings(device=detector.device))
+    renderer = _clean_renderer(bodies, backgrounds, trials, camera, view_cache)
+    told, bare = _check(detector, renderer, threshold, "score", np.arange(len(backgrounds)))
+    own = detector.operating_point
+    loudest = bare[(bare["score"] > min(threshold, own)).to_numpy()].sort_values(
+        "score", ascending=False, kind="stable"
     )
-    thresholds = (threshold, detector.operating_point)
-    clean = _best_scores(detector, partial(render_images, renderer, control=CLOTHING), len(pose))
-    bare = _best_scores(detector, renderer.bare, len(backgrounds))
-    recall, recall_own = (int((clean > t).sum()) / len(clean) for t in thresholds)
-    alarms, alarms_own = (int((bare > t).sum()) / len(bare) for t in thresholds)
-    loudest = [int(index) for index in bare.argsort(descending=True) if bare[index] > min(thresholds)]
-    return {
-        "clean_recall": recall,
-        "false_alarms": alarms,
-        "operating_point": detector.operating_point,
-        "operating_point_assumed": detector.operating_point_assumed,
-        "clean_recall_own": recall_own,
-        "false_alarms_own": alarms_own,
-        "n": len(pose),
+    alarms = zip(loudest["background"], loudest["score"], strict=True)
+    return told | {
+        "false_alarms": _found(bare, threshold),
+        "false_alarms_own": _found(bare, own),
         "backgrounds": len(backgrounds),
-        "alarms": [{"background": backgrounds.names[i], "score": round(float(bare[i]), 4)} for i in loudest],
-    } | certified_recall(detector, renderer, threshold)
+        "alarms": [{"background": backgrounds.names[i], "score": round(float(score), 4)} for i, score in alarms],
+    }
+
+
+def check_people(detector: Detector, people: People, *, threshold: float = THRESHOLD) -> dict:
+    """Measure recall on people in photographs as they are, in the crops of `cloak wear`.
+
+    Returns {"clean_recall": share with a box on them above `threshold`, "clean_recall_own", "operating_point",
+    "operating_point_assumed", "n": people}, and `certified_recall`.
+    """
+    renderer = PeopleRenderer(fit_people(people), (), load_backgrounds("procedural:test:1"), WearSettings())
+    return _check(detector, renderer, threshold, "score_on")[0]
+
+
+def _check(
+    detector: Detector, renderer: EvaluationRenderer, threshold: float, column: str, bare: Indices = ()
+) -> tuple[dict, pd.DataFrame]:
+    """Measure own clothing; return recall by this column of the results, and the rows of bare backgrounds."""
+    spec, own = detector.spec, detector.operating_point
+    results = measure(renderer, {spec: detector}, (CLOTHING,), bare, batch=BATCH)
+    rows = results.rows(spec, CLOTHING)
+    told = {"clean_recall": _found(rows, threshold, column), "clean_recall_own": _found(rows, own, column)}
+    told |= {"operating_point": own, "operating_point_assumed": detector.operating_point_assumed, "n": len(rows)}
+    return told | certified_recall(detector, renderer, threshold), results.rows(spec, NOBODY)
+
+
+def _found(rows: pd.DataFrame, threshold: float, column: str = "score") -> float:
+    return float((~hidden(rows, threshold, column)).mean())
+
+
+@torch.no_grad()
+def certified_recall(detector: Detector, renderer: EvaluationRenderer, threshold: float) -> dict:
+    """Certify the people of a renderer against one patch (`detectors.defended.masks`).
+
+    Returns {"certified_recall": share of images in which the answer under every mask has a box on the person above
+    `threshold`, "certified_recall_own", "patch": side in pixels}; {} for a detector that is not `masked=...`.
+    """
+    masks = getattr(detector, "defence", None)
+    if not isinstance(masks, Masks):
+        return {}
+    floor = []  # the best score on each person, the least over all masks
+    for batch in batches(np.arange(len(renderer.trials)), BATCH):
+        views = renderer.views(batch)
+        (images,) = renderer.compose(views, batch, (CLOTHING,))
+        told = [renderer.about_person(found, views, batch) for found in masks.answers(detector.inner, images)]
+        floor.append(torch.stack([renderer.on_person(found, views, batch).person for found in told]).amin(0))
+    kept = [float((torch.cat(floor) > t).double().mean()) for t in (threshold, detector.operating_point)]
+    return {"certified_recall": kept[0], "certified_recall_own": kept[1], "patch": masks.patch}
 
 
 def clean_renders(count: int, size: tuple[int, int], seed: int = 0) -> UInt8[Tensor, "B 3 H W"]:
@@ -115,13 +161,8 @@ def _clean_renderer(
     bodies: Bodies, backgrounds: Backgrounds, trials: pd.DataFrame, camera: Camera, view_cache: ViewCache
 ) -> BodyRenderer:
     """Make a renderer of bodies as they are: one face stands for the logo, in its own colour."""
-    colors, logo = bodies.face_colors[0, :1], make_logo(bodies, [0])
-    return BodyRenderer(colors, logo, bodies, backgrounds, trials, viewpoint=camera, view_cache=view_cache)
-
-
-def _best_scores(detector: Detector, images: Callable[[np.ndarray], Tensor], count: int) -> Float[Tensor, " count"]:
-    """Find the best person score of each of `count` images."""
-    return torch.cat([max_person_score(detector(images(batch))) for batch in batches(np.arange(count), BATCH)]).cpu()
+    cloaked = Cloaked(bodies.face_colors[0, :1], make_logo(bodies, [0]), bodies, backgrounds)
+    return BodyRenderer(cloaked, trials, viewpoint=camera, view_cache=view_cache)
 
 
 def verify_specs(

@@ -102,7 +102,7 @@ def render_frames(
             for number, control in enumerate(controls)
         ],
     }
-    bodies = renderer.bodies
+    bodies = renderer.cloaked.bodies
     normals = np.stack([_normals(bodies, pose) for pose in range(bodies.pose_count)])
     mesh = {"vertices": bodies.vertices, "normals": normals, "triangles": bodies.triangles, "colors": colors}
     content = [sha256_arrays(*mesh.values()), job, source_hash(SCRIPT), bpy_version(python)]
@@ -140,7 +140,7 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
 
 def _view(renderer: BodyRenderer, trial: int) -> dict:
     camera, pose = renderer.camera(trial), int(renderer.trials.at[trial, "pose"])
-    vertices = renderer.bodies.vertices[pose].astype(np.float64)
+    vertices = renderer.cloaked.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
         "pose": pose,
@@ -157,12 +157,12 @@ def file_name(light: str, pose: int, angle: float, control: str) -> str:
 
 def _triangle_colors(renderer: BodyRenderer, control: str) -> Float32[np.ndarray, "T 3"]:
     """Look up the colours of all triangles, the logo's faces coloured as `control` says, in the first outfit."""
-    bodies, ids = renderer.bodies, renderer.logo.face_ids
+    bodies, ids = renderer.cloaked.bodies, renderer.cloaked.logo.face_ids
     faces = bodies.face_colors[0].copy()
     if control == "random":
         faces[ids] = random_colors(renderer.seed, 0, len(ids))
     else:
-        faces[ids] = control_colors(control, renderer.colors, bodies, ids)[0]
+        faces[ids] = control_colors(control, renderer.cloaked.colors, bodies, ids)[0]
     return faces[bodies.triangle_face]
 
 
@@ -217,20 +217,14 @@ def image_difference(ours: BodyRenderer, cycles: CyclesRenderer, control: str = 
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
     cover the pixel wholly, so that silhouettes do not count.
     """
-    squares, inner, bias, count, whole = 0.0, 0.0, 0.0, 0, 0
+    either, both = [], []
     for (pose, angle), trial in first_trials(ours.trials).items():
         mine, covered = ours.before_grey(ours.views([trial])[0], trial, control)
         frame = cycles.body(pose, angle, control)
-        theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
-        difference = (theirs - mine).flatten(1)
-        either = (covered > 0) | (frame[3].flatten() > 0)
-        both = (covered > 1 - 1e-4) & (frame[3].flatten() == 1)
-        squares += float((difference[:, either] ** 2).sum())
-        inner += float((difference[:, both] ** 2).sum())
-        bias += float(difference[:, either].sum())
-        count, whole = count + 3 * int(either.sum()), whole + 3 * int(both.sum())
-    return {
-        "rms": (squares / max(count, 1)) ** 0.5,
-        "inside": (inner / max(whole, 1)) ** 0.5,
-        "bias": bias / max(count, 1),
-    }
+        theirs, alpha = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:]), frame[3].flatten()
+        difference = (theirs - mine).flatten(1).double()
+        either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())
+        both.append(difference[:, (covered > 1 - 1e-4) & (alpha == 1)].flatten())
+    shown, inside = torch.cat(either), torch.cat(both)
+    rms = lambda values: float((values**2).mean().sqrt()) if len(values) else 0.0
+    return {"rms": rms(shown), "inside": rms(inside), "bias": float(shown.mean()) if len(shown) else 0.0}

@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+import torch
 
 from cloak_core.attack.events import read_events
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.cycles import in_cycles
 from cloak_core.evaluation.film import write_turntable
-from cloak_core.evaluation.measure import OnProgress, all_controls, bare_indices, kept_frozen, measure
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, check_inputs
+from cloak_core.evaluation.measure import OnProgress, all_controls, check_asked, kept_frozen, measure
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer
 from cloak_core.evaluation.report.pictures import write_pictures
 from cloak_core.evaluation.report.plots import success_over_time
 from cloak_core.evaluation.report.style import save_figure, style
@@ -29,7 +29,6 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.statistics import summarize
 from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.evaluation.trials import draw_trials
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
@@ -38,17 +37,12 @@ from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.logos.logo import Logo
 
 _log = logging.getLogger("cloak")
 
 
 def evaluate(
-    colors: Float32[np.ndarray, "L 3"],
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
+    cloaked: Cloaked,
     detectors: dict[str, Detector],
     angles: Sequence[float],
     settings: EvaluateSettings | None = None,
@@ -63,22 +57,30 @@ def evaluate(
     detector, whether it was trained against). `operating_points` are the detectors' own thresholds, by spec;
     `operating_points_assumed` lists detectors with the usual threshold of their family, where nobody said one. `out` is
     a folder that takes the raw scores, pictures and the summary (replacing an earlier evaluation's).
-    InputError: a scene of another topology (both hashes), colours for another logo.
+    InputError: nothing to judge or nobody to judge it, a folder of something else.
     """
     settings = settings or EvaluateSettings()
-    check_inputs(colors, logo, bodies, backgrounds, detectors, angles)
+    check_asked(detectors, angles)
     if out is not None:
         check_folder(out)
-    unseen, warnings = seen_in_training(training, bodies, backgrounds)
+    unseen, warnings = seen_in_training(training, cloaked.bodies, cloaked.backgrounds)
     for warning in warnings:
         _log.warning("%s", warning)
-    renderer = make_renderer(colors, logo, bodies, backgrounds, detectors, angles, settings)
+    renderer = make_renderer(cloaked, angles, settings, next(iter(detectors.values())).device)
     if settings.cycles is not None:
         if out is None:
             raise InputError("--cycles: frames are kept beside the evaluation: say where it goes (--out)")
         frames = out.with_name("cycles")
         renderer = in_cycles(renderer, all_controls(settings), frames, settings.cycles, on_progress)
-    circumstances = _circumstances(renderer, settings, angles)
+    inputs = {
+        "bodies": list(renderer.body_names),
+        "scene": cloaked.bodies.name,
+        "topology": cloaked.bodies.topology,
+        "backgrounds": len(cloaked.backgrounds),
+        "logo_faces": len(cloaked.logo.face_ids),
+        "colors": sha256_arrays(cloaked.colors),
+    }
+    circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
     circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
     return evaluate_renderer(renderer, detectors, settings, circumstances, out=out, on_progress=on_progress)
 
@@ -112,7 +114,9 @@ def measure_frozen(
     on_progress: OnProgress | None = None,
 ) -> tuple[Results, dict[str, str]]:
     """Measure under the settings' controls and return the detectors' hashes, which the evaluation must not change."""
-    bare, controls = bare_indices(renderer, settings), all_controls(settings)
+    # Of more backgrounds than are looked at, a draw by the seed.
+    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
+    bare, controls = np.sort(order[: settings.bare]), all_controls(settings)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
     return results, hashes
@@ -125,33 +129,14 @@ def detector_facts(detectors: Mapping[str, Detector]) -> dict:
     return {"operating_points": points, "operating_points_assumed": assumed}
 
 
-def _circumstances(renderer: BodyRenderer, settings: EvaluateSettings, angles: Sequence[float]) -> dict:
-    """Record how and from what the summary was made: its `settings` and `inputs`."""
-    inputs = {
-        "bodies": list(renderer.body_names),
-        "scene": renderer.bodies.name,
-        "topology": renderer.bodies.topology,
-        "backgrounds": len(renderer.backdrops),
-        "logo_faces": len(renderer.logo.face_ids),
-        "colors": sha256_arrays(renderer.colors),
-    }
-    return {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
-
-
 def make_renderer(
-    colors: np.ndarray,
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    detectors: Mapping[str, Detector],
-    angles: Sequence[float],
-    settings: EvaluateSettings,
+    cloaked: Cloaked, angles: Sequence[float], settings: EvaluateSettings, device: torch.device | str = "cpu"
 ) -> BodyRenderer:
     """Draw the trials and make ready to render them."""
-    trials = draw_trials(bodies.pose_count, angles, len(backgrounds), bodies.outfit_count, settings)
-    device = next(iter(detectors.values())).device
+    bodies = cloaked.bodies
+    trials = draw_trials(bodies.pose_count, angles, len(cloaked.backgrounds), bodies.outfit_count, settings)
     view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
-    return BodyRenderer(colors, logo, bodies, backgrounds, trials, settings.camera, view_cache, settings.seed)
+    return BodyRenderer(cloaked, trials, settings.camera, view_cache, settings.seed)
 
 
 def headline(record: Mapping[str, object]) -> dict:
@@ -227,9 +212,7 @@ _NAME = re.compile(r"step-(\d{8,})\.npy")
 
 def over_time(
     run: Path,
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
+    cloaked: Cloaked,
     detectors: dict[str, Detector],
     angles: Sequence[float],
     settings: EvaluateSettings,
@@ -250,9 +233,8 @@ def over_time(
     for step, path in sorted(found.items()):
         event = told.get(step, {})
         row = {"step": step, "seconds": event.get("time")} | {k: event[k] for k in ("queries",) if k in event}
-        summary = evaluate(
-            read_colors(path, len(logo)), logo, bodies, backgrounds, detectors, angles, bare, on_progress=on_progress
-        )
+        snapshot = replace(cloaked, colors=read_colors(path, len(cloaked.logo)))
+        summary = evaluate(snapshot, detectors, angles, bare, on_progress=on_progress)
         rows.append(row | {"detectors": {spec: headline(x["logo"]) for spec, x in summary["detectors"].items()}})
     write_json(run / "curve.json", {"rows": rows})
     with style():

@@ -14,20 +14,17 @@ from jaxtyping import Float32
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.film_frames import draw_frames
-from cloak_core.evaluation.measure import OnProgress, kept_frozen, measure
-from cloak_core.evaluation.renderer import BodyRenderer, check_inputs
+from cloak_core.evaluation.measure import OnProgress, check_asked, kept_frozen, measure
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked
 from cloak_core.evaluation.settings import MOST_FRAMES, FilmSettings
 from cloak_core.evaluation.statistics_film import frame_rows, summarize_film
 from cloak_core.evaluation.trials import make_trials
-from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import number, read_table
 from cloak_core.files.writing import write_json
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.videos import check_film, save_film, save_gif
 
 CONTROLS = (LOGO, CLOTHING)
@@ -53,10 +50,7 @@ def usual_pace(vertices: Float32[np.ndarray, "P V 3"], fps: float) -> float:
 
 
 def make_film(
-    colors: Float32[np.ndarray, "L 3"],
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
+    cloaked: Cloaked,
     detectors: dict[str, Detector],
     out: Path,
     settings: FilmSettings | None = None,
@@ -69,13 +63,13 @@ def make_film(
     InputError: as for `evaluate`, and what `camera_path` and `save_film` refuse.
     """
     settings = settings or FilmSettings()
+    bodies = cloaked.bodies
     if settings.poses_per_second is None:
         settings = replace(settings, poses_per_second=usual_pace(bodies.vertices, settings.fps))
     kind = check_film(out)
-    check_inputs(colors, logo, bodies, backgrounds, detectors, settings.angles)
+    check_asked(detectors, settings.angles)
     path = camera_path(settings, bodies.pose_count)
-    device = next(iter(detectors.values())).device
-    renderer = film_renderer(colors, logo, bodies, backgrounds, path, settings, device)
+    renderer = film_renderer(cloaked, path, settings, next(iter(detectors.values())).device)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, CONTROLS, batch=settings.batch, on_progress=on_progress)
     told = summarize_film(results, settings, approaches(path)) | {"out": str(out)}
@@ -89,25 +83,20 @@ def make_film(
 
 
 def film_renderer(
-    colors: Float32[np.ndarray, "L 3"],
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    path: pd.DataFrame,
-    settings: FilmSettings,
-    device: torch.device | str = "cpu",
+    cloaked: Cloaked, path: pd.DataFrame, settings: FilmSettings, device: torch.device | str = "cpu"
 ) -> BodyRenderer:
     """Make the renderer of all takes' frames; the camera looks at the motion's middle, or follows each pose."""
+    bodies = cloaked.bodies
     if settings.outfit >= bodies.outfit_count:
         raise InputError(f"--outfit: there is no outfit {settings.outfit}, the scene has {bodies.outfit_count}")
-    trials = film_trials(path, settings, bodies.pose_count, len(backgrounds), bodies.outfit_count)
+    trials = film_trials(path, settings, bodies.pose_count, len(cloaked.backgrounds), bodies.outfit_count)
     viewpoint = Camera(field_of_view=settings.field_of_view, width=settings.size, height=settings.size)
     if not settings.follow:
         middles = (bodies.vertices.min(1).astype(np.float64) + bodies.vertices.max(1)) / 2
         viewpoint = replace(viewpoint, pivot=tuple(middles.mean(0).tolist()))
     # Nothing else can use a film's views, so none is written to files.
     view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, memory_bytes=VIEW_BYTES))
-    return BodyRenderer(colors, logo, bodies, backgrounds, trials, viewpoint, view_cache)
+    return BodyRenderer(cloaked, trials, viewpoint, view_cache)
 
 
 def film_trials(path: pd.DataFrame, settings: FilmSettings, poses: int, backgrounds: int, outfits: int) -> pd.DataFrame:
@@ -149,10 +138,10 @@ def write_turntable(
         outfit=int(shown["outfit"]),
         threshold=threshold,
     )
-    bodies = renderer.bodies.select_poses(np.array([int(shown["pose"])]))
-    backdrop = renderer.backdrops.subset([int(shown["background"])])
-    orbit, device = camera_path(settings, 1), renderer.view_cache.device
-    turning = film_renderer(renderer.colors, renderer.logo, bodies, backdrop, orbit, settings, device)
+    worn = renderer.cloaked
+    one = worn.bodies.select_poses([int(shown["pose"])])
+    alone = replace(worn, bodies=one, backgrounds=worn.backgrounds.subset([int(shown["background"])]))
+    turning = film_renderer(alone, camera_path(settings, 1), settings, renderer.view_cache.device)
     results = measure(turning, detectors, CONTROLS, batch=settings.batch)
     save_gif(path, list(draw_frames(turning, results, settings)), TURNTABLE_FPS)
     return True

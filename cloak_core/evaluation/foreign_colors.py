@@ -1,4 +1,7 @@
-"""Read colours that were made elsewhere for a logo: a row per face, a run, or a picture on the UV map."""
+"""Open what is evaluated: a run's logo in its colours, or in others: a row per face, a run, or a picture.
+
+Scene and backgrounds are given, or what was kept back from the run's training.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,45 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from PIL import Image
 
-from cloak_core.evaluation.trained_run import read_run
+from cloak_core.evaluation.renderer import Cloaked
+from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.render.texture import look_up
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.geometry import face_centres, face_normals, sum_by_face
 from cloak_core.scene.logos.cloth import cloth_coordinates
-from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.logos.logo import Logo, load_logo
+from cloak_core.scene.opening import load_scene
 from cloak_core.scene.pictures import read_picture
 from cloak_core.zoo.entry import run_path
 
 CLOTH_CELL = 0.01
 """Metres; faces are about as wide, and show no finer pattern."""
+
+
+def open_cloaked(
+    folder: Path,
+    config: dict,
+    scene: Bodies | str | os.PathLike | None = None,
+    backgrounds: Backgrounds | str | os.PathLike | None = None,
+    colors: str | os.PathLike | None = None,
+) -> tuple[Cloaked, dict | None, str]:
+    """Open a run's cloak, the config.json of the training of its colours (None where there is none), and their name.
+
+    folder, config: of the run. scene, backgrounds: as they are, or by name. colors: see `colors_of`; None: the run's
+    own, whose name is "". InputError: as for `kept_back`, `Cloaked` and `colors_of`.
+    """
+    bodies = scene if isinstance(scene, Bodies) else load_scene(scene or kept_back("scene", config))
+    if not isinstance(backgrounds, Backgrounds):
+        backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
+    logo = load_logo(bodies, folder / "logo.npy")
+    if colors is None:
+        worn, trained, name = read_colors(folder / "colors.npy", len(logo)), config, ""
+    else:
+        worn, trained, name = colors_of(colors, logo, bodies)
+    return Cloaked(worn, logo, bodies, backgrounds), trained, name
 
 
 def colors_of(

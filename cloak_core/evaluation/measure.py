@@ -20,6 +20,7 @@ from cloak_core.evaluation.renderer import EvaluationRenderer, Indices
 from cloak_core.evaluation.results import BOX_COLUMNS, CORNERS, TRUE_BOX, Results, make_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.statistics_precision import MOST_BOXES, first_hits
+from cloak_core.files.errors import InputError
 
 BOX_THRESHOLD = 0.001
 """Boxes with a lower score are not kept. COCO evaluations commonly use it: a cloak that only makes a detector unsure
@@ -70,15 +71,16 @@ def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
         detector.verify(hashes[spec])
 
 
+def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float]) -> None:
+    """Refuse an evaluation without a detector or an angle (InputError)."""
+    for option, given in (("--detector", detectors), ("--angles", angles)):
+        if not len(given):
+            raise InputError(f"{option}: none given")
+
+
 def all_controls(settings: EvaluateSettings) -> tuple[str, ...]:
     """List the trained colours and their controls; own clothing is always among them."""
     return tuple(dict.fromkeys((LOGO, CLOTHING, *settings.controls)))
-
-
-def bare_indices(renderer: EvaluationRenderer, settings: EvaluateSettings) -> np.ndarray:
-    """Choose backgrounds [M] for the false alarms: all, or a draw by the seed where there are more than `bare`."""
-    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    return np.sort(order[: settings.bare])
 
 
 class Progress:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -79,6 +79,30 @@ def render_images(renderer: EvaluationRenderer, indices: Indices, control: str) 
     return next(renderer.compose(renderer.views(indices), indices, (control,)))
 
 
+@dataclass(frozen=True, eq=False)
+class Cloaked:
+    """What is evaluated: a logo in its colours on bodies, and the backgrounds they stand before.
+
+    InputError: colours, logo and scene do not fit together, or there is no background.
+    """
+
+    colors: Float32[np.ndarray, "L 3"]
+    """Of the logo's faces, in their order."""
+    logo: Logo
+    bodies: Bodies
+    backgrounds: Backgrounds
+
+    def __post_init__(self) -> None:
+        logo, bodies = self.logo, self.bodies
+        if logo.topology != bodies.topology:
+            made = f"the logo was made for topology {logo.topology}, this scene has {bodies.topology}"
+            raise InputError(f"scene '{bodies.name}': {made}")
+        if len(self.colors) != len(logo.face_ids):
+            raise InputError(f"colours for {len(self.colors)} faces, but the logo has {len(logo.face_ids)}")
+        if not len(self.backgrounds):
+            raise InputError("no background to evaluate on")
+
+
 @dataclass(eq=False)
 class BodyRenderer:
     """An `EvaluationRenderer` of bodies before backgrounds, rasterized.
@@ -86,10 +110,7 @@ class BodyRenderer:
     Nothing but the shift of the trial moves an image: no contrast, brightness or noise is added.
     """
 
-    colors: Float32[np.ndarray, "L 3"]
-    logo: Logo
-    bodies: Bodies
-    backdrops: Backgrounds
+    cloaked: Cloaked
     trials: pd.DataFrame
     viewpoint: Camera
     """The camera, but for azimuth, elevation and distance."""
@@ -102,7 +123,10 @@ class BodyRenderer:
 
     def views(self, indices: Indices) -> list[BakedView]:
         """Return the baked view of each of these trials."""
-        faces, (pose, outfit) = self.logo.face_ids, (self.trials[name].to_numpy() for name in ("pose", "outfit"))
+        faces, (pose, outfit) = (
+            self.cloaked.logo.face_ids,
+            (self.trials[name].to_numpy() for name in ("pose", "outfit")),
+        )
         return [self.view_cache.bake(int(pose[i]), self.camera(i), faces, int(outfit[i])) for i in map(int, indices)]
 
     def compose(
@@ -145,9 +169,9 @@ class BodyRenderer:
     def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
         """Render the first body in the trained colours under even light, RGBA in [0, 1], cut to the body."""
         flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
-        view_cache = ViewCache(self.bodies.select_poses([0]), RenderSettings(light=flat, device=self._device))
+        view_cache = ViewCache(self.cloaked.bodies.select_poses([0]), RenderSettings(light=flat, device=self._device))
         camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
-        view = view_cache.bake(0, camera, self.logo.face_ids)
+        view = view_cache.bake(0, camera, self.cloaked.logo.face_ids)
         white = torch.ones(1, 3, side, side, device=self._device)
         image = compose([view], self._colors_of(LOGO)[0], white, None, None)[0]
         alpha = torch.zeros(side * side, device=self._device)
@@ -166,17 +190,17 @@ class BodyRenderer:
     @property
     def body_names(self) -> tuple[str, ...]:
         """Names of the bodies, by pose."""
-        return tuple(self.bodies.names)
+        return tuple(self.cloaked.bodies.names)
 
     @property
     def background_names(self) -> tuple[str, ...]:
         """Names of the backgrounds, by index."""
-        return tuple(self.backdrops.names)
+        return tuple(self.cloaked.backgrounds.names)
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds by their own index, with nobody in front."""
-        numbers = [int(i) for i in backgrounds]
-        return self.backdrops.batch(numbers, self.viewpoint.height, self.viewpoint.width).to(self._device)
+        numbers, size = [int(i) for i in backgrounds], (self.viewpoint.height, self.viewpoint.width)
+        return self.cloaked.backgrounds.batch(numbers, *size).to(self._device)
 
     def backgrounds(self, indices: Indices) -> Float[Tensor, "B 3 H W"]:
         """Return the backgrounds of these trials."""
@@ -189,36 +213,14 @@ class BodyRenderer:
 
     def _logo_colors(self, indices: Indices, control: str) -> Float[Tensor, "B L 3"]:
         if control == "random":
-            drawn = [random_colors(self.seed, int(i), len(self.colors)) for i in indices]
+            drawn = [random_colors(self.seed, int(i), len(self.cloaked.colors)) for i in indices]
             return torch.from_numpy(np.stack(drawn)).to(self._device)
         outfits = self.trials["outfit"].to_numpy()[np.asarray(indices, np.int64)]
         return self._colors_of(control)[torch.from_numpy(outfits).to(self._device)]
 
     def _colors_of(self, control: str) -> Float[Tensor, "K L 3"]:
         if control not in self._controls:
-            colors = control_colors(control, self.colors, self.bodies, self.logo.face_ids)
+            worn = self.cloaked
+            colors = control_colors(control, worn.colors, worn.bodies, worn.logo.face_ids)
             self._controls[control] = torch.from_numpy(np.ascontiguousarray(colors)).to(self._device)
         return self._controls[control]
-
-
-def check_inputs(
-    colors: np.ndarray,
-    logo: Logo,
-    bodies: Bodies,
-    backgrounds: Backgrounds,
-    detectors: Mapping,
-    angles: Sequence[float],
-) -> None:
-    """Refuse what does not fit together (InputError): colours, logo and scene; nothing to render or to judge."""
-    if logo.topology != bodies.topology:
-        raise InputError(
-            f"scene '{bodies.name}': the logo was made for topology {logo.topology}, this scene has {bodies.topology}"
-        )
-    if len(colors) != len(logo.face_ids):
-        raise InputError(f"colours for {len(colors)} faces, but the logo has {len(logo.face_ids)}")
-    if not len(backgrounds):
-        raise InputError("no background to evaluate on")
-    if not detectors:
-        raise InputError("--detector: none given")
-    if not len(angles):
-        raise InputError("--angles: none given")

@@ -10,7 +10,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
 from cloak_core.evaluation.data_split import DataSplit, backgrounds_record, bodies_record
 from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
@@ -200,18 +200,10 @@ class RunStore:
         bodies where none are given. changes: evaluation settings by name.
         """
         settings, specs = self.evaluate_settings(**changes), tuple(specs or self.specs)
-        bodies = bodies or self.split.unseen
-
-        people = self.split.unseen_people
-
-        def measured(one: Trained) -> Results:
-            if people is not None:
-                make, more = lambda: self.people_renderer(one, settings), {"people": people_identity(people)}
-            else:
-                make, more = lambda: self.renderer(one, angles, settings, bodies), {}
-            return self.measured(make, one, bodies, specs, tuple(map(float, angles)), settings, **more)
-
-        return pool([measured(one) for one in trained])
+        bodies, angles, people = bodies or self.split.unseen, tuple(map(float, angles)), self.split.unseen_people
+        more = {} if people is None else {"people": people_identity(people)}
+        make = lambda one: partial(self.renderer, one, angles, settings, bodies)
+        return pool([self.measured(make(one), one, bodies, specs, angles, settings, **more) for one in trained])
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
         """Make the settings of an evaluation from the options: all controls that there are, and changes by name."""
@@ -228,19 +220,16 @@ class RunStore:
 
     def renderer(
         self, trained: Trained, angles: Sequence[float], settings: EvaluateSettings, bodies: Bodies | None = None
-    ) -> BodyRenderer:
-        """Make the renderer of an evaluation's images."""
+    ) -> BodyRenderer | PeopleRenderer:
+        """Make the renderer of an evaluation's images: of bodies, or of the people whom the split has to judge on."""
+        backgrounds, device = self.split.unseen_backgrounds, next(iter(self.split.detectors.values())).device
+        if self.split.unseen_people is not None:
+            worn = LogoClothes(LOGO, logo_positions(trained.logo.topology, trained.logo.face_ids), trained.colors)
+            how = WearSettings(size=settings.size)
+            return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, how, device)
         bodies = bodies or self.split.unseen
-        logo = make_logo(bodies, trained.logo.face_ids)
-        backgrounds = self.split.unseen_backgrounds
-        return make_renderer(trained.colors, logo, bodies, backgrounds, self.split.detectors, angles, settings)
-
-    def people_renderer(self, trained: Trained, settings: EvaluateSettings) -> PeopleRenderer:
-        """Make the renderer of the split's unseen people in photographs, who wear these colours."""
-        position = logo_positions(trained.logo.topology, trained.logo.face_ids)
-        worn, how = LogoClothes(LOGO, position, trained.colors), WearSettings(size=settings.size)
-        device = next(iter(self.split.detectors.values())).device
-        return PeopleRenderer(fit_people(self.split.unseen_people), [worn], self.split.unseen_backgrounds, how, device)
+        cloaked = Cloaked(trained.colors, make_logo(bodies, trained.logo.face_ids), bodies, backgrounds)
+        return make_renderer(cloaked, angles, settings, device)
 
     def measured(
         self,

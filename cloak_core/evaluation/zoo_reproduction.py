@@ -9,6 +9,7 @@ from pathlib import Path
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.evaluate import evaluate, headline
 from cloak_core.evaluation.measure import OnProgress
+from cloak_core.evaluation.renderer import Cloaked
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import EMBEDDED, kept_back
 from cloak_core.exchange.bodies import Bodies
@@ -59,17 +60,9 @@ def evaluate_again(
             f"its record has {told['inputs']['backgrounds']}"
         )
     detectors = {spec: load_detector(_placed(spec, files, whose), device=device) for spec in told["detectors"]}
-    measured = evaluate(
-        found.colors,
-        make_logo(bodies, found.ids),
-        bodies,
-        backgrounds,
-        detectors,
-        told["settings"]["angles"],
-        _settings(told["settings"], most_images),
-        training=found.config,
-        on_progress=on_progress,
-    )
+    cloaked = Cloaked(found.colors, make_logo(bodies, found.ids), bodies, backgrounds)
+    how = told["settings"]["angles"], _settings(told["settings"], most_images)
+    measured = evaluate(cloaked, detectors, *how, training=found.config, on_progress=on_progress)
     pairs = {spec: (told["detectors"][spec]["logo"], measured["detectors"][spec]["logo"]) for spec in detectors}
     return {
         spec: {"recorded": headline(old), "again": headline(new), "holds": _holds(old, new)}

@@ -15,7 +15,7 @@ from cloak_core.detectors.defended.masks import EXPLAINED, spans
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.outcomes import OnBody, on_body, share_within
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation.certified import certified_recall
+from cloak_core.evaluation.clean import certified_recall
 from cloak_core.files.errors import InputError
 from tests.detectors.helpers import write_tiny
 from tests.scene.photographs.made_people import write_people

@@ -11,7 +11,7 @@ from torchvision.datasets import CocoDetection
 
 from cloak_core.cli import main
 from cloak_core.evaluation.coco import export_coco, run_lengths
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, render_images
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import write_colors
@@ -32,9 +32,8 @@ def renderer() -> BodyRenderer:
     trials = draw_trials(2, (-10.0, 90.0), 3, bodies.outfit_count, settings)
     logo = load_logo(bodies, region="chest")
     colors = np.tile(np.array([[1, 0, 0]], np.float32), (len(logo), 1))
-    return BodyRenderer(
-        colors, logo, bodies, backgrounds, trials, settings.camera, ViewCache(bodies, RenderSettings(samples=1))
-    )
+    cloaked = Cloaked(colors, logo, bodies, backgrounds)
+    return BodyRenderer(cloaked, trials, settings.camera, ViewCache(bodies, RenderSettings(samples=1)))
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_pycocotools_reads_boxes_masks_and_pairs(made: Path, renderer: BodyRende
     for trial, ((_, own), (_, worn)) in pairs.items():
         assert not own["attributes"]["cloaked"] and worn["attributes"]["cloaked"]
         assert own["bbox"] == worn["bbox"] and own["segmentation"] == worn["segmentation"]
-        assert own["attributes"]["body"] == renderer.bodies.names[renderer.trials.at[trial, "pose"]]
+        assert own["attributes"]["body"] == renderer.body_names[renderer.trials.at[trial, "pose"]]
 
 
 def test_the_visible_box_is_what_the_border_leaves_of_the_whole_one(made: Path) -> None:
@@ -105,8 +104,8 @@ def test_the_command_takes_a_run_and_overwrites_nothing(
     run.mkdir()
     inputs = {"scene": "sample:train", "backgrounds": "procedural:train"}
     (run / "config.json").write_text(json.dumps({"inputs": inputs, "detectors": [{"spec": "builtin"}]}))
-    write_colors(run / "colors.npy", renderer.colors)
-    np.save(run / "logo.npy", renderer.logo.face_ids)
+    write_colors(run / "colors.npy", renderer.cloaked.colors)
+    np.save(run / "logo.npy", renderer.cloaked.logo.face_ids)
     asked = ["export", "coco", str(run), "--out", str(tmp_path / "out"), "--json", "--size", "48", "--angles", "0"]
     asked += ["--backgrounds", "procedural:test:2", "--scene", "sample:unseen[0:1]"]
     with pytest.raises(SystemExit, match="0"):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation import cycles
 from cloak_core.evaluation.cycles import CyclesRenderer, NoBlender, image_difference, render_frames, require_blender
 from cloak_core.evaluation.evaluate import make_renderer
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, render_images
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate
@@ -25,8 +24,7 @@ def renderer() -> BodyRenderer:
     logo = make_logo(bodies, select_region(bodies, "chest+thighs"))
     colors = np.random.default_rng(0).uniform(0.2, 0.8, (len(logo), 3)).astype(np.float32)
     settings = EvaluateSettings(images_per_view=2, size=96, shift=9)
-    detectors = {"any": Detector("any", "any")}
-    made = make_renderer(colors, logo, bodies, load_backgrounds("procedural:test:2"), detectors, (20.0,), settings)
+    made = make_renderer(Cloaked(colors, logo, bodies, load_backgrounds("procedural:test:2")), (20.0,), settings)
     made.trials["outfit"] = 0
     return made
 

@@ -16,7 +16,7 @@ from cloak_core.detectors.outcomes import on_body
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.evaluation.controls import random_colors
 from cloak_core.evaluation.evaluate import evaluate, make_renderer, read_evaluation
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer, render_images
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.exchange.bodies import Bodies
@@ -67,19 +67,15 @@ def green(logo: Logo) -> np.ndarray:
     return np.tile(np.array([0, 1, 0], np.float32), (len(logo), 1))
 
 
+def in_green(logo: Logo, bodies: Bodies, rooms: int = 5) -> Cloaked:
+    return Cloaked(green(logo), logo, bodies, grey_rooms(rooms))
+
+
 def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
     detector = GreenBlind()
     told = []
-    result = evaluate(
-        green(logo),
-        logo,
-        bodies,
-        grey_rooms(5),
-        {"spec": detector},
-        ANGLES,
-        SMALL,
-        on_progress=lambda *p: told.append(p),
-    )
+    worn = in_green(logo, bodies)
+    result = evaluate(worn, {"spec": detector}, ANGLES, SMALL, on_progress=lambda *p: told.append(p))
     json.dumps(result, allow_nan=False)
     rates = result["detectors"]["spec"]
     assert set(rates) >= {"logo", "clothing", "grey", "random", "by_angle", "by_body"}
@@ -95,7 +91,7 @@ def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
 
 def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> None:
     """Between two patterns only the logo's pixels change; images repeat exactly; own clothing is the plain body."""
-    renderer = make_renderer(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    renderer = make_renderer(in_green(logo, bodies), ANGLES, SMALL)
     assert isinstance(renderer, EvaluationRenderer)
     every = list(range(len(renderer.trials)))
     views = renderer.views(every)
@@ -115,13 +111,13 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
             assert differs.any() and not (differs & ~may_differ).any()
     # Dressing no logo at all shows the body as it is.
     one = make_logo(bodies, logo.face_ids[:1])
-    plain = make_renderer(green(one), one, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    plain = make_renderer(in_green(one, bodies), ANGLES, SMALL)
     assert torch.allclose(render_images(plain, every, "clothing"), images["clothing"], atol=1e-5)
 
 
 def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkeypatch: pytest.MonkeyPatch) -> None:
     """A batch's bodies and backgrounds are composed once for all controls; the pixels are those composed anew."""
-    renderer = make_renderer(green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL)
+    renderer = make_renderer(in_green(logo, bodies), ANGLES, SMALL)
     every, controls = list(range(len(renderer.trials))), ("logo", "clothing", "grey", "random")
     views = renderer.views(every)
     outfit, count = renderer.trials["outfit"].to_numpy(), len(logo)
@@ -138,14 +134,14 @@ def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkey
     monkeypatch.setattr(
         BodyRenderer, "backgrounds", lambda self, indices: drawn.append(len(indices)) or self.bare(indices)
     )
-    evaluate(green(logo), logo, bodies, grey_rooms(8), {"spec": GreenBlind()}, ANGLES, SMALL)
+    evaluate(in_green(logo, bodies, 8), {"spec": GreenBlind()}, ANGLES, SMALL)
     assert drawn == [4, 4]  # of 8 images in batches of 4: once each, not once for each of 4 controls
 
 
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:
-    run = lambda **changes: evaluate(
-        green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, replace(SMALL, **changes)
-    )["detectors"]
+    run = lambda **changes: evaluate(in_green(logo, bodies), {"spec": GreenBlind()}, ANGLES, replace(SMALL, **changes))[
+        "detectors"
+    ]
     assert run() == run(batch=3)
 
 
@@ -166,9 +162,7 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
     (tmp_path / "config.json").write_text("{}")
     detector = GreenBlind()
     for _ in range(2):  # the second replaces the first
-        result = evaluate(
-            green(logo), logo, bodies, grey_rooms(5), {"spec": detector}, ANGLES, SMALL, out=tmp_path / "evaluation"
-        )
+        result = evaluate(in_green(logo, bodies), {"spec": detector}, ANGLES, SMALL, out=tmp_path / "evaluation")
     stored = read_evaluation(tmp_path / "evaluation")
     assert stored.summary == json.loads(json.dumps(result))
     assert stored.results.controls == ("logo", "clothing", "grey", "random") and len(stored.results.trials) == 8
@@ -180,7 +174,9 @@ def test_stored_evaluation_feeds_the_report(bodies: Bodies, logo: Logo, tmp_path
 @pytest.mark.slow
 def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
     grey = np.full((len(logo), 3), 0.5, np.float32)
-    evaluate(grey, logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL, out=tmp_path / "evaluation")
+    evaluate(
+        Cloaked(grey, logo, bodies, grey_rooms(5)), {"spec": GreenBlind()}, ANGLES, SMALL, out=tmp_path / "evaluation"
+    )
     stored = read_evaluation(tmp_path / "evaluation")
     failures = stored.pictures["failures"]["spec"]
     assert len(failures) == 6
@@ -190,29 +186,27 @@ def test_failures_are_kept_worst_first(bodies: Bodies, logo: Logo, tmp_path: Pat
 def test_overlap_with_training_is_said(bodies: Bodies, logo: Logo, caplog: pytest.LogCaptureFixture) -> None:
     config = {"scene": {"pose_sha256": list(bodies.pose_hashes[:1])}, "backgrounds": {"identities": ["other"]}}
     with caplog.at_level(logging.WARNING, "cloak"):
-        result = evaluate(
-            green(logo), logo, bodies, grey_rooms(5), {"spec": GreenBlind()}, ANGLES, SMALL, training=config
-        )
+        result = evaluate(in_green(logo, bodies), {"spec": GreenBlind()}, ANGLES, SMALL, training=config)
     assert result["unseen"] == {"bodies": False, "backgrounds": True}
     assert len(result["warnings"]) == 1 and bodies.names[0] in result["warnings"][0]
     assert bodies.names[0] in caplog.text
 
 
 def test_what_does_not_fit_is_refused(bodies: Bodies, logo: Logo, tmp_path: Path) -> None:
-    colors, rooms, detectors = green(logo), grey_rooms(5), {"spec": GreenBlind()}
+    worn, detectors = in_green(logo, bodies), {"spec": GreenBlind()}
     other = replace(logo, topology="f" * 64)
     with pytest.raises(InputError) as error:
-        evaluate(colors, other, bodies, rooms, detectors, ANGLES, SMALL)
+        replace(worn, logo=other)
     assert "f" * 64 in str(error.value) and bodies.topology in str(error.value)
     with pytest.raises(InputError, match="colours for 3 faces"):
-        evaluate(colors[:3], logo, bodies, rooms, detectors, ANGLES, SMALL)
+        replace(worn, colors=worn.colors[:3])
     with pytest.raises(InputError, match="--angles"):
-        evaluate(colors, logo, bodies, rooms, detectors, (), SMALL)
+        evaluate(worn, detectors, (), SMALL)
     with pytest.raises(InputError, match="--detector"):
-        evaluate(colors, logo, bodies, rooms, {}, ANGLES, SMALL)
+        evaluate(worn, {}, ANGLES, SMALL)
     (tmp_path / "precious.txt").write_text("")
     with pytest.raises(InputError, match="left alone"):
-        evaluate(colors, logo, bodies, rooms, detectors, ANGLES, SMALL, out=tmp_path)
+        evaluate(worn, detectors, ANGLES, SMALL, out=tmp_path)
     assert (tmp_path / "precious.txt").exists()
 
 
@@ -237,7 +231,7 @@ def test_a_detector_that_changes_is_a_defect(bodies: Bodies, logo: Logo) -> None
             return super().forward(images)
 
     with pytest.raises(RuntimeError, match="changed while"):
-        evaluate(green(logo), logo, bodies, grey_rooms(5), {"spec": Drifting()}, ANGLES, SMALL)
+        evaluate(in_green(logo, bodies), {"spec": Drifting()}, ANGLES, SMALL)
 
 
 @pytest.mark.slow
@@ -248,9 +242,7 @@ def test_white_box_and_black_box(bodies: Bodies, logo: Logo, capsys: pytest.Capt
         stranger.weight.mul_(2)
     training = {"detectors": [{"spec": "as it was called then", "sha256": state_hash(known)}]}
     detectors = {"far[bold]": stranger, "near": known}
-    run = lambda training: evaluate(
-        green(logo), logo, bodies, grey_rooms(5), detectors, ANGLES, SMALL, training=training
-    )
+    run = lambda training: evaluate(in_green(logo, bodies), detectors, ANGLES, SMALL, training=training)
     result = run(training)
     assert result["white_box"] == {"far[bold]": False, "near": True}
     assert run(None)["white_box"] == {"far[bold]": None, "near": None}

@@ -14,7 +14,7 @@ from cloak_core.attack.settings.values import Angles
 from cloak_core.cli import main
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.evaluation.film import approaches, camera_path, film_renderer, make_film, usual_pace, write_turntable
-from cloak_core.evaluation.renderer import BodyRenderer
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked
 from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
 from cloak_core.evaluation.statistics_film import longest_run, track
 from cloak_core.evaluation.trials import draw_trials
@@ -70,7 +70,7 @@ def film(logo: Logo, white: Backgrounds, out: Path, **settings: object) -> dict:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     green = np.tile(np.array([[0, 1, 0]], np.float32), (len(logo), 1))
     asked = chosen(**{"size": SIZE, "samples": 1, "fps": 5.0, "seconds": 1.0} | settings)
-    return make_film(green, logo, bodies, white, {"nogreen": NoGreen()}, out, asked)
+    return make_film(Cloaked(green, logo, bodies, white), {"nogreen": NoGreen()}, out, asked)
 
 
 def test_paths_end_where_they_should() -> None:
@@ -186,7 +186,8 @@ def test_frames_without_the_body_count_for_nothing(logo: Logo, white: Background
 def test_the_camera_stays_or_follows(logo: Logo, white: Backgrounds) -> None:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     settings = chosen(fps=1, seconds=2, size=SIZE)
-    about = np.zeros((len(logo), 3), np.float32), logo, bodies, white, camera_path(settings, 2)
+    worn = Cloaked(np.zeros((len(logo), 3), np.float32), logo, bodies, white)
+    about = worn, camera_path(settings, 2)
     stay, follow = (film_renderer(*about, chosen(fps=1, seconds=2, size=SIZE, follow=f)) for f in (False, True))
     assert stay.camera(0) == stay.camera(1) and stay.camera(0).pivot is not None
     assert follow.camera(0).pivot is None
@@ -241,9 +242,8 @@ def test_an_evaluation_leaves_a_turntable_unless_it_is_tiny(logo: Logo, white: B
     asked = EvaluateSettings(size=SIZE, shift=4, images_per_view=4, samples=1)
     trials = draw_trials(2, tuple(float(a) for a in range(8)), 1, bodies.outfit_count, asked)
     colors = np.zeros((len(logo), 3), np.float32)
-    renderer = BodyRenderer(
-        colors, logo, bodies, white, trials, asked.camera, ViewCache(bodies, RenderSettings(samples=1))
-    )
+    view_cache = ViewCache(bodies, RenderSettings(samples=1))
+    renderer = BodyRenderer(Cloaked(colors, logo, bodies, white), trials, asked.camera, view_cache)
     about = renderer, 3, {"nogreen": NoGreen()}, 0.6
     assert not write_turntable(tmp_path / "none.gif", *about, controls=1) and not (tmp_path / "none.gif").exists()
     assert write_turntable(tmp_path / "turntable.gif", *about, controls=2)

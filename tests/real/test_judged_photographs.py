@@ -10,7 +10,7 @@ from PIL import Image
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.photographs.judge import judge
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, render_images
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.settings import EvaluateSettings, JudgeSettings
 from cloak_core.evaluation.trials import draw_trials
@@ -36,15 +36,8 @@ def make_renderer(data: Path, people: int, scenes: int, size: int) -> BodyRender
     asked = EvaluateSettings(size=size, shift=size // 16, images_per_view=scenes, distances=(2.2, 3.5), samples=4)
     trials = draw_trials(people, (5.0,), scenes, bodies.outfit_count, asked)
     trials["background"] = np.tile(np.arange(scenes), 2 * people)
-    return BodyRenderer(
-        read_colors(run / "colors.npy"),
-        logo,
-        bodies,
-        photographs,
-        trials,
-        asked.camera,
-        ViewCache(bodies, RenderSettings(samples=4)),
-    )
+    cloaked = Cloaked(read_colors(run / "colors.npy"), logo, bodies, photographs)
+    return BodyRenderer(cloaked, trials, asked.camera, ViewCache(bodies, RenderSettings(samples=4)))
 
 
 def make_stand_ins(folder: Path, shared: Path, people: int = 2, scenes: int = 2, size: int = 320) -> Path:

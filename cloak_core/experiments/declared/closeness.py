@@ -7,7 +7,7 @@ from PIL import Image
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import LOGO
 from cloak_core.experiments.declaration import Cell, Cells, Experiment, Lines, RunStore, Trainings
-from cloak_core.experiments.sheets import draw_sheet, trial_cells
+from cloak_core.experiments.sheets import Picture, draw_sheet, trial_pictures
 from cloak_core.scene.logos.garments import shirt_trousers
 
 FREE = 100.0
@@ -16,8 +16,6 @@ WITHIN = (0.0, 5.0, 10.0, 20.0, 40.0, FREE)
 CIRCLE = "0:315:45"
 """Azimuths of training and test, degrees."""
 COLUMNS = ("operating_point", "success_own", "own_low", "own_high", "clothing", "clothing_own", "seeds")
-SIDE = 208
-"""Of a picture of the strip, pixels."""
 
 
 def cells(store: RunStore) -> Cells:
@@ -41,15 +39,14 @@ def cells(store: RunStore) -> Cells:
 
 def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     """Draw the same trial in each cloak of the first repetition, a row for each attack."""
-    detector, settings, rows = store.split.detectors[store.specs[0]], store.evaluate_settings(), {}
+    detector, settings = store.split.detectors[store.specs[0]], store.evaluate_settings()
+    rows: dict[str, list[Picture]] = {}
     for cell, (trained, *_) in trainings:
-        if store.split.unseen_people is None:
-            renderer = store.renderer(trained, cell.angles, settings)
-        else:
-            renderer = store.people_renderer(trained, settings)
-        shown = trial_cells(renderer, 0, (LOGO,), detector, THRESHOLD, SIDE)
-        rows.setdefault(cell.label["attack"], []).extend(shown)
-    return {"strip": draw_sheet([f"{w:g}" if w < FREE else "free" for w in WITHIN], list(rows.items()), SIDE)}
+        renderer = store.renderer(trained, cell.angles, settings)
+        (shown,) = trial_pictures(renderer, 0, (LOGO,), detector, THRESHOLD)
+        within = f"{cell.label['within']:g}" if cell.label["within"] < FREE else "free"
+        rows.setdefault(cell.label["attack"], []).append(shown._replace(text=f"{within}: {shown.text}"))
+    return {"strip": draw_sheet(rows)}
 
 
 EXPERIMENT = Experiment(
