@@ -90,11 +90,11 @@ class Reproduce(Splitting, Computing, Sharing):
     def work(self) -> None:
         """Make the trainings and evaluations of one experiment that are missing; write nothing of it."""
         from cloak_core.evaluation.cycles import NoBlender
-        from cloak_core.experiments.runner import prepare_experiment
+        from cloak_core.experiments.runner import find, measure
 
         self.prepare()
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
-            prepare_experiment(self.name, self._store())
+            measure(find(self.name), self._store())
 
     def _redraw(self) -> tuple[dict, dict]:
         """Draw again from the numbers alone, with what `_measure` gives."""

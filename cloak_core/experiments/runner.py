@@ -46,16 +46,11 @@ def run_experiment(name: str, store: RunStore) -> dict:
 
     InputError: there is no such experiment. Interrupted: a training was stopped in order; the same call continues it.
     """
-    experiment = _experiment(name)
+    experiment = find(name)
     numbers = measure(experiment, store)
     remove_all_leftovers(store.options.out / name)
     write_numbers(store.options.out / name, name, numbers, store, experiment.counts(store))
     return draw_again(name, store.options.out)
-
-
-def prepare_experiment(name: str, store: RunStore) -> None:
-    """Make the trainings and evaluations of an experiment and write nothing of it; raises as `run_experiment`."""
-    measure(_experiment(name), store)
 
 
 def measure(experiment: Experiment, store: RunStore) -> Numbers:
@@ -137,23 +132,18 @@ def write_numbers(folder: Path, name: str, numbers: Numbers, store: RunStore, mo
     write_json(folder / "numbers.json", {"format": FORMAT, "experiment": name, "pictures": pictures} | measured)
 
 
-def read_numbers(folder: Path) -> tuple[dict, Numbers]:
-    """Read the record in numbers.json, and the numbers in it. InputError: an unreadably early version wrote it."""
-    record = read_json(folder / "numbers.json")
-    if record.get("format") != FORMAT:
-        raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
-    return record, Numbers(record["rows"], record["facts"], record["thresholds"])
-
-
 def draw_again(name: str, out: Path) -> dict:
     """Draw one experiment from OUT/NAME/numbers.json alone; returns its record.
 
     InputError: it was never run, or an unreadably early version ran it.
     """
-    experiment, folder = _experiment(name), out / name
-    record, numbers = read_numbers(folder)
+    experiment, folder = find(name), out / name
+    record = read_json(folder / "numbers.json")
+    if record.get("format") != FORMAT:
+        raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
+    charts = {**experiment.figures, "thresholds": experiment.figures.get("thresholds", Thresholds())}
     with style():
-        figures = {key: chart.draw(numbers.rows, numbers.thresholds) for key, chart in _charts(experiment).items()}
+        figures = {key: chart.draw(record["rows"], record["thresholds"]) for key, chart in charts.items()}
         files = [path.name for key, f in figures.items() if f for path in save_figure(f, folder / key)]
     write_text(folder / "words.md", f"# {experiment.title}\n\n{experiment.caption}\n")
     record |= {"title": experiment.title, "paper": list(experiment.paper), "words": [experiment.caption]}
@@ -162,12 +152,8 @@ def draw_again(name: str, out: Path) -> dict:
     return record
 
 
-def _charts(experiment: Experiment) -> dict:
-    """List the declared figures, and success by threshold unless they have their own."""
-    return {**experiment.figures, "thresholds": experiment.figures.get("thresholds", Thresholds())}
-
-
-def _experiment(name: str) -> Experiment:
+def find(name: str) -> Experiment:
+    """Look up an experiment by its name. InputError: there is none."""
     if name not in experiments():
         raise InputError(f"experiment '{name}': not one of {', '.join(experiments())}, all")
     return experiments()[name]

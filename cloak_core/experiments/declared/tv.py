@@ -8,15 +8,14 @@ import numpy as np
 from PIL import Image
 
 from cloak_core.experiments.declaration import SINGLE, Cell, Cells, Experiment, Lines, RunStore, Trainings, test_angles
-from cloak_core.experiments.sheets import Cell as Picture
-from cloak_core.experiments.sheets import draw_sheet
+from cloak_core.experiments.sheets import Picture, draw_sheet
 from cloak_core.scene.pictures import read_picture
 
 PAPER_WEIGHTS = (0.0, 0.1, 2.5, 10.0)
 WEIGHTS = (0.0, 0.1, 0.5, 1.0, 2.5, 10.0)
 """The paper's, and two between."""
-PICTURES, SIDE = 7, 160
-"""Previews of one training on the sheet, and their width in pixels."""
+PICTURES = 7
+"""Previews of one training on the sheet."""
 
 
 def cells(store: RunStore) -> Cells:
@@ -40,8 +39,7 @@ def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     """Show the logo in previews of each weight's first training, a row each."""
     size = store.options.size
     rows = {f"weight {cell.label['tv_weight']:g}": previews(trained[0].folder, size) for cell, trained in trainings}
-    columns = min(map(len, rows.values()))
-    return {"pictures-logos": draw_sheet([""] * columns, list(rows.items()), SIDE)} if columns else {}
+    return {"pictures-logos": draw_sheet(rows)} if all(rows.values()) else {}
 
 
 def previews(run: Path, size: int) -> list[Picture]:
@@ -49,7 +47,7 @@ def previews(run: Path, size: int) -> list[Picture]:
     files = sorted((run / "previews").glob("step-*.png"))
     near = tuple(round(share * size) for share in (0.19, 0.19, 0.76, 0.76))  # where the logo moves
     shown = np.linspace(0, len(files) - 1, min(len(files), PICTURES)).round().astype(int)
-    cut = lambda file: Image.fromarray(read_picture(file)).crop(near).resize((SIDE, SIDE))
+    cut = lambda file: Image.fromarray(read_picture(file)).crop(near)
     return [Picture(cut(files[k]), f"step {int(files[k].stem.split('-')[1])}") for k in shown]
 
 
