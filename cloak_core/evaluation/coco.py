@@ -30,6 +30,8 @@ IMAGES = "images"
 PERSON = 1
 """COCO's category."""
 BATCH = 16
+SAVING = {"jpg": {"quality": 95, "subsampling": 0}, "png": {"optimize": True}}
+"""Pillow's options: at this quality JPEG hardly changes what a detector reports."""
 CONTROLS = {CLOTHING: False, LOGO: True}
 """The two images of a pair, in order, and whether they are cloaked."""
 
@@ -54,7 +56,7 @@ def export_coco(
             ):
                 for trial, view, picture in zip(batch, views, pictures, strict=True):
                     image = _image(renderer, int(trial), cloaked, kind)
-                    save_picture(folder / IMAGES / image["file_name"], to_pil(picture), **_quality(kind))
+                    save_picture(folder / IMAGES / image["file_name"], to_pil(picture), **SAVING[kind])
                     images.append(image)
                     annotations += _annotations(renderer, int(trial), view, image)
             if on_progress:
@@ -64,11 +66,6 @@ def export_coco(
         write_json(folder / ANNOTATIONS, _header() | {"images": images, "annotations": annotations})
     counts = {"images": len(images), "annotations": len(annotations), "cloaked": len(renderer.trials)}
     return {"out": str(out), "file": str(out / ANNOTATIONS)} | counts
-
-
-def _quality(kind: str) -> dict:
-    """Return Pillow's options; at this quality JPEG hardly changes what a detector reports."""
-    return {"quality": 95, "subsampling": 0} if kind == "jpg" else {"optimize": True}
 
 
 def _header() -> dict:

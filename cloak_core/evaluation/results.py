@@ -103,42 +103,36 @@ class Results:
     def trials(self) -> pd.DataFrame:
         """What the N images show: `trials.COLUMNS` and the columns of the source of views, in order."""
         first = self.rows(self.detectors[0], self.controls[0])
-        return first.loc[first["training"] == 0, list(self.trial_columns)].reset_index(drop=True)
-
-    @property
-    def trial_columns(self) -> tuple[str, ...]:
-        """`trials.COLUMNS` and the columns of the source of views."""
-        return tuple(name for name in self.images if name not in _MEASURED)
+        columns = [name for name in self.images if name not in _MEASURED]
+        return first.loc[first["training"] == 0, columns].reset_index(drop=True)
 
     def save(self, path: Path) -> None:
         """Write one training's results as a compressed .npz, in the format that earlier versions read."""
         if self.trainings > 1:
             raise ValueError("one training a file")
-        count = len(self.trials)
-        grid = (len(self.detectors), len(self.controls), count)
-        person = self.images[(self.images["control"] != NOBODY).to_numpy()]
-        bare = self.images[(self.images["control"] == NOBODY).to_numpy()]
-        arrays: dict[str, np.ndarray] = {"format": np.array(FORMAT)}
-        for name in ("detectors", "controls", "body_names", "background_names"):
-            arrays["specs" if name == "detectors" else name] = np.array(getattr(self, name), np.str_)
-        arrays |= {name: person[name].to_numpy().reshape(grid) for name in ("score", "score_on")}
-        if person["other"].notna().any():
-            arrays["other"] = person["other"].to_numpy().reshape(grid)
-            arrays["other_name"] = person["other_name"].to_numpy(np.str_).reshape(grid)
+        trials = self.trials
+        grid = (len(self.detectors), len(self.controls), len(trials))
+        nobody = (self.images["control"] == NOBODY).to_numpy()
+        person, bare = self.images[~nobody], self.images[nobody]
+        told = ("other", "other_name") if person["other"].notna().any() else ()
+        names = ("controls", "body_names", "background_names")
+        arrays = {"format": np.array(FORMAT), "specs": np.array(self.detectors, np.str_)}
+        arrays |= {name: np.array(getattr(self, name), np.str_) for name in names}
+        arrays |= {name: _plain(person[name]).reshape(grid) for name in ("score", "score_on", *told)}
         arrays["bare"] = bare["score"].to_numpy().reshape(grid[0], -1)
         arrays["bare_background"] = bare["background"].to_numpy().reshape(grid[0], -1)[0]
         arrays["operating_points"] = person["operating_point"].to_numpy().reshape(grid)[:, 0, 0]
-        trials = self.trials
-        for name in trials:
-            if not name.startswith("shift_"):
-                values = trials[name].to_numpy()
-                # Text as an array of its own kind: objects are never read back.
-                arrays[f"trials_{name}"] = values if is_numeric_dtype(trials[name]) else values.astype(np.str_)
+        arrays |= {f"trials_{name}": _plain(trials[name]) for name in trials if not name.startswith("shift_")}
         arrays["trials_shift"] = trials[["shift_x", "shift_y"]].to_numpy()
-        codes = {"detector": self.boxes["detector"].cat.codes, "control": self.boxes["control"].cat.codes}
+        codes = {name: self.boxes[name].cat.codes for name in ("detector", "control")}
         for name, kind in BOX_COLUMNS.items():
             arrays[f"boxes_{name}"] = np.asarray(codes.get(name, self.boxes[name]), kind)
         write_npz(path, compressed=True, **arrays)
+
+
+def _plain(column: pd.Series) -> np.ndarray:
+    """Convert a column to an array, text to an array of its own kind: objects are never read back."""
+    return column.to_numpy() if is_numeric_dtype(column) else column.to_numpy().astype(np.str_)
 
 
 def make_results(
@@ -225,15 +219,11 @@ def read_results(path: Path) -> Results:
     try:
         names = {k: tuple(map(str, arrays[k])) for k in ("specs", "controls", "body_names", "background_names")}
         points = arrays.get("operating_points", np.full(len(names["specs"]), np.nan))
-        trials = pd.DataFrame({name: arrays[f"trials_{name}"] for name in ("pose", "angle")})
+        kept = {key.removeprefix("trials_"): values for key, values in arrays.items() if key.startswith("trials_")}
+        kept["shift_x"], kept["shift_y"] = kept.pop("shift").T
         # Early versions had one elevation for all images and did not keep it.
-        trials["elevation"] = arrays.get("trials_elevation", np.float32(np.nan))
-        trials["distance"], trials["background"] = arrays["trials_distance"], arrays["trials_background"]
-        trials["shift_x"], trials["shift_y"] = arrays["trials_shift"].T
-        trials["outfit"] = arrays["trials_outfit"]
-        for name in (key.removeprefix("trials_") for key in arrays if key.startswith("trials_")):
-            if name not in COLUMNS and name != "shift":
-                trials[name] = arrays[f"trials_{name}"]
+        kept.setdefault("elevation", np.full(len(kept["pose"]), np.float32(np.nan)))
+        trials = pd.DataFrame({name: kept[name] for name in dict.fromkeys((*COLUMNS, *kept))})
         boxes = {name: arrays[f"boxes_{name}"] for name in BOX_COLUMNS if name != "iou"}
         boxes["iou"] = arrays.get("boxes_iou", np.full(len(boxes["score"]), np.nan))
         return make_results(

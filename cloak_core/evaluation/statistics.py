@@ -75,11 +75,6 @@ def conditional_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, resamples
     return rate(seen, hidden(seen, threshold), resamples=resamples)
 
 
-def mean_success_rate(rows: pd.DataFrame) -> Rate:
-    """Estimate mean attack success over the thresholds 0.1, 0.2, ... 0.9."""
-    return rate(rows, np.mean([hidden(rows, t) for t in THRESHOLDS], axis=0))
-
-
 def by_value(rows: pd.DataFrame, column: str) -> Iterator[tuple[object, pd.DataFrame]]:
     """Yield every distinct value of a column, sorted, with its rows; rows in which it is absent are left out."""
     values = rows[column].to_numpy()
@@ -261,11 +256,6 @@ def rows_at(results: Results, spec: str, column: str, values: Sequence[float], *
 
 
 # --- plain numbers
-
-
-def interval(value: Rate) -> list[float | None]:
-    """Round the bounds to six digits; nulls without images."""
-    return [finite(value.low), finite(value.high)]
 
 
 def finite(value: float, places: int = 6) -> float | None:

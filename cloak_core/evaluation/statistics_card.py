@@ -20,11 +20,12 @@ from cloak_core.evaluation.statistics import (
     by_value,
     digits,
     found_rate,
+    hidden,
     hidden_rate,
     mean,
-    mean_success_rate,
     operating_point,
     outcome_record,
+    rate,
     rate_record,
     share,
     threshold_curve,
@@ -65,7 +66,8 @@ def attack_record(results: Results, spec: str) -> dict:
     thresholds 0.1 to 0.9; by_threshold; CONTROL, CONTROL_own; ap50, ap50_95; renamed, gone, named (`outcome_record`).
     """
     rows = results.rows(spec, LOGO)
-    record = success_rates(rows) | rate_record("masr", mean_success_rate(rows), 4)
+    over_thresholds = rate(rows, np.mean([hidden(rows, t) for t in THRESHOLDS], axis=0))
+    record = success_rates(rows) | rate_record("masr", over_thresholds, 4)
     record["by_threshold"] = {f"{t:g}": digits(x) for t, x in zip(THRESHOLDS, threshold_curve(rows), strict=True)}
     for control in results.controls[1:]:
         other = results.rows(spec, control)

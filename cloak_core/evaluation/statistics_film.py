@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from cloak_core.detectors.scoring import box_iou
 from cloak_core.evaluation.results import CORNERS, TRUE_BOX, Results
 from cloak_core.evaluation.settings import FilmSettings
-from cloak_core.evaluation.statistics import by_value, finite, hidden, interval, operating_point, rate, share
+from cloak_core.evaluation.statistics import by_value, finite, hidden, operating_point, rate, rate_record, share
 
 CLUSTERS = ("take", "background")
 """Frames of one take, and those before one background, succeed and fail together."""
@@ -67,12 +67,13 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
     shown = frames[body]
     seen_clean = shown[(shown["clean"] > threshold).to_numpy()]
     several = shown["take"].nunique() > 1
+    hits = rate_record("success", rate(shown, hidden(shown, threshold), CLUSTERS)) if several else {"ci95": None}
     told = {
         "hidden": finite(share(shown, threshold)),
         "hidden_own": finite(share(shown, own)),
         "hidden_iou": finite(share(shown, threshold, "score_on")),
         "conditional": finite(share(seen_clean, threshold)),
-        "ci95": interval(rate(shown, hidden(shown, threshold), CLUSTERS)) if several else None,
+        "ci95": hits["ci95"],
         "n": len(shown),
     }
     for suffix, at in (("", threshold), ("_own", own)):

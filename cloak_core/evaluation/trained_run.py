@@ -22,7 +22,7 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.selection import split_selection
 
 EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
-COUNTERPART = {":train": {"scene": ":unseen", "backgrounds": ":test"}}
+KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
 """What was kept back from training on embedded material."""
 
 
@@ -52,7 +52,7 @@ def kept_back(kind: str, config: dict) -> str:
     spec, _ = split_selection(made_from or inputs.get(kind, ""))
     head, mark, rest = spec.partition(":train")
     if mark and head in EMBEDDED:
-        return head + COUNTERPART[":train"][kind] + rest
+        return head + KEPT_BACK[kind] + rest
     raise InputError(f"--{kind}: say what to evaluate on (training saw {spec or 'something unrecorded'})")
 
 

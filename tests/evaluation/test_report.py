@@ -231,6 +231,6 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
     results = made_results()
     single = results.images.drop_duplicates(["control", "angle"])
     for images, joined in ((results.images, True), (single, False)):
-        figure = plots.success_by_angle(replace(results, images=images), "builtin", 0.6)
+        figure = plots.evaluation_figures(replace(results, images=images), "builtin", 0.6)["Success by angle"]
         lines = [line for line in figure.axes[0].get_lines() if len(line.get_xdata()) == 5]
         assert lines and all((line.get_linestyle() != "None") == joined for line in lines)

@@ -66,23 +66,6 @@ def attack_columns(card: dict) -> dict[str, Callable[[dict], str]]:
     }
 
 
-def attack_rows(card: dict) -> list[tuple[str, list[str]]]:
-    """The lines of the table of white-box attacks: the cloak's name and its cells."""
-    around = card.get("around")
-    rows = [(f"{percent(row['area'])} of the body", row) for row in card["white_box"]]
-    return _lines(card, rows + ([("all around", around)] if around else []))
-
-
-def pattern_rows(card: dict) -> list[tuple[str, list[str]]]:
-    """The lines of the table of published patterns, worn as cloth on renders."""
-    return _lines(card, [(row["name"], row) for row in card.get("patterns", [])])
-
-
-def _lines(card: dict, rows: list[tuple[str, dict]]) -> list[tuple[str, list[str]]]:
-    columns = attack_columns(card).values()
-    return [(name, [cell(row) for cell in columns]) for name, row in rows]
-
-
 def is_too_short(card: dict, row: dict) -> bool:
     """Whether the time left the attack of this row so few updates that people may hide far better."""
     full = card.get("counts", {}).get("steps", 0) * (2 if row is card.get("around") else 1)
@@ -98,6 +81,8 @@ def leaderboard_row(card: dict) -> dict[str, str]:
     """The card's line in a leaderboard, column by column."""
     clean, attacks, black, around = card["clean"], card["white_box"], card["black_box"], card.get("around")
     worst = max(worn_rows(card).values(), key=lambda row: row["success_own"], default=None)
+    # Of the parts that were done, the least share of its full size that the time allowed.
+    least = min(filter(None, card.get("shares", {}).values()), default=1.0)
     return {
         "detector": name_of(card),
         **({"photographs ↓": _both(worst, "success_own")} if worst else {}),
@@ -108,13 +93,8 @@ def leaderboard_row(card: dict) -> dict[str, str]:
         "AP50 ↑": _points(clean["ap50"]),
         "false alarms ↓": percent(clean["false_alarms_own"]),
         "threshold": f"{card['operating_point']:g}",
-        "budget": card["budget"] + (f",\nfrom {percent(least)} on" if (least := min(_shares(card))) < 1 else ""),
+        "budget": card["budget"] + (f",\nfrom {percent(least)} on" if least < 1 else ""),
     }
-
-
-def _shares(card: dict) -> list[float]:
-    """Of each part that was done, how much of it the time allowed; cards without a clock have all of it."""
-    return [share for share in card.get("shares", {}).values() if share] or [1.0]
 
 
 def leaderboard_table(cards: list[dict]) -> tuple[list[str], list[list[str]]]:

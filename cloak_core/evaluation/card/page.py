@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from markupsafe import Markup
@@ -12,8 +12,7 @@ from markupsafe import Markup
 from cloak_core.evaluation.card import leaderboard, words
 from cloak_core.evaluation.card.leaderboard import markdown_rows, read_card, worn_rows
 from cloak_core.evaluation.card.pictures import SIDES, place_of
-from cloak_core.evaluation.report import page, plots_card
-from cloak_core.evaluation.report.words import duration
+from cloak_core.evaluation.report import page, plots
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text
 
@@ -31,22 +30,15 @@ def write_card(folder: Path) -> Path:
     write_text(folder / "model_card.md", model_card(card))
     shown = _pictures(card, pictures, folder / "pictures")
     rows = (card.get("photographs") or {}).get("rows", {})
-    values = _summary(card) | {
-        "worst": words.worst(card),
-        "advice": words.advice(card),
+    values = {
+        "card": card,
+        "words": words,
+        "board": leaderboard,
         "picture": next((pairs[0] for pairs in shown["hidden"].values()), None),
         "worn": sorted(rows.items(), key=lambda pair: -pair[1]["success_own"]),
-        "standards": words.STANDARDS,
-        "card": card,
-        "lede": words.lede(card),
-        "not_tested": words.not_tested(card),
-        "attack_heads": list(leaderboard.attack_columns(card)),
-        "attacks": leaderboard.attack_rows(card),
-        "patterns": leaderboard.pattern_rows(card),
-        "figures": _figures(plots_card.card_figures(card)),
+        "figures": _figures(plots.card_figures, card),
         "pictures": shown,
         "size": card["counts"]["size"],
-        "spent": duration(card["seconds"]),
         "text": json.dumps({key: card[key] for key in ("counts", "materials", "made")}, indent=2),
     }
     return page.write_page(folder / CARD, "card.html", values)
@@ -54,16 +46,17 @@ def write_card(folder: Path) -> Path:
 
 def write_comparison(folders: Mapping[str, Path], path: Path) -> Path:
     """Write one page that compares the cards in these folders, named by their keys; it links to each one's own page."""
-    cards = {name: read_card(folder / "card.json") | {"label": name} for name, folder in folders.items()}
-    links = {name: Path(os.path.relpath(folder / CARD, path.parent)).as_posix() for name, folder in folders.items()}
-    heads, rows = leaderboard.leaderboard_table(list(cards.values()))
+    cards = [read_card(folder / "card.json") | {"label": name} for name, folder in folders.items()]
+    links = [Path(os.path.relpath(folder / CARD, path.parent)).as_posix() for folder in folders.values()]
+    heads, rows = leaderboard.leaderboard_table(cards)
     values = {
         "title": "Robustness cards",
-        "cards": [_summary(card) | {"link": links[name]} for name, card in cards.items()],
+        "words": words,
+        "cards": list(zip(cards, links, strict=True)),
         "heads": heads,
         "rows": rows,
-        "figures": _figures(plots_card.comparison_figures(list(cards.values()))),
-        "mixed": len({(card["budget"], card["made"]["seed"]) for card in cards.values()}) > 1,
+        "figures": _figures(plots.comparison_figures, cards),
+        "mixed": len({(card["budget"], card["made"]["seed"]) for card in cards}) > 1,
     }
     return page.write_page(path, "compare.html", values)
 
@@ -86,19 +79,9 @@ def model_card(card: dict) -> str:
     return "\n\n".join([head, f"# {leaderboard.name_of(card)}", table, *said, untested]) + "\n"
 
 
-def _summary(card: dict) -> dict:
-    return {
-        "name": leaderboard.name_of(card),
-        "spec": card["spec"],
-        "headline": words.headline(card),
-        "verdict": words.verdict(card),
-        "tiles": words.tiles(card),
-    }
-
-
-def _figures(plots: Mapping[str, plots_card.Plot]) -> dict[str, Markup]:
+def _figures(draw: Callable[..., dict], what: object) -> dict[str, Markup]:
     with page.page_style():
-        return {name: page.svg(draw()) for name, draw in plots.items()}
+        return {name: page.svg(figure) for name, figure in draw(what).items()}
 
 
 def _pictures(card: dict, pictures: dict, folder: Path) -> dict:

@@ -14,32 +14,6 @@ ALWAYS = (
     "Tracking over many frames: a detector that misses a person in one picture may find them in the next.",
 )
 
-STANDARDS = (
-    (
-        "EU AI Act, Article 15(5)",
-        "how far inputs made to deceive the model (adversarial examples, evasion) succeed, with and without knowledge "
-        "of it; what hardening changes, where two cards are compared.",
-        "poisoned data or models, attacks on confidentiality, the system around the model, organisational measures.",
-    ),
-    (
-        "EU AI Act, Annex IV, 2(g) and 3",
-        "metrics, test data by hash, procedure, command, versions, accuracy by distance, direction and body, known "
-        "ways to fail.",
-        "who is responsible and when it was signed, discriminatory effects on real people, training data, oversight.",
-    ),
-    (
-        "NIST AI 100-2 (adversarial machine learning)",
-        "evasion: white box, transfer from other models, published patterns; the attacker's goal, knowledge and means.",
-        "query-based attacks, poisoning, privacy attacks, attacks in the physical world itself.",
-    ),
-    (
-        "ISO/IEC 24029 (robustness of neural networks)",
-        "empirical and statistical methods (24029-1): measured rates with 95 % intervals on stated material.",
-        "formal methods (24029-2): what `masked=SIDE:SPEC` proves about one small patch is no part of a card.",
-    ),
-)
-"""(document, what the card answers of it, what it leaves open)."""
-
 
 def headline(card: dict) -> str:
     """Say in one sentence how well people hide, at the threshold at which the detector is run; photographs first."""

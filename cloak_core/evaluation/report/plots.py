@@ -1,35 +1,47 @@
-"""The plots of an evaluation, of its training, and of judged photographs. Call them inside `style.style`."""
+"""The plots of evaluations, trainings, judged photographs and robustness cards. Call them inside `style.style`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.charts import Bars, Lines
+from cloak_core.detectors import THRESHOLD
+from cloak_core.evaluation.card.leaderboard import name_of
+from cloak_core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.evaluation.report.charts import Bars, Lines, Rings
 from cloak_core.evaluation.report.rows import Rows, rated
-from cloak_core.evaluation.report.style import CYCLE, WIDTH, new_figure, percent_axis
+from cloak_core.evaluation.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.statistics import by_value, hidden_rate, rate_row, share
+from cloak_core.evaluation.trained_run import History
 
-Curves = dict[str, list[tuple[float, float]]]
-"""Named curves of (step, value)."""
 MOST_BODIES = 40
 """Bodies that a plot names one by one."""
+RECALL_WAYS = {"distance": "distance (m)", "azimuth": "azimuth (degrees)", "elevation": "elevation (degrees)"}
+MOST_BARS = 20
+"""Bodies and poses that are named."""
+HIDDEN, FOUND = "people hidden", "found in own clothing"
+WIDE = (1.5 * WIDTH, 3.2)
+BARS = Bars(y="name", rate=HIDDEN)
 
 
-def success_by_angle(results: Results, detector: str, threshold: float) -> Figure | None:
-    """Plot success of the trained colours with its 95 % band, and of every control, over the azimuth."""
-    return Lines(x="angle", series="control", size=(2 * WIDTH, 3.0)).draw(_rows(results, detector, "angle", threshold))
+def evaluation_figures(results: Results, detector: str, threshold: float) -> dict[str, Figure | None]:
+    """Plot success of the trained colours with its 95 % interval, and of every control, by title.
 
-
-def success_by_distance(results: Results, detector: str, threshold: float) -> Figure | None:
-    """Plot success over the camera's distance."""
-    return Lines(x="distance", series="control").draw(_rows(results, detector, "distance", threshold))
+    By angle, distance and body where the images have these (several distances); by the detection threshold.
+    """
+    seen, figures = results.rows(detector, results.controls[0]), {}
+    for column, least, size in (("angle", 1, (2 * WIDTH, 3.0)), ("distance", 2, Lines.size)):
+        if seen[column].nunique() >= least:
+            lines = Lines(x=column, series="control", size=size)
+            figures[f"Success by {column}"] = lines.draw(_rows(results, detector, column, threshold))
+    if seen["body"].nunique():
+        figures["Success by body"] = success_by_body(results, detector, threshold)
+    return figures | {"Success by threshold": success_by_threshold(results, detector, threshold)}
 
 
 def success_by_body(results: Results, detector: str, threshold: float) -> Figure | None:
@@ -95,24 +107,101 @@ def found_by_distance(groups: Mapping[str, Mapping], labels: Mapping[str, str]) 
     return Lines(x="distance", series="picture", rate="found").draw(rows)
 
 
-def training_curves(losses: Curves, success: list[tuple[float, float]]) -> Figure:
+# --- robustness cards
+
+
+def card_figures(card: dict) -> dict[str, Figure | None]:
+    """Draw one card, by the names that its page knows: people found, and people hidden; what it has figures for."""
+    figures = {"recall": recall([card])}
+    for way in ("body", "pose"):
+        worst = sorted(card["recall_by"][way].items(), key=lambda pair: pair[1]["recall_own"])[:MOST_BARS]
+        figures[f"by_{way}"] = Bars(y="name", rate=FOUND).draw(_own_rows("name", worst, "recall"))
+    called = {name: series.label for name, series in SERIES.items()} | {"noise": "black and white"}
+    controls = [(called.get(name, name), row) for name, row in card["controls"].items()]
+    figures["controls"] = BARS.draw(_own_rows("name", controls))
+    if zoo := card["black_box"]["zoo"]:
+        against = [(row["name"] + " (made against it)" * bool(row["trained_against_it"]), row) for row in zoo]
+        figures["zoo"] = BARS.draw(_own_rows("name", against))
+    if card["white_box"]:
+        figures |= {"area": by_area(card), "threshold": by_threshold(card)}
+    if card.get("around"):
+        by_angle = [(float(angle), row) for angle, row in card["around"]["by_angle"].items()]
+        label = {"cloak": "cloak for the full circle"}
+        figures["around"] = Rings(series="cloak").draw([label | row for row in _own_rows("angle", by_angle)])
+    return figures
+
+
+def comparison_figures(cards: Sequence[dict]) -> dict[str, Figure | None]:
+    """Draw what compares cards, by title: people hidden over the cloak's area, each at its own threshold; recall."""
+    rows = [
+        {"name": name_of(card), "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for card in cards
+        for row in card["white_box"]
+    ]
+    lines = Lines(x="area_share", series="name", rate=HIDDEN, size=WIDE)
+    area = "People hidden against the cloak's area, at each one's own threshold"
+    return ({area: lines.draw(rows)} if rows else {}) | {"Found in own clothing": recall(cards)}
+
+
+def by_area(card: dict) -> Figure | None:
+    """Plot people hidden over the cloak's area, at both thresholds, and what the same faces do untrained."""
+    beside = {"at_0.6": f"cloak, at {THRESHOLD:g}"}
+    beside |= {f"{control}_own": SERIES[control].label for control in ("random", CLOTHING)}
+    rows = [
+        row
+        | {"at": f"cloak, at the detector's own {card['operating_point']:g}"}
+        | {"at_0.6": row["success"], "area_share": row["area"], **rated(row, "success_own", "ci95_own")}
+        for row in card["white_box"]
+    ]
+    return Lines(x="area_share", series="at", beside=beside, rate=HIDDEN).draw(rows)
+
+
+def by_threshold(card: dict) -> Figure | None:
+    """Plot people hidden over the detection threshold, a line for each area."""
+    rows = [
+        {"cloak": f"{100 * row['area']:.0f} % of the body, mean {100 * row['masr']:.0f} %"}
+        | {"threshold": float(t), "success": value}
+        for row in card["white_box"]
+        for t, value in row["by_threshold"].items()
+    ]
+    return Lines(x="threshold", series="cloak", rate=HIDDEN).draw(rows)
+
+
+def recall(cards: Sequence[dict]) -> Figure | None:
+    """Plot recall in own clothing by distance, azimuth and elevation; a line for each detector."""
+    rows = [
+        {"name": name_of(card), "way": label, **row}
+        for way, label in RECALL_WAYS.items()
+        for card in cards
+        for row in _own_rows("", ((float(value), row) for value, row in card["recall_by"][way].items()), "recall")
+    ]
+    return Lines(x="", series="name", panel="way", rate=FOUND, size=WIDE).draw(rows)
+
+
+def _own_rows(column: str, records: Iterable[tuple[object, dict]], name: str = "success") -> Rows:
+    """Make rows of labelled records: the rate at the detector's own threshold, with its interval."""
+    return [{column: label, **rated(record, f"{name}_own", "ci95_own")} for label, record in records]
+
+
+# --- training, and matrices
+
+
+def training_curves(history: History) -> Figure:
     """Plot losses over the steps, and the success that training saw on its own images."""
-    figure, axes = new_figure(width=2 * WIDTH, columns=2 if losses and success else 1, height=2.8)
-    if losses:
-        axis = axes[0]
-        for k, (name, points) in enumerate(losses.items()):
+    shown = {"Loss": history.losses, "Success on training images": {"success": history.success}}
+    shown = {title: curves for title, curves in shown.items() if any(curves.values())}
+    figure, axes = new_figure(width=2 * WIDTH, columns=len(shown), height=2.8)
+    for axis, (title, curves) in zip(axes, shown.items(), strict=True):
+        for k, (name, points) in enumerate(curves.items()):
             _curve(axis, points, CYCLE[k % len(CYCLE)], name)
-        axis.set_ylim(bottom=0)
-        axis.set_title("Loss")
+        axis.set_title(title)
         axis.set_xlabel("step")
-        if len(losses) > 1:
+        if title == "Loss":
+            axis.set_ylim(bottom=0)
+        else:
+            percent_axis(axis, "")
+        if len(curves) > 1:
             axis.legend()
-    if success:
-        axis = axes[-1]
-        _curve(axis, success, CYCLE[0], "success")
-        percent_axis(axis, "")
-        axis.set_title("Success on training images")
-        axis.set_xlabel("step")
     return figure
 
 

@@ -7,14 +7,12 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
-from markupsafe import Markup
-
 from cloak_core.evaluation.evaluate import FOLDER, StoredEvaluation, read_evaluation
 from cloak_core.evaluation.report import plots, words
 from cloak_core.evaluation.report.page import MAX_PICTURE, data_uri, page_style, shot, svg, write_page
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.statistics import hidden
-from cloak_core.evaluation.trained_run import History, read_history
+from cloak_core.evaluation.trained_run import read_history
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 
@@ -41,19 +39,13 @@ def make_report(run: Path) -> Path:
             "config": config,
             "config_text": json.dumps(config, indent=2),
             "history": history,
-            "training": _training(history),
+            "training": svg(plots.training_curves(history)) if history.losses or history.success else None,
             "previews": _previews(run),
             "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
             "turntable": _turntable(run, stored),
             "evaluation": _evaluation(stored) if stored else None,
         }
     return write_page(run / "report.html", "report.html", page)
-
-
-def _training(history: History) -> Markup | None:
-    if not (history.losses or history.success):
-        return None
-    return svg(plots.training_curves(history.losses, history.success))
 
 
 def _previews(run: Path) -> list[str]:
@@ -95,16 +87,7 @@ def _detector(stored: StoredEvaluation, d: int, spec: str) -> dict:
     results, summary, folder = stored.results, stored.summary, stored.folder / "pictures"
     rates, threshold = summary["detectors"][spec], summary["settings"]["threshold"]
     logo = results.rows(spec, results.controls[0])
-    figures = {
-        f"Success by {name}": svg(plot(results, spec, threshold))
-        for name, plot in (
-            ("angle", plots.success_by_angle),
-            ("distance", plots.success_by_distance),
-            ("body", plots.success_by_body),
-            ("threshold", plots.success_by_threshold),
-        )
-        if name == "threshold" or logo[name].nunique() > (name == "distance")
-    }
+    figures = plots.evaluation_figures(results, spec, threshold)
     worst = stored.pictures.get("worst", {}).get(spec, [])
     return {
         "index": d,
@@ -114,7 +97,7 @@ def _detector(stored: StoredEvaluation, d: int, spec: str) -> dict:
         "rows": [(c, rates[c], rates["average_precision"][c]) for c in results.controls],
         "false_alarms": summary["false_alarms"][spec],
         "bare": len(results.rows(spec, NOBODY)),
-        "figures": figures,
+        "figures": {title: svg(figure) for title, figure in figures.items()},
         "failures": [_pair(folder, [spec], pair) for pair in stored.pictures["failures"].get(spec, [])],
         "worst": [_pair(folder, [spec], pair) | {"success": pair["success"]} for pair in worst],
         "bodies": logo["pose"].nunique(),

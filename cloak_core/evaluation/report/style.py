@@ -40,9 +40,12 @@ SERIES = {
 }
 """Of the logo and its controls."""
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a7a7a")
+_COLORS = dict.fromkeys([*(series.color for series in SERIES.values()), *CYCLE])
 MARKERS = "osD^vPX"
 DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 INK, FAINT = "#1f2328", "#d5d9de"
+CSS_COLORS = {INK: "--ink", FAINT: "--faint"} | {color: f"--c{i}" for i, color in enumerate(_COLORS)}
+"""The CSS variables that stand for the colours on pages."""
 TITLES = 80
 """Letters of the titles of panels beside each other, in one line over all of them."""
 WIDTH = 6.4
@@ -166,13 +169,6 @@ def inline_svg(figure: Figure) -> str:
     svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.S)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
     svg = re.sub(r"'DejaVu Sans'(, '[^']*')*(, sans-serif)?", "var(--font)", svg)
-    for color, variable in css_colors().items():
+    for color, variable in CSS_COLORS.items():
         svg = svg.replace(color, f"var({variable})")
     return svg
-
-
-def css_colors() -> dict[str, str]:
-    """List the style's colours and the CSS variables that stand for them."""
-    named = {INK: "--ink", FAINT: "--faint"}
-    colors = dict.fromkeys([*(s.color for s in SERIES.values()), *CYCLE])
-    return named | {color: f"--c{i}" for i, color in enumerate(colors)}
