@@ -202,7 +202,7 @@ class RunStore:
         settings, specs = self.evaluate_settings(**changes), tuple(specs or self.specs)
         bodies, angles, people = bodies or self.split.unseen, tuple(map(float, angles)), self.split.unseen_people
         more = {} if people is None else {"people": people_identity(people)}
-        make = lambda one: partial(self.renderer, one, angles, settings, bodies)
+        make = lambda one: partial(self.renderer, one, angles, settings, bodies if people is None else None)
         return pool([self.measured(make(one), one, bodies, specs, angles, settings, **more) for one in trained])
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
@@ -221,9 +221,9 @@ class RunStore:
     def renderer(
         self, trained: Trained, angles: Sequence[float], settings: EvaluateSettings, bodies: Bodies | None = None
     ) -> BodyRenderer | PeopleRenderer:
-        """Make the renderer of an evaluation's images: of bodies, or of the people whom the split has to judge on."""
+        """Make the renderer of an evaluation's images: these bodies, else unseen people, else unseen bodies."""
         backgrounds, device = self.split.unseen_backgrounds, next(iter(self.split.detectors.values())).device
-        if self.split.unseen_people is not None:
+        if bodies is None and self.split.unseen_people is not None:
             worn = LogoClothes(LOGO, logo_positions(trained.logo.topology, trained.logo.face_ids), trained.colors)
             how = WearSettings(size=settings.size)
             return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, how, device)

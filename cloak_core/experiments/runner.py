@@ -145,7 +145,6 @@ def draw_again(name: str, out: Path) -> dict:
     with style():
         figures = {key: chart.draw(record["rows"], record["thresholds"]) for key, chart in charts.items()}
         files = [path.name for key, f in figures.items() if f for path in save_figure(f, folder / key)]
-    write_text(folder / "words.md", f"# {experiment.title}\n\n{experiment.caption}\n")
     record |= {"title": experiment.title, "paper": list(experiment.paper), "words": [experiment.caption]}
     record["figures"] = [*files, *record["pictures"]]
     write_json(folder / "numbers.json", record)

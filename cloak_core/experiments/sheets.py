@@ -6,18 +6,16 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import pandas as pd
 import torch
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
 from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.renderer import EvaluationRenderer
-from cloak_core.evaluation.report.pictures import describe, failure_trials, gallery_trials, reported, to_pil
+from cloak_core.evaluation.controls import LOGO
+from cloak_core.evaluation.renderer import EvaluationRenderer, render_images
+from cloak_core.evaluation.report.pictures import reported, to_pil
 from cloak_core.evaluation.report.style import INK, style
-from cloak_core.evaluation.report.words import control_label, degrees
 
 BOX = "#e0341c"
 INCHES, LINE = 1.6, 0.2
@@ -53,36 +51,9 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
 
 
 @torch.no_grad()
-def trial_pictures(
-    renderer: EvaluationRenderer, trial: int, controls: Sequence[str], detector: Detector, threshold: float
-) -> list[Picture]:
-    """Show one trial under these controls, a picture each, with the boxes that a detector reports."""
-    pictures = []
-    for image in renderer.compose(renderer.views([trial]), [trial], controls):
-        told = reported(image, {"": detector}, threshold)
-        boxes, score = told["boxes"][""], told["scores"][""]
-        text = f"person {score:.2f}" if boxes else f"no person (best {score:.2f})"
-        pictures.append(Picture(to_pil(image[0]), text, boxes))
-    return pictures
-
-
-def contact_sheets(
-    renderer: EvaluationRenderer, rows: pd.DataFrame, detector: Detector, threshold: float
-) -> dict[str, Image.Image]:
-    """Draw pairs of own clothing and cloak: "gallery", chosen by rule, and "failures" where there are any.
-
-    rows: of the detector, under the trained colours.
-    """
-    chosen = {"gallery": gallery_trials(renderer.trials), "failures": failure_trials(rows, threshold)}
-    sheets = {}
-    for name, trials in chosen.items():
-        lines: dict[str, list[Picture]] = {}
-        for trial in trials:
-            told, controls = describe(renderer, trial), (CLOTHING, LOGO)
-            pair = trial_pictures(renderer, trial, controls, detector, threshold)
-            for control, picture in zip(controls, pair, strict=True):
-                body = f"{told['body']}\n" if name == "gallery" else ""
-                text = f"{degrees(told['angle'])}: {picture.text}"
-                lines.setdefault(body + control_label(control), []).append(picture._replace(text=text))
-        sheets |= {name: draw_sheet(lines)} if lines else {}
-    return sheets
+def trial_picture(renderer: EvaluationRenderer, trial: int, detector: Detector, threshold: float) -> Picture:
+    """Show one trial in the trained colours, with the boxes that a detector reports."""
+    image = render_images(renderer, [trial], LOGO)
+    told = reported(image, {"": detector}, threshold)
+    boxes, score = told["boxes"][""], told["scores"][""]
+    return Picture(to_pil(image[0]), f"person {score:.2f}" if boxes else f"no person (best {score:.2f})", boxes)

@@ -35,7 +35,6 @@ from cloak_core.evaluation.transfer.plan import (
     kinship,
 )
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import TRAINING, code_hash
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import remove_leftovers, write_json, written
@@ -107,27 +106,16 @@ class Matrix:
         results = self.store.evaluate(trained, self.cameras.angles, [judged], **test)
         label = {"format": FORMAT, "rung": ablation, "judged": judged, "surrogates": list(surrogates)}
         label |= {"kin": kinship(judged, surrogates, self.family), "strangers_only": self.cross_family_only}
-        return label | transfer_record(results, judged) | self._circumstances(trained, settings)
+        split, made = self.store.split, trained[0].settings
+        label |= {"settings": settings, "steps": made.total_steps(len(split.backgrounds)), "batch": made.run.batch}
+        label |= {"logo": self.logo, "area_share": round(area_share(split.bodies, self.faces), 4)}
+        return label | transfer_record(results, judged) | training_times(trained) | {"materials": split.record()}
 
     def _trained(self, surrogates: tuple[str, ...], seed: int, settings: dict) -> Trained:
         left = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
         if left and left["max_seconds"] <= 0:
             raise Interrupted("the time budget is spent; the same command goes on with what is left")
         return self.store.train(self.faces, surrogates, seed=seed, **settings, **left)
-
-    def _circumstances(self, trained: Sequence[Trained], settings: dict) -> dict:
-        split, code = self.store.split, {str(read_json(t.folder / "config.json").get("code")) for t in trained}
-        return {
-            "settings": settings,
-            "steps": trained[0].settings.total_steps(len(split.backgrounds)),
-            "batch": trained[0].settings.run.batch,
-            **training_times(trained),
-            "code": sorted(code),
-            "code_now": code_hash(*TRAINING),
-            "logo": self.logo,
-            "area_share": round(area_share(split.bodies, self.faces), 4),
-            "materials": split.record(),
-        }
 
 
 def gather(out: Path) -> list[dict]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from PIL import Image
 
 from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation.controls import LOGO
 from cloak_core.experiments.declaration import Cell, Cells, Experiment, Lines, RunStore, Trainings
-from cloak_core.experiments.sheets import Picture, draw_sheet, trial_pictures
+from cloak_core.experiments.sheets import Picture, draw_sheet, trial_picture
 from cloak_core.scene.logos.garments import shirt_trousers
 
 FREE = 100.0
@@ -43,7 +42,7 @@ def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
     rows: dict[str, list[Picture]] = {}
     for cell, (trained, *_) in trainings:
         renderer = store.renderer(trained, cell.angles, settings)
-        (shown,) = trial_pictures(renderer, 0, (LOGO,), detector, THRESHOLD)
+        shown = trial_picture(renderer, 0, detector, THRESHOLD)
         within = f"{cell.label['within']:g}" if cell.label["within"] < FREE else "free"
         rows.setdefault(cell.label["attack"], []).append(shown._replace(text=f"{within}: {shown.text}"))
     return {"strip": draw_sheet(rows)}

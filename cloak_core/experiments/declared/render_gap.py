@@ -36,7 +36,7 @@ def measure(store: RunStore) -> Numbers:
     rows, thresholds, pictures, paths = [], [], {}, SAMPLES // 2 if quick else SAMPLES
     for spec in store.specs:
         trained = store.train_repetitions(chest_thighs(store.split.bodies), [spec], angles=MULTI)[0]
-        ours = store.renderer(trained, angles, settings)
+        ours = store.renderer(trained, angles, settings, unseen)
         ours.trials = ours.trials.assign(outfit=0)  # every other outfit would need frames of its own
         frames = render_frames(ours, (LOGO, *CONTROLS), store.options.out / "frames", paths, store.tell)
         renderers = {"ours": ours} | {light: CyclesRenderer(ours, frames, light) for light in LIGHTS}

@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-from PIL import Image
-
-from cloak_core.detectors import THRESHOLD
-from cloak_core.evaluation.controls import LOGO
-from cloak_core.evaluation.report.words import file_name
-from cloak_core.experiments.declaration import (
-    MULTI,
-    SINGLE,
-    Bars,
-    Cell,
-    Cells,
-    Experiment,
-    RunStore,
-    Thresholds,
-    Trainings,
-    test_angles,
-)
+from cloak_core.experiments.declaration import MULTI, SINGLE, Bars, Cell, Cells, Experiment, RunStore, Thresholds
 from cloak_core.experiments.logos import paper_logos
-from cloak_core.experiments.sheets import contact_sheets
 
 WHOLE = {"logo": "chest + thighs", "training": "multi"}
-"""The row whose images and thresholds are shown."""
+"""The row whose thresholds are shown."""
 PAPER = (
     {"detector": "YOLOv2", "logo": "none", "single": 0.01, "multi": 0.01},
     {"detector": "YOLOv2", "logo": "letter G", "single": 0.98, "multi": 0.86},
@@ -54,19 +37,6 @@ def cells(store: RunStore) -> Cells:
                 )
 
 
-def pictures(store: RunStore, trainings: Trainings) -> dict[str, Image.Image]:
-    """Draw contact sheets of each detector's whole logo, from the first repetition."""
-    sheets, angles = {}, test_angles(store)
-    for cell, trained in trainings:
-        if cell.label == WHOLE:
-            (spec,) = cell.specs
-            rows = store.evaluate(trained[:1], angles, [spec]).rows(spec, LOGO)
-            renderer = store.renderer(trained[0], angles, store.evaluate_settings())
-            for name, sheet in contact_sheets(renderer, rows, store.split.detectors[spec], THRESHOLD).items():
-                sheets[f"{name}-{file_name(spec)}"] = sheet
-    return sheets
-
-
 EXPERIMENT = Experiment(
     title="Attack success by logo and training angles (table 1)",
     caption="Each logo is trained at azimuth 0 (single) and at -10, -5, 0, 5, 10 degrees (multi) and tested on unseen "
@@ -85,7 +55,6 @@ EXPERIMENT = Experiment(
         "thresholds": Thresholds(where=WHOLE, panel="detector", by_control=True),
     },
     paper=PAPER,
-    pictures=pictures,
     by_detector=True,
     order=1,
 )
