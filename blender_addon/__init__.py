@@ -15,11 +15,11 @@ import bpy
 from . import properties, translations
 from .body import operators as body_operators
 from .body import panel as body_panel
-from .logo import heat, overlay, paint, pick, stamp_operators
 from .logo import operators as logo_operators
+from .logo import overlay, paint, pick, stamp_operators
 from .logo import panel as logo_panel
 from .poses import panel as poses_panel
-from .result import evaluate, eye, eye_drawing, outputs, ring, wear
+from .result import eye, outputs, ring, wear
 from .result import operators as result_operators
 from .result import panel as result_panel
 from .session import session
@@ -31,14 +31,14 @@ from .training import panel as training_panel
 from .ui import drawing
 
 WITH_CLASSES = (
-    *(trainer_operators, body_operators, logo_operators, pick, paint, stamp_operators, heat),
-    *(detectors, training_operators, result_operators, evaluate, outputs),
+    *(trainer_operators, body_operators, logo_operators, pick, paint, stamp_operators),
+    *(detectors, training_operators, result_operators, outputs),
     *(body_panel, logo_panel, poses_panel, training_panel, result_panel, wear),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list, drawing)
 """Modules that register something before the classes."""
-WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, eye_drawing.HOOKS, paint, translations)
+WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, translations)
 """Objects that register something after the classes."""
 
 

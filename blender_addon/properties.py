@@ -7,11 +7,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.props import (
-    CollectionProperty,
-    EnumProperty,
-    PointerProperty,
-)
+from bpy.props import CollectionProperty, EnumProperty, PointerProperty
 
 from .blender import blend_paths
 from .blender.blend_paths import absolute, blend_folder
@@ -29,11 +25,9 @@ from .ui.window import Hooks
 
 
 def _logo_index(self: CloakObject) -> int:
-    names = [attribute.name for attribute in self.id_data.data.attributes]
-    if self.logo not in names:
-        first = logo_names(self.id_data.data)
-        return names.index(first[0]) if first else -1
-    return names.index(self.logo)
+    names = self.id_data.data.attributes.keys()
+    shown = [self.logo] if self.logo in names else logo_names(self.id_data.data)
+    return names.index(shown[0]) if shown else -1
 
 
 def _set_logo_index(self: CloakObject, index: int) -> None:

@@ -131,7 +131,11 @@ def request_of(options: argparse.Namespace) -> TrainRequest:
 def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
     """The body the options name, checked and subdivided."""
     if options.sample or options.scene:
-        scene = options.scene or fetch_sample(python, folder)
+        scene = options.scene or folder / "sample"
+        if not options.scene:
+            job = Job("Sample body", [cloak_command(python, *sample_words(scene))], folder, "sample").wait()
+            if job.state != "done":
+                raise InputError(job.message)
         obj = add_from_scene(bpy.context, read_scene(scene))
     elif options.object:
         obj = bpy.context.view_layer.objects.get(options.object)
@@ -160,15 +164,6 @@ def _only_body(logo: str) -> bpy.types.Object | None:
     if len(candidates) > 1:
         raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
     return candidates[0] if candidates else active
-
-
-def fetch_sample(python: str, folder: Path) -> Path:
-    """The sample bodies' scene package, from the trainer."""
-    scene = folder / "sample"
-    job = Job("Sample body", [cloak_command(python, *sample_words(scene))], folder, "sample").wait()
-    if job.state != "done":
-        raise InputError(job.message)
-    return scene
 
 
 def require_writable(path: Path | None, option: str) -> None:

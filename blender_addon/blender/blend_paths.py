@@ -47,18 +47,14 @@ def _owners() -> list[bpy.types.PropertyGroup]:
     return [*objects, *scenes, *(s.judging for s in scenes), *(d for s in scenes for d in s.detectors)]
 
 
-def _path_names(owner: bpy.types.PropertyGroup) -> list[str]:
-    kinds = ("FILE_PATH", "DIR_PATH")
-    return [p.identifier for p in owner.bl_rna.properties if p.type == "STRING" and p.subtype in kinds]
-
-
 @persistent
 def before_saving(file: str, _: object = None) -> None:
     """Before saving: rewrite paths relative to the folder of the file to be written."""
     folder = Path(file).parent if file else None
     _while_saving.clear()
     for owner in _owners():
-        paths = {name: absolute(getattr(owner, name)) for name in _path_names(owner) if getattr(owner, name)}
+        strings = [p for p in owner.bl_rna.properties if p.type == "STRING" and p.subtype in ("FILE_PATH", "DIR_PATH")]
+        paths = {p.identifier: absolute(getattr(owner, p.identifier)) for p in strings if getattr(owner, p.identifier)}
         if paths:
             _while_saving[owner.as_pointer()] = owner, paths
             _write(owner, paths, folder)

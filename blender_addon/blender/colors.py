@@ -13,7 +13,15 @@ import numpy as np
 
 from ..files.errors import InputError
 from ..ui.window import areas
-from .mesh_arrays import corner_counts, image_pixels, mean_of_corners, read, sync, write_attribute
+from .mesh_arrays import (
+    corner_counts,
+    corner_vertices,
+    current_mesh,
+    image_pixels,
+    mean_of_corners,
+    read,
+    write_attribute,
+)
 
 CLOAK = "Cloak"
 """Name of the colour attribute that holds the trained colours."""
@@ -67,18 +75,11 @@ def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> N
 
 def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
     """[F, 3] sRGB: the mean over each face's corners of a colour attribute, as written by `write_face_colors`."""
-    attribute = obj.data.color_attributes[name]
-    values = read(attribute.data, "color", 4)[:, :3]
-    if attribute.domain == "POINT":
-        values = values[read(obj.data.loops, "vertex_index", dtype=np.int32)]
-    return linear_to_srgb(mean_of_corners(corner_counts(obj.data), values))
-
-
-def cloak_colors(obj: bpy.types.Object, face_ids: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """[F, 3] sRGB: the body's own colours with the logo's faces in the trained ones."""
-    combined = own_face_colors(obj)
-    combined[face_ids] = colors
-    return combined
+    with current_mesh(obj) as mesh:
+        attribute = mesh.color_attributes[name]
+        values = read(attribute.data, "color", 4)[:, :3]
+        values = values[corner_vertices(mesh)] if attribute.domain == "POINT" else values
+        return linear_to_srgb(mean_of_corners(corner_counts(mesh), values))
 
 
 def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str | None) -> None:
@@ -107,13 +108,6 @@ def shown_attribute(obj: bpy.types.Object) -> str:
 def shows_heat(obj: bpy.types.Object) -> bool:
     """Whether the heat map is what viewports show."""
     return shown_attribute(obj) == HEATMAP
-
-
-def hide_heat(context: bpy.types.Context, obj: bpy.types.Object, cloaked: bool) -> None:
-    """Show the cloak again where the body or its clothing wears it, else the body's own colours."""
-    show_attribute(context, obj, CLOAK if cloaked and CLOAK in obj.data.color_attributes else None)
-    if shows_heat(obj):  # a body without colours of its own has nothing else to show
-        obj.data.color_attributes.remove(obj.data.color_attributes[HEATMAP])
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
@@ -219,11 +213,9 @@ def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None
 def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
     """[F] int32: material slot of each face; from the attribute, which is ten times as fast as from the polygons."""
     attribute = mesh.attributes.get(SLOTS)
-    if attribute is None:
-        return np.zeros(len(mesh.polygons), np.int32)
-    if len(attribute.data) == len(mesh.polygons):
-        return read(attribute.data, "value", dtype=np.int32)
-    return read(mesh.polygons, SLOTS, dtype=np.int32)
+    return (
+        np.zeros(len(mesh.polygons), np.int32) if attribute is None else read(attribute.data, "value", dtype=np.int32)
+    )
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
@@ -231,23 +223,16 @@ def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
     return next(shown, None)
 
 
-def dress_in_outfits(obj: bpy.types.Object, outfits: np.ndarray) -> None:
-    """Plain clothing for a new body: sRGB [K, F, 3] as the attributes "Outfit", "Outfit 2" ... and a material."""
-    for number, outfit in enumerate(outfits, 1):
-        write_face_colors(obj, OUTFIT if number == 1 else f"{OUTFIT} {number}", outfit)
-    obj.data.materials.append(attribute_material(OUTFIT))
-
-
 # --- what the body looks like without a cloak ------------------------------------------------------------------------
 
 
 def own_outfits(obj: bpy.types.Object) -> np.ndarray:
     """[K, F, 3] float32 sRGB: the body's own colours, and as it would look in its other outfits where it has them."""
-    own = own_face_colors(obj)
-    slots = own_material_slots(obj)
+    with current_mesh(obj) as mesh:
+        own, slots = own_face_colors(obj), own_material_slots(obj, mesh)
     outfit_slots = [i for i, s in enumerate(obj.material_slots) if s.material and _shows_attribute(s.material, OUTFIT)]
     outfits, number = [own], 2
-    while obj.mode != "EDIT" and outfit_slots and obj.data.color_attributes.get(f"{OUTFIT} {number}"):
+    while outfit_slots and obj.data.color_attributes.get(f"{OUTFIT} {number}"):
         other = own.copy()
         worn = np.isin(slots, outfit_slots)
         other[worn] = np.clip(read_face_colors(obj, f"{OUTFIT} {number}")[worn], 0, 1)
@@ -258,17 +243,19 @@ def own_outfits(obj: bpy.types.Object) -> np.ndarray:
 
 def own_face_colors(obj: bpy.types.Object) -> np.ndarray:
     """[F, 3] float32 sRGB: each face's base colour, from its material, image texture or colour attribute."""
-    sync(obj)
-    slots = own_material_slots(obj)
-    colors = np.full((len(slots), 3), GREY, np.float32)
-    for index, slot in enumerate(obj.material_slots):
-        faces = slots == index
-        if slot.material is not None and faces.any():
-            colors[faces] = _material_colors(obj, slot.material, faces)
+    with current_mesh(obj) as mesh:
+        slots = own_material_slots(obj, mesh)
+        colors = np.full((len(slots), 3), GREY, np.float32)
+        for index, slot in enumerate(obj.material_slots):
+            faces = slots == index
+            if slot.material is not None and faces.any():
+                colors[faces] = _material_colors(obj, mesh, slot.material, faces)
     return np.clip(np.nan_to_num(colors, nan=GREY), 0, 1)
 
 
-def _material_colors(obj: bpy.types.Object, material: bpy.types.Material, faces: np.ndarray) -> np.ndarray:
+def _material_colors(
+    obj: bpy.types.Object, mesh: bpy.types.Mesh, material: bpy.types.Material, faces: np.ndarray
+) -> np.ndarray:
     """sRGB [n, 3] or [3] for the faces of a mask."""
     source = _base_color_input(material)
     if source is None:
@@ -276,12 +263,12 @@ def _material_colors(obj: bpy.types.Object, material: bpy.types.Material, faces:
     if not source.is_linked:
         return linear_to_srgb(source.default_value[:3])
     node = source.links[0].from_node
-    if node.bl_idname == "ShaderNodeTexImage" and node.image is not None and obj.data.uv_layers.active:
-        sampled = _image_colors(obj.data, node.image)
+    if node.bl_idname == "ShaderNodeTexImage" and node.image is not None and mesh.uv_layers.active:
+        sampled = _image_colors(mesh, node.image)
         if sampled is not None:
             return sampled[faces]
     name = getattr(node, "layer_name", "") or getattr(node, "attribute_name", "")
-    if name and obj.mode != "EDIT" and obj.data.color_attributes.get(name):
+    if name and mesh.color_attributes.get(name):
         return read_face_colors(obj, name)[faces]
     if node.bl_idname == "ShaderNodeRGB":
         return linear_to_srgb(node.outputs[0].default_value[:3])

@@ -14,12 +14,12 @@ import bmesh
 import bpy
 import numpy as np
 from mathutils import Euler
-from mathutils.kdtree import KDTree
 
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from . import mesh_arrays as arrays
 from .mesh_arrays import topology
+from .occlusion import meetings
 
 NOT_LOGOS = {"sharp_face", "freestyle_face"}
 """Boolean face attributes that Blender itself keeps."""
@@ -90,35 +90,20 @@ def read_faces(obj: bpy.types.Object, name: str) -> np.ndarray:
         return arrays.read(mesh.attributes[name].data, "value", dtype=bool)
 
 
-def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
-    """Set the logo `name` to `mask`, making it where there is none."""
-    if obj.mode == "EDIT" and HAS_LAYERS:
-        _write_edited(obj, name, mask)
+def write_faces(obj: bpy.types.Object, name: str, mask: np.ndarray, where: np.ndarray | None = None) -> None:
+    """Set the logo `name` to `mask`, making it where there is none; where given, in the faces of that mask alone."""
+    if obj.mode == "EDIT" and HAS_LAYERS:  # without reading the mesh, which takes longer than to visit each face
+        where = np.ones(len(mask), bool) if where is None else where
+        bm = bmesh.from_edit_mesh(obj.data)
+        layer = bm.faces.layers.bool.get(name) or bm.faces.layers.bool.new(name)
+        for face, flag in zip(itertools.compress(bm.faces, where.tolist()), mask[where].tolist(), strict=True):
+            face[layer] = flag
+        bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+        arrays.edited(obj)
         return
     with arrays.object_mode(obj):
+        mask = mask if where is None else np.where(where, mask, read_faces(obj, name))
         arrays.write_attribute(obj.data, name, "BOOLEAN", mask)
-
-
-def _write_edited(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
-    """Set the flags of the faces that change alone: Python visits each, and leaving Edit Mode takes longer."""
-    bm = bmesh.from_edit_mesh(obj.data)
-    known = bm.faces.layers.bool.get(name)
-    changed = mask != read_faces(obj, name) if known else mask
-    layer = known or bm.faces.layers.bool.new(name)
-    for face, flag in zip(itertools.compress(bm.faces, changed.tolist()), mask[changed].tolist(), strict=True):
-        face[layer] = flag
-    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
-    arrays.edited(obj)
-
-
-def add_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
-    """Add the faces of `mask` to the logo `name`."""
-    write_faces(obj, name, read_faces(obj, name) | mask)
-
-
-def remove_faces(obj: bpy.types.Object, name: str, mask: np.ndarray) -> None:
-    """Take the faces of `mask` out of the logo `name`."""
-    write_faces(obj, name, read_faces(obj, name) & ~mask)
 
 
 def read_selection(obj: bpy.types.Object) -> np.ndarray:
@@ -127,24 +112,18 @@ def read_selection(obj: bpy.types.Object) -> np.ndarray:
         return arrays.selected(mesh, "polygons") & ~arrays.hidden_faces(mesh)
 
 
-def read_hidden(obj: bpy.types.Object) -> np.ndarray:
-    """Mask [F] of faces hidden in Edit Mode."""
-    with arrays.current_mesh(obj) as mesh:
-        return arrays.hidden_faces(mesh)
-
-
 def select_faces(obj: bpy.types.Object, mask: np.ndarray) -> int:
     """Select exactly the visible faces of `mask`; returns how many of its faces are hidden and stay unselected."""
     with arrays.current_mesh(obj) as mesh:
-        hidden = read_hidden(obj)
+        hidden = arrays.hidden_faces(mesh)
         visible = mask & ~hidden
         if obj.mode == "EDIT":
             _select_edited(obj, visible)
         else:
-            vertices, edges = _elements_of(mesh, visible)
+            corners = np.repeat(visible, arrays.corner_counts(mesh))
             mesh.polygons.foreach_set("select", visible)
-            mesh.vertices.foreach_set("select", vertices)
-            mesh.edges.foreach_set("select", edges)
+            for items, of_corners in ((mesh.vertices, arrays.corner_vertices), (mesh.edges, arrays.corner_edges)):
+                items.foreach_set("select", np.bincount(of_corners(mesh)[corners], minlength=len(items)) > 0)
             mesh.update_tag()
     return int((mask & hidden).sum())
 
@@ -163,17 +142,6 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
         bm.faces[index].select_set(True)
     bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
     arrays.edited(obj)
-
-
-def _elements_of(mesh: bpy.types.Mesh, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the vertices and edges that border the faces of a mask."""
-    loop_total, loop_vertices = arrays.polygon_loops(mesh)
-    loop_edges = arrays.corner_edges(mesh)
-    corners = np.repeat(faces, loop_total)
-    vertices, edges = np.zeros(len(mesh.vertices), bool), np.zeros(len(mesh.edges), bool)
-    vertices[loop_vertices[corners]] = True
-    edges[loop_edges[corners]] = True
-    return vertices, edges
 
 
 # --- making and changing logos ---------------------------------------------------------------------------------------
@@ -208,19 +176,13 @@ def grow(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     return np.logical_or.reduceat(touched[loops], np.cumsum(counts) - counts)
 
 
-def shrink(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-    """The faces of `mask` that share no corner with a face outside it."""
-    return ~grow(obj, ~mask)
-
-
 def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
     """The faces opposite those of `mask` across the object's X = 0 plane, and how many have no opposite.
 
     Opposite is the face whose centre lies nearest to the mirrored centre, within a quarter of its own size.
     """
     with arrays.current_mesh(obj) as mesh:
-        centers = arrays.face_centers(arrays.vertex_points(mesh), *arrays.polygon_loops(mesh))
-        areas = arrays.read(mesh.polygons, "area")
+        centers, areas = arrays.read(mesh.polygons, "center", 3), arrays.read(mesh.polygons, "area")
     ids = np.flatnonzero(mask)
     reach = np.maximum(0.25 * np.sqrt(areas[ids]), 1e-9)
     opposite = nearest_within(centers, centers[ids] * np.float32([-1, 1, 1]), reach)
@@ -231,19 +193,16 @@ def mirror(obj: bpy.types.Object, mask: np.ndarray) -> tuple[np.ndarray, int]:
 
 def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """[Q] index of the point [N, 3] nearest to each query [Q, 3] within its own reach [Q]; -1 where there is none."""
-    # Blender's tree takes quadratic time where many coordinates are equal, as on a regular mesh: turned, none are.
-    margin = reach.max(initial=0.0)
-    low, high = queries.min(0, initial=np.inf) - margin, queries.max(0, initial=-np.inf) + margin
-    near = np.flatnonzero(((points >= low) & (points <= high)).all(1))
-    if not len(near):
-        return np.full(len(queries), -1)
-    turn = np.array(Euler((0.5, 0.7, 1.1)).to_matrix())
-    tree = KDTree(len(near))
-    for index, point in zip(near.tolist(), (points[near] @ turn).tolist(), strict=True):
-        tree.insert(point, index)
-    tree.balance()
-    found = [tree.find(query) for query in (queries @ turn).tolist()]
-    return np.array([index if away <= most else -1 for (_, index, away), most in zip(found, reach, strict=True)], int)
+    # Python asks a tree one point at a time; a grid answers all at once. Turned, for no mesh stands edge-on to it.
+    turn = np.array(Euler((0.5, 0.7, 1.1)).to_matrix())[:, :2]
+    middles, nearest, least = queries @ turn, np.full(len(queries), -1), reach**2
+    for query, point in meetings(middles - reach[:, None], middles + reach[:, None], points @ turn):
+        offset = points[point] - queries[query]
+        away = np.einsum("ij,ij->i", offset, offset)
+        near = np.flatnonzero(away <= least[query])
+        near = near[np.argsort(-away[near])]  # of several for one query the last one written stays
+        nearest[query[near]], least[query[near]] = point[near], away[near]
+    return nearest
 
 
 # --- face lists ----------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from .faces import logo_names
-from .mesh_arrays import evaluated_mesh, face_count, object_mode, polygon_loops, read, write_attribute
+from .mesh_arrays import current_mesh, evaluated_mesh, face_count, object_mode, polygon_loops, read, write_attribute
 
 CARRIED = "cloak_carried_face"
 """Integer face attribute, for the time of an export: each own face's number, counted from 1."""
@@ -33,10 +33,10 @@ LOSES_FACES = {"FLUID", "MESH_TO_VOLUME", "OCEAN", "REMESH", "SKIN", "VOLUME_TO_
 
 def keeps_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> bool:
     """Whether the evaluated faces are the mesh's own, in number, order and corners."""
-    mesh = obj.data
-    if len(evaluated.polygons) != len(mesh.polygons) or len(evaluated.vertices) != len(mesh.vertices):
-        return False
-    return all(map(np.array_equal, polygon_loops(evaluated), polygon_loops(mesh)))
+    with current_mesh(obj) as mesh:
+        if len(evaluated.polygons) != len(mesh.polygons) or len(evaluated.vertices) != len(mesh.vertices):
+            return False
+        return all(map(np.array_equal, polygon_loops(evaluated), polygon_loops(mesh)))
 
 
 def changes_faces(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> bool:

@@ -7,11 +7,14 @@ linear over each triangle's image.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 TOLERANCE = 1e-6
 """Two surfaces count as one if their inverse depths differ by less than this share of the points' range."""
 MAX_PAIRS = 4_000_000
+"""Of triangles and points that are looked at together."""
 
 
 def seen(
@@ -19,39 +22,43 @@ def seen(
 ) -> np.ndarray:
     """Mask [n] of the points [n, 3] on their own faces [n] that no triangle of another face lies before.
 
-    The triangles [T, 3] of faces [T] index plane coordinates `vertices` [V, 3]. Triangles and points meet in the cells
-    of a grid over the plane, about as many cells as there are triangles.
+    The triangles [T, 3] of faces [T] index plane coordinates `vertices` [V, 3].
     """
-    if not len(points):
-        return np.zeros(0, bool)
-    low, high = points[:, :2].min(0), points[:, :2].max(0)
-    corners = vertices[triangles]
-    least, most = corners.min(1), corners.max(1)
-    tolerance = TOLERANCE * max(float(np.ptp(points[:, 2])), 1e-30)
-    side = max(1, int(len(corners) ** 0.5))
-    cell = np.maximum((high - low) / side, 1e-30)
-
-    def cell_of(places: np.ndarray) -> np.ndarray:
-        return np.clip(np.floor((places - low) / cell), 0, side - 1).astype(np.int64)
-
-    cells, triangles = cells_touched(cell_of(least[:, :2]), cell_of(most[:, :2]), side)
-    wanted = cell_of(points[:, :2]) @ np.array([1, side])
-    farthest = np.full(side * side, np.inf)
-    np.minimum.at(farthest, wanted, points[:, 2])
-    matters = most[triangles, 2] > farthest[cells]  # not in empty cells, nor behind all points
-    order = np.argsort(cells[matters])
-    cells, triangles = cells[matters][order], triangles[matters][order]
-    first, last = np.searchsorted(cells, wanted, "left"), np.searchsorted(cells, wanted, "right")
     visible = np.ones(len(points), bool)
-    counts = last - first
-    for part in np.array_split(np.arange(len(points)), 1 + int(counts.sum()) // MAX_PAIRS):
-        point, place = ranges(part, first[part], counts[part])
-        triangle = triangles[place]
-        other = triangle_face[triangle] != faces[point]
-        point, triangle = point[other], triangle[other]
-        covers, ahead = _over_origin(*(corners[triangle, corner] - points[point] for corner in range(3)))
+    corners = [vertices[triangles[:, corner]] for corner in range(3)]
+    least, most = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    tolerance = TOLERANCE * max(float(np.ptp(points[:, 2])) if len(points) else 0.0, 1e-30)
+    for triangle, point in meetings(least[:, :2], most[:, :2], points[:, :2]):
+        matters = (triangle_face[triangle] != faces[point]) & (most[triangle, 2] > points[point, 2])
+        triangle, point = triangle[matters], point[matters]
+        covers, ahead = _over_origin(*(corner[triangle] - points[point] for corner in corners))
         visible[point[covers & (ahead > tolerance)]] = False
     return visible
+
+
+def meetings(low: np.ndarray, high: np.ndarray, places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of boxes, by their corners [B, 2], and places [n, 2] that may lie in them: all that share a cell of a grid.
+
+    Yields indices of boxes and of places, some millions at a time.
+    """
+    side = int(min(len(low), len(places)) ** 0.5)
+    if not side:
+        return
+    first = places.min(0)
+    cell = np.maximum(np.ptp(places, axis=0) / side, 1e-30)
+
+    def cell_of(points: np.ndarray) -> np.ndarray:
+        return np.clip(np.floor((points - first) / cell), 0, side - 1).astype(np.int64)
+
+    own = cell_of(places) @ np.array([1, side])
+    order, count = np.argsort(own), np.bincount(own, minlength=side * side)
+    start = np.cumsum(count) - count
+    cells, box = cells_touched(cell_of(low), cell_of(high), side)
+    some = np.flatnonzero(count[cells])
+    total = int(count[cells].sum())
+    for part in np.array_split(some, 1 + total // MAX_PAIRS):
+        boxes, place = ranges(box[part], start[cells[part]], count[cells[part]])
+        yield boxes, order[place]
 
 
 def depth_buffer(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -94,11 +101,10 @@ def ranges(owners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> tuple[n
 
 def _over_origin(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mask [n] of the triangles with corners [n, 3] that cover the origin, and their inverse depth [n] there."""
-    weights = np.stack([_turn(b, c), _turn(c, a), _turn(a, b)], -1)
-    area = weights.sum(1)
-    covers = ((weights >= 0).all(1) | (weights <= 0).all(1)) & (area != 0)
-    depth = (weights * np.stack([a[:, 2], b[:, 2], c[:, 2]], -1)).sum(1)
-    return covers, depth / np.where(covers, area, 1)
+    u, v, w = _turn(b, c), _turn(c, a), _turn(a, b)
+    area, low, high = u + v + w, np.minimum(np.minimum(u, v), w), np.maximum(np.maximum(u, v), w)
+    covers = ((low >= 0) | (high <= 0)) & (area != 0)
+    return covers, (u * a[:, 2] + v * b[:, 2] + w * c[:, 2]) / np.where(covers, area, 1)
 
 
 def _turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

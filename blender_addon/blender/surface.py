@@ -31,8 +31,8 @@ class Surface:
     """[P, 3]."""
     normals: np.ndarray
     """[P, 3], of any length."""
-    reach: np.ndarray
-    """[P] from each centre to its farthest corner."""
+    reach_squared: np.ndarray
+    """[P] from each centre to its farthest corner, and a little more; squared."""
     shown: np.ndarray
     """[P] bool: not hidden."""
     corners: np.ndarray
@@ -58,7 +58,8 @@ class Surface:
         offset = self.centers - start.astype(np.float32)
         along = offset @ ray.astype(np.float32)
         aside = np.einsum("ij,ij->i", offset, offset) - along * along
-        near = np.flatnonzero((aside <= 1.001 * self.reach**2 + 1e-12) & (along > -self.reach) & self.shown)
+        near = np.flatnonzero((aside <= self.reach_squared) & self.shown)
+        near = near[along[near] > -np.sqrt(self.reach_squared[near])]
         corners = self.points[self.triangles(near)[0]].tolist()
         met = (intersect_ray_tri(*map(Vector, points), ray, start) for points in corners)
         distance = np.array([(np.array(place) - start) @ ray for place in met if place is not None])
@@ -67,9 +68,14 @@ class Surface:
     def face_at(self, place: np.ndarray) -> int:
         """Find the visible face at a point, else the one with the nearest centre; -1 if there is none."""
         point = (place - self.middle).astype(np.float32)
-        squared = _squared(self.centers - point)
-        squared[~self.shown] = np.inf
-        near = np.flatnonzero(squared <= 1.001 * self.reach**2 + 1e-12)
+        return self._face_at(point, self._squared_to(point))
+
+    def _squared_to(self, point: np.ndarray) -> np.ndarray:
+        """[P] squared distances of the shown faces' centres from a point relative to `middle`; infinite for others."""
+        return np.where(self.shown, _squared(self.centers - point), np.float32(np.inf))
+
+    def _face_at(self, point: np.ndarray, squared: np.ndarray) -> int:
+        near = np.flatnonzero(squared <= self.reach_squared)
         if len(near):
             triangles, face = self.triangles(near)
             nearest = [closest_point_on_tri(Vector(point), *map(Vector, t)) for t in self.points[triangles].tolist()]
@@ -78,13 +84,14 @@ class Surface:
 
     def around(self, place: np.ndarray, radius: float) -> np.ndarray:
         """The faces whose centres lie within a radius of a place on the surface, and that look to its side; [n]."""
-        touched = self.face_at(place)
+        point = (place - self.middle).astype(np.float32)
+        squared = self._squared_to(point)
+        touched = self._face_at(point, squared)
         if touched < 0:
             return np.zeros(0, np.int64)
-        point = (place - self.middle).astype(np.float32)
-        near = np.flatnonzero(_squared(self.centers - point) <= radius**2)
-        near = near[self.shown[near] & (self.normals[near] @ self.normals[touched] > 0)]
-        beyond = np.sqrt(_squared(self.centers[touched] - point)) > max(radius, 1.001 * float(self.reach[touched]))
+        near = np.flatnonzero(squared <= radius**2)
+        near = near[self.normals[near] @ self.normals[touched] > 0]
+        beyond = squared[touched] > max(radius**2, float(self.reach_squared[touched]))
         return near if beyond else np.union1d(near, [touched])
 
     def own_mask(self, faces: np.ndarray) -> np.ndarray:
@@ -116,10 +123,10 @@ def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, ow
     middle = placed.mean(0)
     points = (placed - middle).astype(np.float32)
     counts, loops = arrays.polygon_loops(mesh)
-    centers = arrays.face_centers(points, counts, loops)
-    normals = arrays.face_normals(mesh) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
+    centers = (arrays.to_world(arrays.read(mesh.polygons, "center", 3), matrix) - middle).astype(np.float32)
+    normals = arrays.read(mesh.polygon_normals, "vector", 3) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
     away = _squared(points[loops] - np.repeat(centers, counts, axis=0))
-    reach = np.sqrt(np.maximum.reduceat(away, np.cumsum(counts) - counts))
+    reach = 1.001 * np.maximum.reduceat(away, np.cumsum(counts) - counts) + np.float32(1e-12)
     shown = ~arrays.hidden_faces(mesh)
     triangles = arrays.mesh_triangles(mesh)
     return Surface(middle, points, centers, normals, reach, shown, *triangles, own, arrays.face_count(obj))

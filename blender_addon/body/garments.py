@@ -7,6 +7,7 @@ trained colours find their garments again.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -105,7 +106,9 @@ def write_worn(garments: list[Garment], ids: np.ndarray, values: np.ndarray, dre
     for obj, garment in [(_worn_object(g), g) for g in garments]:
         mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
         local = ids[mine] - garment.first
-        colors.write_face_colors(obj, colors.CLOAK, colors.cloak_colors(obj, local, values[mine]))
+        worn = colors.own_face_colors(obj)
+        worn[local] = values[mine]
+        colors.write_face_colors(obj, colors.CLOAK, worn)
         if dress:
             colors.dress(obj, local)
             colors.activate(obj, colors.CLOAK)
@@ -122,12 +125,19 @@ def _worn_object(garment: Garment) -> bpy.types.Object:
     return obj
 
 
-def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str) -> np.ndarray:
+def faces_over(
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    worn: bpy.types.Object,
+    logo: str,
+    show: Callable[[float], None] = lambda fraction: None,
+) -> np.ndarray:
     """Mask [F] of the faces of `worn` whose nearest place on the body lies on the logo.
 
     Both as they stand now; where modifiers make other faces, the mesh's own.
     """
     body, cloth = read_surface(context, obj), read_surface(context, worn)
+    show(0.3)
     on_logo = logo_mask(obj, logo)
     chosen = (body.own >= 0) & on_logo[np.maximum(body.own, 0)]
     low, high = body.centers[chosen].min(0), body.centers[chosen].max(0)
@@ -136,5 +146,9 @@ def faces_over(context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.type
     near = np.flatnonzero(((places >= low - margin) & (places <= high + margin)).all(1))
     tree = BVHTree.FromObject(obj, context.evaluated_depsgraph_get())
     local = to_world(cloth.centers[near] + cloth.middle, np.linalg.inv(np.array(obj.matrix_world)))
-    over = [place for place, point in zip(near.tolist(), local, strict=True) if chosen[tree.find_nearest(point)[2]]]
-    return cloth.own_mask(np.array(over, np.int64))
+    over = np.zeros(len(near), bool)
+    for index, point in enumerate(local):
+        over[index] = chosen[tree.find_nearest(point)[2]]
+        if index % 10_000 == 0:
+            show(0.4 + 0.6 * index / len(near))
+    return cloth.own_mask(near[over])

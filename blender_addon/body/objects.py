@@ -72,12 +72,8 @@ def require_upright(obj: bpy.types.Object) -> None:
 # --- subdivision -----------------------------------------------------------------------------------------------------
 
 
-def _silent(fraction: float) -> None:
-    """Ignore the progress."""
-
-
 def subdivide(
-    obj: bpy.types.Object, triangulate: bool = True, show: Callable[[float], None] = _silent
+    obj: bpy.types.Object, triangulate: bool = True, show: Callable[[float], None] = lambda fraction: None
 ) -> tuple[int, int]:
     """One level of simple subdivision in place: triangles 1 -> 4, quads 1 -> 4, n-gons 1 -> n quads.
 
@@ -87,7 +83,10 @@ def subdivide(
     mesh = obj.data
     with bmesh_of(obj) as bm:
         before = len(bm.faces)
-        _remember_faces(bm)
+        if bm.faces.layers.int.get(ORIGINAL_FACE) is None:
+            layer = bm.faces.layers.int.new(ORIGINAL_FACE)
+            for index, face in enumerate(bm.faces):
+                face[layer] = index
         show(0.05)
         _split(bm, keep_quads=not triangulate, show=show)
         after = len(bm.faces)
@@ -99,16 +98,12 @@ def subdivide(
     return before, after
 
 
-def _remember_faces(bm: bmesh.types.BMesh) -> None:
-    if bm.faces.layers.int.get(ORIGINAL_FACE) is not None:
-        return
-    layer = bm.faces.layers.int.new(ORIGINAL_FACE)
-    for index, face in enumerate(bm.faces):
-        face[layer] = index
-
-
 def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None]) -> None:
-    hidden = _remember_hidden(bm)
+    hidden = any(face.hide for face in bm.faces)
+    if hidden:  # splitting does not hand the flag down reliably
+        layer = bm.faces.layers.int.new("cloak_hidden")
+        for face in bm.faces:
+            face[layer] = face.hide
     has_ngons = any(len(f.verts) > 4 for f in bm.faces)
     corner = bm.verts.layers.int.new("cloak_corner")
     for vert in bm.verts if has_ngons else ():
@@ -127,16 +122,6 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None
     if hidden:
         _hide_again(bm)
     bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
-
-
-def _remember_hidden(bm: bmesh.types.BMesh) -> bool:
-    """Write down which faces are hidden: splitting does not hand the flag down reliably. Whether there are any."""
-    faces = [face for face in bm.faces if face.hide]
-    if faces:
-        layer = bm.faces.layers.int.new("cloak_hidden")
-        for face in bm.faces:
-            face[layer] = face.hide
-    return bool(faces)
 
 
 def _hide_again(bm: bmesh.types.BMesh) -> None:

@@ -73,7 +73,9 @@ def _add(job: Job, scene: Path, people: str) -> str | None:
     bodies, clothed = read_scene(scene), people == "CLOTHED"
     obj = add_people(bpy.context, bodies, clothed, "Sample Body")
     obj.cloak.made_from = f"{SAMPLES[people]}|{bodies.topology}"
-    look_at_selected()
+    for window, area in areas("VIEW_3D") if not bpy.app.background else ():
+        with bpy.context.temp_override(window=window, area=area, region=main_region(area)):
+            bpy.ops.view3d.view_selected()
     settings = bpy.context.scene.cloak
     settings.pose_source, settings.frame_step = "RANGE", 1
     settings.frame_start, settings.frame_end = bpy.context.scene.frame_start, bpy.context.scene.frame_end
@@ -95,8 +97,7 @@ class CLOAK_OT_logo_onto(BodyOperator, label="Put the Logo on It", needs=logo_re
         if worn is None:
             raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
         logo = active_logo(obj)
-        self.show(0.3)
-        mask = faces_over(context, obj, worn, logo)
+        mask = faces_over(context, obj, worn, logo, self.show)
         if not mask.any():
             raise InputError(f"No face of '{worn.name}' lies over logo '{logo}'")
         write_faces(worn, logo, mask)
@@ -114,10 +115,3 @@ class CLOAK_OT_leave_out(BodyOperator, label="Leave It Out"):
             raise InputError(f"'{self.garment}' is not worn by '{obj.name}' any more")
         worn.cloak.left_out = True
         return f"The camera does not see '{worn.name}'"
-
-
-def look_at_selected() -> None:
-    """Let every 3D viewport frame what is selected."""
-    for window, area in areas("VIEW_3D") if not bpy.app.background else ():
-        with bpy.context.temp_override(window=window, area=area, region=main_region(area)):
-            bpy.ops.view3d.view_selected()

@@ -90,12 +90,17 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
     loop_total, loop_vertices = bodies.loop_total, bodies.loop_vertices
     if loop_total is None:
         loop_total, loop_vertices = np.full(bodies.triangle_count, 3, np.int32), bodies.triangles.ravel()
-    _fill_mesh(mesh, poses[0], loop_total, loop_vertices)
+    faces = np.split(loop_vertices, np.cumsum(loop_total)[:-1])
+    mesh.from_pydata(np.ascontiguousarray(poses[0], np.float32), (), faces, shade_flat=False)
+    if mesh.validate():
+        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
     for name, mask in bodies.regions.items():
         mesh.attributes.new(name, "BOOLEAN", "FACE").data.foreach_set("value", mask)
     obj = bpy.data.objects.new(bodies.name, mesh)
     context.collection.objects.link(obj)
-    colors.dress_in_outfits(obj, bodies.face_colors)
+    for number, outfit in enumerate(bodies.face_colors, 1):
+        colors.write_face_colors(obj, colors.OUTFIT if number == 1 else f"{colors.OUTFIT} {number}", outfit)
+    mesh.materials.append(colors.attribute_material(colors.OUTFIT))
     colors.show_attribute(context, obj, colors.OUTFIT)
     if bodies.pose_count > 1:
         _key_poses(context.scene, obj, poses, bodies.names)
@@ -105,18 +110,6 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
         obj.select_set(True)
         context.view_layer.objects.active = obj
     return obj
-
-
-def _fill_mesh(mesh: bpy.types.Mesh, vertices: np.ndarray, loop_total: np.ndarray, loop_vertices: np.ndarray) -> None:
-    mesh.vertices.add(len(vertices))
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
-    mesh.loops.add(len(loop_vertices))
-    mesh.loops.foreach_set("vertex_index", loop_vertices)
-    mesh.polygons.add(len(loop_total))
-    mesh.polygons.foreach_set("loop_start", np.concatenate(([0], np.cumsum(loop_total)[:-1])).astype(np.int32))
-    mesh.update(calc_edges=True)
-    if mesh.validate():
-        raise InputError(f"scene '{mesh.name}': Blender had to repair its faces, so face ids would not fit any more")
 
 
 def _key_poses(scene: bpy.types.Scene, obj: bpy.types.Object, poses: np.ndarray, names: tuple[str, ...]) -> None:

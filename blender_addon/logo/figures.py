@@ -8,8 +8,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..blender.faces import face_areas, read_hidden
-from ..blender.mesh_arrays import current_mesh, hidden_faces, mesh_triangles, to_world, vertex_points
+from ..blender.mesh_arrays import (
+    current_mesh,
+    hidden_faces,
+    mesh_triangles,
+    to_world,
+    triangle_areas,
+    vertex_points,
+)
 from ..blender.occlusion import depth_buffer
 
 PIXELS = 320
@@ -50,19 +56,25 @@ class LogoStats:
 def logo_stats(parts: list[Part]) -> LogoStats:
     """Measure a logo on a body and on its clothing."""
     square = bpy.context.scene.unit_settings.scale_length**2
-    areas = [face_areas(obj) for obj, _ in parts]
-    return LogoStats(
-        faces=sum(int(mask.sum()) for _, mask in parts),
-        hidden=sum(int((mask & read_hidden(obj)).sum()) for obj, mask in parts),
-        area=square * sum(float(area[mask].sum()) for (_, mask), area in zip(parts, areas, strict=True)),
-        whole_area=square * sum(float(area.sum()) for area in areas),
-        **_from_the_front(parts, square),
-    )
+    shapes, hidden, areas = [], 0, []
+    for obj, mask in parts:
+        with current_mesh(obj) as mesh:
+            hides = hidden_faces(mesh)
+            points, corners, face = _in_world(obj, mesh)
+        hidden += int((mask & hides).sum())
+        area = triangle_areas(points, corners)
+        areas.append((area[mask[face]].sum(), area.sum()))
+        seen = ~hides[face] if obj.mode == "EDIT" else slice(None)
+        shapes.append((np.stack([points[:, 0], points[:, 2], -points[:, 1]], -1), corners[seen], face[seen]))
+    count, (own, whole) = sum(int(mask.sum()) for _, mask in parts), (square * np.sum(areas, axis=0)).tolist()
+    return LogoStats(count, hidden, own, whole, **_from_the_front(parts, shapes, square))
 
 
-def _from_the_front(parts: list[Part], square: float) -> dict[str, object]:
-    """Measure the projected areas of logo and outline, and which objects cover the logo."""
-    shapes = [_in_plane(obj) for obj, _ in parts]
+def _from_the_front(parts: list[Part], shapes: list[tuple[np.ndarray, ...]], square: float) -> dict[str, object]:
+    """Measure the projected areas of logo and outline, and which objects cover the logo.
+
+    shapes: of each part vertices [V, 3] as right, up and towards the viewer; triangles [T, 3]; the face of each [T].
+    """
     low = np.min([points[:, :2].min(0) for points, _, _ in shapes], axis=0)
     high = np.max([points[:, :2].max(0) for points, _, _ in shapes], axis=0)
     cell = max(float((high - low).max()), 1e-9) / PIXELS
@@ -90,15 +102,12 @@ def _of_nearest(values: np.ndarray, depths: np.ndarray) -> np.ndarray:
     return np.take_along_axis(values, depths.argmax(0)[None], 0)[0]
 
 
-def _in_plane(obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices [V, 3] as right, up and towards the viewer; triangles [T, 3]; the mesh's own face of each [T].
+def _in_world(obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [V, 3] in the world; triangles [T, 3]; the mesh's own face of each [T].
 
     As viewports show it where modifiers keep the faces, else the mesh as it is without them.
     """
-    with current_mesh(obj) as mesh:
-        if obj.mode != "EDIT":
-            shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-            mesh = shown if len(shown.polygons) == len(mesh.polygons) else mesh
-        points = to_world(vertex_points(mesh), np.array(obj.matrix_world))
-        corners, face = mesh_triangles(mesh, None if obj.mode != "EDIT" else ~hidden_faces(mesh))
-    return np.stack([points[:, 0], points[:, 2], -points[:, 1]], -1), corners, face
+    if obj.mode != "EDIT":
+        shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        mesh = shown if len(shown.polygons) == len(mesh.polygons) else mesh
+    return to_world(vertex_points(mesh), np.array(obj.matrix_world)), *mesh_triangles(mesh)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import bpy
@@ -10,13 +11,24 @@ import numpy as np
 from bpy.props import StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from ..blender import faces
-from ..blender.mesh_arrays import current_mesh, topology
-from ..body.objects import active_body, logo_reason
+from ..blender import colors, faces
+from ..blender.blend_paths import first_free
+from ..blender.colors import HEAT
+from ..blender.mesh_arrays import current_mesh, read, topology, write_attribute
+from ..body.garments import is_dressed
+from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, require_upright
 from ..exchange.face_lists import write_face_list
+from ..exchange.heat import hottest_faces
+from ..exchange.scenes import write_scene
 from ..files.errors import InputError
+from ..files.reading import read_npy
+from ..poses.export import export_bodies
+from ..properties import pose_choice, train_request
+from ..trainer.command_lines import TrainRequest, detector_options
+from ..trainer.jobs import Job, run_cloak
+from ..trainer.preferences import user_folder
 from ..ui import props
-from ..ui.operator import BodyOperator, CloakOperator
+from ..ui.operator import BodyOperator, CloakOperator, push_undo
 
 
 def selected_faces(obj: bpy.types.Object) -> np.ndarray:
@@ -31,7 +43,7 @@ def take(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False) 
     """Make a logo of a mask's faces, or with `add` put them into the active one; returns the logo's name."""
     if add:
         name = faces.active_logo(obj)
-        faces.add_faces(obj, name, mask)
+        faces.write_faces(obj, name, mask, where=mask)
     else:
         name = faces.new_logo(obj, name, mask)
     obj.cloak.logo = name
@@ -104,7 +116,6 @@ class CLOAK_OT_logo_mirror(BodyOperator, label="Mirror", needs=logo_reason):
     extend: props.switch("Extend", "Keep the faces of this side as well", True)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.show(0.3)
         name = faces.active_logo(obj)
         with current_mesh(obj):
             mask = faces.require_logo(obj, name)
@@ -129,7 +140,7 @@ class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", needs=logo_reason):
     """Take the outermost faces off the active logo"""
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        smaller = faces.shrink(obj, mask)
+        smaller = ~faces.grow(obj, ~mask)  # without those that share a corner with a face outside
         if not smaller.any():
             raise InputError("The logo is too small to shrink: nothing would be left")
         return smaller
@@ -160,6 +171,90 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List")
     filter_glob: StringProperty(default="*.npy;*.idx", options={"HIDDEN"})
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.show(0.3)
         obj.cloak.logo = faces.import_face_list(obj, Path(self.filepath))
         return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"
+
+
+@of_the_body
+def heatmap_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot be asked which faces it looks at."""
+    return refusal(require_upright, obj) or refusal(train_request, context.scene.cloak)
+
+
+@of_the_body
+def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why no logo can be made of a heat map."""
+    if obj.data.attributes.get(HEAT) is None:
+        return f"'{obj.name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to take faces from the heat map" if obj.mode == "EDIT" else ""
+
+
+@of_the_body
+def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why a heat map can be neither shown nor hidden."""
+    if obj.data.attributes.get(HEAT) is None:
+        return f"'{obj.name}' has no heat map: press Heatmap first"
+    return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
+
+
+class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", needs=heatmap_reason):
+    """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, settings = active_body(context), context.scene.cloak
+        if obj.mode == "EDIT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        folder = first_free(user_folder("heatmap"), "heat")
+        write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
+        words = heatmap_words(train_request(settings), folder)
+        uid, expected = obj.session_uid, topology(obj)
+
+        def show(job: Job) -> str:
+            body = object_of(uid)
+            if body is None or topology(body) != expected:
+                raise InputError("The body changed while its heat map was made: press Heatmap again")
+            show_heat(bpy.context, body, read_npy(folder / "heat.npy"))
+            push_undo("Heatmap")
+            shutil.rmtree(folder, ignore_errors=True)
+            return "Heatmap: bright faces move the detector most"
+
+        return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
+
+
+def heatmap_words(request: TrainRequest, folder: Path) -> list[object]:
+    """`cloak logo heatmap` of the first detector, from `scene` to `heat.npy` in a folder."""
+    options = detector_options(request.detectors[:1]) + request.options("backgrounds", "angles", "device")
+    return ["logo", "heatmap", "--scene", folder / "scene", *options, "--out", folder / "heat.npy"]
+
+
+def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarray) -> None:
+    """Keep heat [F] on the mesh and show it in the viewports."""
+    heat = np.asarray(heat, np.float32)[: len(obj.data.polygons)]
+    if heat.shape != (len(obj.data.polygons),):
+        raise InputError(f"The heat map has {len(heat)} values for {len(obj.data.polygons)} faces: press Heatmap again")
+    write_attribute(obj.data, HEAT, "FLOAT", heat)
+    colors.write_face_colors(obj, colors.HEATMAP, colors.heat_colors(heat))
+    colors.show_attribute(context, obj, colors.HEATMAP)
+
+
+class CLOAK_OT_heatmap_toggle(BodyOperator, label="Toggle Heatmap", needs=shown_heat_reason):
+    """Show the heat map, or give the body its own look, or its cloak, back; the heat stays for New from Heatmap"""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        if not colors.shows_heat(obj):
+            show_heat(context, obj, read(obj.data.attributes[HEAT].data, "value"))
+            return f"'{obj.name}' shows its heat map"
+        attributes = obj.data.color_attributes
+        colors.show_attribute(context, obj, colors.CLOAK if is_dressed(obj) and colors.CLOAK in attributes else None)
+        if colors.shows_heat(obj):  # a body without colours of its own has nothing else to show
+            attributes.remove(attributes[colors.HEATMAP])
+        return f"'{obj.name}' shows its heat map no more"
+
+
+class CLOAK_OT_logo_from_heat(BodyOperator, label="New from Heatmap", needs=heat_reason):
+    """Make a logo of the faces that move the detector most for their size"""
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        heat = read(obj.data.attributes[HEAT].data, "value")
+        ids = hottest_faces(heat, faces.face_areas(obj), context.scene.cloak.heat_share)
+        return f"Logo '{take(obj, np.isin(np.arange(len(heat)), ids), 'Heat')}': {len(ids):,} faces"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -35,32 +34,21 @@ BLINK = 0.03
 REST = 0.2
 """Seconds without a change after which what takes longer is computed."""
 
-_drawn: tuple[object, Shape | None] = (None, None)
-"""Corners that were drawn last, and their shape."""
 MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
 """Events of a mouse that moves."""
 ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
 
 
-@dataclass(frozen=True)
-class _Key:
-    """What a kept value was computed from."""
-
-    object: int
-    logo: str
-    changes: int
-    mode: str
-    scale: tuple[float, ...]
-    """The object's transform without its place."""
-    worn: tuple[str, ...]
+_Key = tuple[str, int, object]
+"""What a kept value was computed from: the logo, its object, and whatever else may change the value."""
 
 
 def _key(obj: bpy.types.Object) -> _Key | None:
     if not faces.logo_names(obj.data):
         return None
-    scale, worn = obj.matrix_world.to_3x3(), worn_by(obj)
-    names, values = tuple(o.name for o in worn), tuple(value for row in scale for value in row)
-    return _Key(obj.session_uid, faces.active_logo(obj), session.mesh_changes, obj.mode, values, names)
+    turn = tuple(value for row in obj.matrix_world.to_3x3() for value in row)  # a place changes nothing
+    others = session.mesh_changes, obj.mode, turn, tuple(o.name for o in worn_by(obj))
+    return faces.active_logo(obj), obj.session_uid, others
 
 
 class _Kept:
@@ -74,6 +62,7 @@ class _Kept:
         self.key: _Key | None = None
         self.wanted: _Key | None = None
         self.value: object = None
+        self._drawn: tuple[object, Shape | None] = (None, None)
         self._seconds = 0.0
 
     def get(self, obj: bpy.types.Object, key: _Key) -> object:
@@ -84,8 +73,15 @@ class _Kept:
                 self.update(obj)
             elif not bpy.app.timers.is_registered(_catch_up):
                 bpy.app.timers.register(_catch_up, first_interval=REST if self.slow else 0)
-        same = self.key is not None and (self.key.object, self.key.logo) == (key.object, key.logo)
-        return self.value if same else None
+        return self.value if self.key is not None and self.key[:2] == key[:2] else None
+
+    def draw(self, obj: bpy.types.Object, key: _Key, kind: str, color: tuple[float, ...]) -> None:
+        """Draw the value, corners of triangles or ends of lines, in the object's space."""
+        corners = self.get(obj, key)
+        if self._drawn[0] is not corners:
+            self._drawn = corners, Shape(kind, corners, color) if corners is not None and len(corners) else None
+        if self._drawn[1] is not None:
+            self._drawn[1].draw(obj.matrix_world)
 
     @property
     def slow(self) -> bool:
@@ -94,7 +90,7 @@ class _Kept:
     def update(self, obj: bpy.types.Object) -> None:
         start = time.perf_counter()
         with arrays.current_mesh(obj):
-            self.value = self._compute(obj, faces.read_faces(obj, self.wanted.logo))
+            self.value = self._compute(obj, faces.read_faces(obj, self.wanted[0]))
         self.key, self._seconds = self.wanted, time.perf_counter() - start
 
 
@@ -125,7 +121,7 @@ def _catch_up() -> float | None:
 def _parts(obj: bpy.types.Object, mask: np.ndarray) -> list[tuple[bpy.types.Object, np.ndarray]]:
     """The body and what the camera sees on it, each with its faces of the active logo."""
     key = _key(obj)
-    return [(obj, mask), *((o, logo_mask(o, key.logo)) for o in worn_by(obj) if key is not None)]
+    return [(obj, mask), *((o, logo_mask(o, key[0])) for o in worn_by(obj) if key is not None)]
 
 
 def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
@@ -137,7 +133,7 @@ def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """`tint_triangles` of the body and of its clothing, in the body's space."""
     back, key = np.array(obj.matrix_world.inverted_safe()), _key(obj)
     found = [
-        arrays.to_world(tint_triangles(o, on_it, key.logo if key else ""), back @ np.array(o.matrix_world))
+        arrays.to_world(tint_triangles(o, on_it, key[0] if key else ""), back @ np.array(o.matrix_world))
         for o, on_it in _parts(obj, mask)
         if on_it.any()
     ]
@@ -178,7 +174,7 @@ def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tupl
     mesh, key = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data, _key(obj)
     if len(mesh.polygons) == len(mask):
         return mesh, mask
-    attribute = mesh.attributes.get(logo or (key.logo if key else ""))
+    attribute = mesh.attributes.get(logo or (key[0] if key else ""))
     if attribute is None or attribute.domain != "FACE":
         return obj.data, mask
     return mesh, arrays.read(attribute.data, "value", dtype=bool)
@@ -197,34 +193,19 @@ def _draw() -> None:
     key = _key(obj)
     if key is None:
         return
-    if _sees_heat(obj):
-        _draw_kept(obj, _outline.get(obj, key), "LINES", OUTLINE)
-    elif not _wears_cloak(obj):
-        _draw_kept(obj, _tint.get(obj, key), "TRIS", TINT)
+    shown = _shown_colors(obj)
+    if shown == colors.HEATMAP:
+        _outline.draw(obj, key, "LINES", OUTLINE)
+    elif shown != colors.CLOAK:
+        _tint.draw(obj, key, "TRIS", TINT)
 
 
-def _draw_kept(obj: bpy.types.Object, corners: np.ndarray | None, kind: str, color: tuple[float, ...]) -> None:
-    """Draw triangles, or lines, in the object's space."""
-    global _drawn
-    if _drawn[0] is not corners:
-        some = corners is not None and len(corners)
-        _drawn = (corners, Shape(kind, corners, color) if some else None)
-    if _drawn[1] is not None:
-        _drawn[1].draw(obj.matrix_world)
-
-
-def _sees_heat(obj: bpy.types.Object) -> bool:
-    """Whether this viewport shows the heat map, which a tint would hide."""
-    shading = bpy.context.space_data.shading
-    return shading.type == "SOLID" and shading.color_type == "VERTEX" and colors.shows_heat(obj)
-
-
-def _wears_cloak(obj: bpy.types.Object) -> bool:
-    """Whether trained colours or a heat map are shown, which a tint would falsify."""
+def _shown_colors(obj: bpy.types.Object) -> str:
+    """Which colour attribute this viewport shows: a tint would falsify trained colours and hide a heat map."""
     shading = bpy.context.space_data.shading
     if shading.type == "SOLID":
-        return shading.color_type == "VERTEX" and colors.shown_attribute(obj) in (colors.CLOAK, colors.HEATMAP)
-    return colors.is_dressed(obj)
+        return colors.shown_attribute(obj) if shading.color_type == "VERTEX" else ""
+    return colors.CLOAK if colors.is_dressed(obj) else ""
 
 
 @persistent
@@ -236,26 +217,20 @@ def _on_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
 
 
 @persistent
-def _on_frame(*_: object) -> None:
-    _note_change()
-
-
-def _note_change() -> None:
+def _note_change(*_: object) -> None:
     session.mesh_changes, session.mesh_changed_at = session.mesh_changes + 1, time.monotonic()
 
 
 def _forget() -> None:
-    global _drawn
     with contextlib.suppress(ValueError):
         bpy.app.timers.unregister(_catch_up)
-    _drawn = None, None
     for kept in (_stats, _tint, _outline):
         kept.clear()
 
 
 HOOKS = Hooks(
     ("depsgraph_update_post", _on_change),
-    *((name, _on_frame) for name in ("frame_change_post", "load_post", "undo_post", "redo_post")),
+    *((name, _note_change) for name in ("frame_change_post", "load_post", "undo_post", "redo_post")),
     drawing=((_draw, "POST_VIEW"),),
     closing=_forget,
 )

@@ -10,7 +10,6 @@ from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origi
 from mathutils import Vector
 
 from ..blender import faces
-from ..blender.mesh_arrays import current_mesh
 from ..blender.surface import Surface, read_surface
 from ..files.errors import InputError
 from ..ui import props
@@ -45,7 +44,6 @@ touches; with X-Ray on, also those behind, all through the body"""
     # --- from a list of places ---
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.show(0.3)
         surface = read_surface(context, obj)
         painted = [self._dab(obj, surface, Vector(dab.location), dab.size) for dab in self.stroke]
         return self._write(obj, surface, np.unique(np.concatenate([np.zeros(0, np.int64), *painted])))
@@ -63,12 +61,11 @@ touches; with X-Ray on, also those behind, all through the body"""
         if not mask.any():
             raise InputError("The brush touched no face of the body")
         removes = self.action == "REMOVE"
-        with current_mesh(obj):
-            if removes:
-                obj.cloak.logo = name = faces.active_logo(obj)
-                faces.remove_faces(obj, name, mask)
-            else:
-                name = take(obj, mask, "Logo", add=bool(faces.logo_names(obj.data)))
+        if removes:
+            obj.cloak.logo = name = faces.active_logo(obj)
+            faces.write_faces(obj, name, ~mask, where=mask)
+        else:
+            name = take(obj, mask, "Logo", add=bool(faces.logo_names(obj.data)))
         return f"Logo '{name}': {int(mask.sum()):,} faces painted {'out' if removes else 'in'}"
 
     # --- with the mouse ---

@@ -76,8 +76,7 @@ def _buttons(column: bpy.types.UILayout, *names: str) -> None:
     """Operators of the active logo in one row."""
     row = column.row(align=True)
     for name in names:
-        label = {"export": "Export Face List", "import": "Import"}.get(name)
-        row.operator(f"cloak.logo_{name}", **({"text": label} if label else {}))
+        row.operator(f"cloak.logo_{name}")
 
 
 class CLOAK_PT_regions(CloakPanel, label="Take, Change, Export", inside="logo"):
@@ -92,7 +91,9 @@ class CLOAK_PT_regions(CloakPanel, label="Take, Change, Export", inside="logo"):
         row.operator_menu_enum("cloak.logo_from_face_set", "face_set", text="Face Set")
         row.operator("cloak.logo_from_island", text="Island")
         _buttons(column, "mirror", "grow", "shrink")
-        _buttons(column, "export", "import")
+        row = column.row(align=True)
+        row.operator("cloak.logo_export")
+        row.operator("cloak.logo_import", text="Import")
 
 
 class CLOAK_PT_stamp(CloakPanel, label="Stamp", inside="logo"):

@@ -73,7 +73,6 @@ class PickOperator(BodyOperator):
         raise NotImplementedError
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.show(0.3)
         with current_mesh(obj) as mesh:
             mask, name = self.pick(obj, mesh)
             if not mask.any():

@@ -12,8 +12,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, read
-from ..blender.occlusion import depth_buffer, seen
+from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, vertex_points
+from ..blender.occlusion import seen
 from ..blender.surface import Surface
 from ..files.errors import InputError
 
@@ -31,7 +31,7 @@ def text_stamp(text: str) -> np.ndarray:
         mesh = carrier.to_mesh()
         if mesh is None or not len(mesh.polygons):
             raise InputError(f"Nothing to see in the text '{text}': the font has no such letters")
-        return _fill(read(mesh.vertices, "co", 3)[:, :2], mesh_triangles(mesh)[0])
+        return _fill(vertex_points(mesh)[:, :2], mesh_triangles(mesh)[0])
     finally:
         carrier.to_mesh_clear()
         bpy.data.objects.remove(carrier)
@@ -39,11 +39,20 @@ def text_stamp(text: str) -> np.ndarray:
 
 
 def _fill(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Scanline fill, nonzero winding, of triangles [T, 3] that turn the same way."""
     low, high = points.min(0), points.max(0)
     scale = RESOLUTION / max(high - low)
     width, height = np.maximum(1, np.ceil((high - low) * scale)).astype(int)
-    flat = np.concatenate([(points - low) * scale, np.zeros((len(points), 1))], 1)
-    return depth_buffer(flat, triangles, (width, height))[1][::-1] >= 0
+    places, rows = (points - low) * scale, np.arange(height) + 0.5
+    starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    rises = places[ends, 1] > places[starts, 1]
+    below, above = places[np.where(rises, starts, ends)], places[np.where(rises, ends, starts)]
+    edge, row = np.nonzero((below[:, 1:] <= rows) & (rows < above[:, 1:]))
+    way = (rows[row] - below[edge, 1]) / (above[edge, 1] - below[edge, 1])
+    column = np.ceil(below[edge, 0] + way * (above[edge, 0] - below[edge, 0]) - 0.5).astype(int)
+    winding = np.zeros((height, width + 1), int)
+    np.add.at(winding, (row, np.clip(column, 0, width)), np.where(rises[edge], 1, -1))
+    return winding.cumsum(1)[::-1, :width] != 0
 
 
 def smiley_stamp() -> np.ndarray:
@@ -90,10 +99,6 @@ class Projection:
     """[3] into the scene."""
     eye: np.ndarray | None = None
     """[3] where rays come from; None for a parallel projection along `direction`."""
-
-    def toward(self, points: np.ndarray) -> np.ndarray:
-        """[3] or [n, 3]: from points [n, 3] to the viewer."""
-        return -self.direction if self.eye is None else self.eye - points
 
     def of(self, points: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]; mask of those before the eye."""
@@ -145,9 +150,6 @@ class Placed:
     def __init__(self, surface: Surface, ink: np.ndarray) -> None:
         self.surface, self.ink = surface, ink
         self.aspect = ink.shape[1] / ink.shape[0]
-        self._visible = np.zeros(len(surface.centers), np.int8)
-        """1 where a face is known to be seen from `_from`, -1 where it is known to be hidden, 0 else."""
-        self._from: tuple = ()
 
     def own_mask(self, projection: Projection) -> np.ndarray:
         """Mask [F] of the mesh's own faces that the stamp covers; `InputError` where there are none."""
@@ -160,27 +162,18 @@ class Placed:
         """The evaluated faces [n] whose centres lie under ink, that look at the viewer and that nothing hides."""
         surface = self.surface
         plane, ahead = projection.of(surface.centers, surface.middle)
-        inside = np.flatnonzero((np.abs(plane[:, :2]) <= 1).all(1) & ahead & surface.shown)
-        facing = (surface.normals[inside] * projection.toward(surface.centers[inside] + surface.middle)).sum(1) > 0
+        inside = np.flatnonzero((np.abs(plane[:, 0]) <= 1) & (np.abs(plane[:, 1]) <= 1) & ahead & surface.shown)
+        eye = projection.eye  # None: far away, against the direction
+        toward = -projection.direction if eye is None else eye - (surface.centers[inside] + surface.middle)
+        facing = (surface.normals[inside] * toward).sum(1) > 0
         inside = inside[facing & under_ink(plane[inside], self.ink)]
-        # From one side the same faces are hidden wherever the stamp is, so that is asked once.
-        side = (projection.eye is None, *(projection.direction if projection.eye is None else projection.eye))
-        if side != self._from:
-            self._from = side
-            self._visible[:] = 0
-        new = inside[self._visible[inside] == 0]
-        if len(new):
-            self._visible[new] = np.where(self._look(new, plane, projection), 1, -1)
-        return inside[self._visible[inside] > 0]
-
-    def _look(self, faces: np.ndarray, plane: np.ndarray, projection: Projection) -> np.ndarray:
-        """Mask [n] of faces, whose centres lie at `plane` [P, 3], that no other face covers."""
-        points, ahead = projection.of(self.surface.points, self.surface.middle)
-        low, high = plane[faces, :2].min(0), plane[faces, :2].max(0)
+        if not len(inside):
+            return inside
+        points, before = projection.of(surface.points, surface.middle)
+        low, high = plane[inside, :2].min(0), plane[inside, :2].max(0)
         sides = (points[:, :2] < low) * np.uint8([1, 2]) + (points[:, :2] > high) * np.uint8([4, 8])
-        behind = (points[:, 2] < plane[faces, 2].min()) * np.uint8(16)
-        corners, face = self.surface.corners, self.surface.face
-        beyond, (a, b, c) = sides[:, 0] | sides[:, 1] | behind, corners.T
+        behind = (points[:, 2] < plane[inside, 2].min()) * np.uint8(16)
+        beyond, (a, b, c) = sides[:, 0] | sides[:, 1] | behind, surface.corners.T
         near = (beyond[a] & beyond[b] & beyond[c]) == 0  # a triangle beyond one side hides nothing
-        near &= ahead[a] & ahead[b] & ahead[c]
-        return seen(plane[faces], faces, points, corners[near], face[near])
+        near &= before[a] & before[b] & before[c]
+        return inside[seen(plane[inside], inside, points, surface.corners[near], surface.face[near])]

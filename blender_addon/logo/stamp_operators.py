@@ -13,7 +13,7 @@ from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_
 from mathutils import Vector
 
 from ..blender.faces import face_areas
-from ..blender.mesh_arrays import current_mesh, triangle_areas
+from ..blender.mesh_arrays import triangle_areas
 from ..blender.surface import read_surface
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
@@ -40,16 +40,21 @@ class StampOperator(BodyOperator):
         """Read the body and the stamp; returns the settings."""
         require_upright(obj)
         settings = context.scene.cloak
-        ink, self._name = ink_of(settings)
-        self.show(0.3)  # a body with subdivision takes seconds
+        if settings.stamp_kind == "TEXT":
+            ink, self._name = stamp.text_stamp(settings.stamp_text), settings.stamp_text.strip()
+        elif settings.stamp_kind == "IMAGE":
+            ink, self._name = stamp.image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
+        else:
+            ink, self._name = stamp.smiley_stamp(), "Smiley"
         self._obj, self._placed = obj, Placed(read_surface(context, obj), ink)
+        self.show(0.6)  # a body with subdivision takes seconds
         return settings
 
     def write(self, projection: Projection, add: bool) -> str:
         """Make the logo, or add to the active one; returns what to say."""
         mask = self._placed.own_mask(projection)
-        with current_mesh(self._obj):
-            name = take(self._obj, mask, self._name, add)
+        self.show(0.9)
+        name = take(self._obj, mask, self._name, add)
         return f"Logo '{name}': {int(mask.sum()):,} faces under the stamp"
 
 
@@ -123,7 +128,7 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         self.lay(context, obj)
-        return self._stamp()
+        return self.write(self._projection(), self.add)
 
     def lay(self, context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types.PropertyGroup:
         settings = context.scene.cloak
@@ -136,9 +141,6 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
     def _projection(self) -> Projection:
         place, direction = np.array(self.place), np.array(self.direction)
         return laid(place, direction, self.height, self._placed.aspect, self.angle)
-
-    def _stamp(self) -> str:
-        return self.write(self._projection(), self.add)
 
     # --- with the mouse ---
 
@@ -169,9 +171,11 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         if event.type in MOVES:
             self._follow(event)
         elif event.type in {"WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"} and pressed:
-            self._resize(STEP)
+            self.height *= STEP
+            self._show()
         elif event.type in {"WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"} and pressed:
-            self._resize(1 / STEP)
+            self.height /= STEP
+            self._show()
         elif event.type == "R" and pressed:
             self._turning = None if self._turning else (event.mouse_x, self.angle)
         elif event.type in {"LEFTMOUSE", "RET", "NUMPAD_ENTER"} and pressed:
@@ -195,10 +199,6 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
                 self.place, self.direction = Vector(hits[0]), direction
         self._show()
 
-    def _resize(self, factor: float) -> None:
-        self.height *= factor
-        self._show()
-
     def _show(self) -> None:
         self._preview.replace(self._placed.faces(self._projection()))
         self._area.tag_redraw()
@@ -207,16 +207,7 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         self._preview.unregister()
         self._area.header_text_set(None)
         self._area.tag_redraw()
-        return self.attempt(self._stamp) if stamps else {"CANCELLED"}
-
-
-def ink_of(settings: bpy.types.PropertyGroup) -> tuple[np.ndarray, str]:
-    """The stamp that is set, and a name for the logo it makes."""
-    if settings.stamp_kind == "TEXT":
-        return stamp.text_stamp(settings.stamp_text), settings.stamp_text.strip()
-    if settings.stamp_kind == "IMAGE":
-        return stamp.image_stamp(settings.stamp_image), Path(settings.stamp_image.name).stem
-    return stamp.smiley_stamp(), "Smiley"
+        return self.attempt(self.write, self._projection(), self.add) if stamps else {"CANCELLED"}
 
 
 def _from_view(context: bpy.types.Context, size: float, aspect: float) -> Projection:

@@ -17,10 +17,17 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.faces import logo_mask, require_logo
-from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, read, to_world, topology
-from ..blender.modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, numbered_faces
-from ..body.garments import Garment, worn_by
-from ..body.objects import require_body, require_upright, scene_axes
+from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, to_world, topology, vertex_points
+from ..blender.modifiers import (
+    carried_faces,
+    changes_faces,
+    keeps_faces,
+    lost_reason,
+    modifiers_reason,
+    numbered_faces,
+)
+from ..body.garments import Garment, also_wearing, worn_by
+from ..body.objects import active_body, body_reason, refusal, require_body, require_upright, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.face_lists import write_face_list
 from ..exchange.scenes import write_scene
@@ -28,8 +35,17 @@ from ..files.errors import InputError
 from ..files.identity import sha256_arrays, sha256_record
 from ..files.reading import read_json
 from ..files.writing import new_folder, write_json
+from ..properties import pose_choice
 from ..ui.window import progress_cursor
-from .poses import PoseChoice, first_frame, list_poses, require_own_animation, require_size, visit
+from .poses import (
+    PoseChoice,
+    first_frame,
+    list_poses,
+    require_faces,
+    require_own_animation,
+    require_size,
+    visit,
+)
 
 RECORD = "export.json"
 
@@ -50,6 +66,30 @@ class Part:
     def face_count(self) -> int:
         """Number of faces; polygons that modifiers add are counted after the mesh's own."""
         return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
+
+
+def poses_reason(context: bpy.types.Context, choice: PoseChoice | None = None) -> str:
+    """Why the given poses (by default those of step 3) cannot be exported."""
+    reason = body_reason(context)
+    if reason:
+        return reason
+    obj, choice = active_body(context), choice or pose_choice(context.scene.cloak)
+    reason = refusal(require_upright, obj) or refusal(require_faces, obj) or refusal(require_size, obj)
+    reason = reason or refusal(list_poses, obj, choice)
+    return reason or refusal(require_own_animation, [obj, *worn_by(obj)], choice) or modifiers_reason(obj)
+
+
+def export_summary(context: bpy.types.Context) -> str:
+    """What will be exported, counted."""
+    obj, settings = active_body(context), context.scene.cloak
+    poses = len(list_poses(obj, pose_choice(settings)))
+    text = f"{poses} pose{'s' * (poses != 1)} of {len(obj.data.polygons):,} faces"
+    worn, too = worn_by(obj), also_wearing(obj, obj.cloak.logo)
+    if worn:
+        text += f", with {', '.join(o.name for o in worn)}"
+    if too:
+        text += f"; the logo goes on over {', '.join(o.name for o in too)}"
+    return text
 
 
 def export_bodies(
@@ -105,20 +145,16 @@ def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bo
     with evaluated_mesh(obj, graph) as (mesh, matrix):
         own = None
         if by_own_face and not keeps_faces(obj, mesh):
-            own = _numbered_on(obj, carried_faces(obj, mesh))
-        world = to_world(read(mesh.vertices, "co", 3), matrix) * graph.scene.unit_settings.scale_length
+            own = carried_faces(obj, mesh)
+            if own is None:
+                raise InputError(lost_reason(obj))
+            # Polygons of no own face get numbers behind the mesh's last.
+            own = np.where(own < 0, len(obj.data.polygons) + np.cumsum(own < 0) - 1, own).astype(np.int32)
+        world = to_world(vertex_points(mesh), matrix) * graph.scene.unit_settings.scale_length
         triangles, face = mesh_triangles(mesh) if with_triangles else (None, None)
         if with_triangles and own is not None:
             face = own[face]
         return Part(scene_axes(world).astype(np.float32), *polygon_loops(mesh), own, triangles, face)
-
-
-def _numbered_on(obj: bpy.types.Object, own: np.ndarray | None) -> np.ndarray:
-    """[P] int32: polygons of no own face get numbers behind the mesh's last. Raises `InputError` where all are lost."""
-    if own is None:
-        raise InputError(lost_reason(obj))
-    new = own < 0
-    return np.where(new, len(obj.data.polygons) + np.cumsum(new) - 1, own).astype(np.int32)
 
 
 def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:

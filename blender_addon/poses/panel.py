@@ -8,8 +8,8 @@ import bpy
 from ..blender.modifiers import modifiers_reason
 from ..body.objects import active_body, body_reason
 from ..ui.panel_parts import CloakPanel, wrapped
+from .export import export_summary, poses_reason
 from .poses import lying_warning
-from .reasons import export_summary, poses_reason
 
 
 class CLOAK_PT_poses(CloakPanel, label="3. Poses", closed=True, unfinished=poses_reason):

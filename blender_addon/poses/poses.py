@@ -7,7 +7,7 @@ Stepping through poses changes the scene's frame, actions and unkeyed pose; `vis
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import bpy
@@ -85,15 +85,11 @@ def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
 
 
 def _fits(action: bpy.types.Action, owner: bpy.types.ID) -> bool:
-    return any(_path_fits(curve.data_path, owner) for curve in _curves(action, owner))
-
-
-def _path_fits(path: str, owner: bpy.types.ID) -> bool:
-    try:
-        owner.path_resolve(path)
-    except ValueError:
-        return False
-    return True
+    for curve in _curves(action, owner):
+        with suppress(ValueError):  # the owner has no such property
+            owner.path_resolve(curve.data_path)
+            return True
+    return False
 
 
 def _slot(action: bpy.types.Action, owner: bpy.types.ID) -> object | None:
@@ -208,17 +204,12 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
 def _animation_of(owner: bpy.types.ID) -> Callable[[], None]:
     """Return a function that restores the owner's current animation."""
     data = owner.animation_data
-    had = data is not None
-    action, slot = (data.action, getattr(data, "action_slot", None)) if had else (None, None)
-    use_nla = data.use_nla if had else True
+    if data is None:
+        return owner.animation_data_clear
+    use_nla, action, slot = data.use_nla, data.action, getattr(data, "action_slot", None)
 
     def restore() -> None:
         now = owner.animation_data
-        if now is None:
-            return
-        if not had:
-            owner.animation_data_clear()
-            return
         now.use_nla = use_nla
         if now.action != action:
             now.action = action

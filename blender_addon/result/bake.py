@@ -7,13 +7,14 @@ that filtering finds no edge. A UV map of Cloak's own gives every face a square 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.mesh_arrays import corner_counts, mean_of_corners, mesh_triangles, read
+from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, triangle_corners
 from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
 
@@ -40,7 +41,7 @@ class Baked:
     """Wrong faces on the body's own UV map, if Cloak made another; else None."""
 
 
-def bake(obj: bpy.types.Object, size: int) -> Baked:
+def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambda fraction: None) -> Baked:
     """An image of what the body wears; makes the map `OWN_MAP` where the body has none, or one with too little room."""
     mesh = obj.data
     if obj.mode == "EDIT":
@@ -52,15 +53,18 @@ def bake(obj: bpy.types.Object, size: int) -> Baked:
     if users is not None:
         name = users.name
         pixels = _on_map(mesh, name, wanted, size)
+        show(0.4)
         off = faces_off(mesh, name, pixels, wanted)
         if off > FEW * len(wanted):
             before, users = off, None
     if users is None:
         name = make_own_map(mesh, size)
         pixels = squares(len(wanted), size, wanted)
+        show(0.6)
         off = faces_off(mesh, name, pixels, wanted)
     image = bpy.data.images.new(f"{obj.name} cloak", size, size, alpha=True)
     image.pixels.foreach_set(pixels.ravel())
+    show(0.8)
     image.update()
     image.pack()
     return Baked(image, name, off, before)
@@ -77,9 +81,8 @@ def faces_off(mesh: bpy.types.Mesh, uv_map: str, pixels: np.ndarray, wanted: np.
 
 def _on_map(mesh: bpy.types.Mesh, uv_map: str, wanted: np.ndarray, size: int) -> np.ndarray:
     """[S, S, 4]: the colours on a UV map of the user's."""
-    mesh.calc_loop_triangles()
-    loops = read(mesh.loop_triangles, "loops", 3, np.int32)
-    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], mesh_triangles(mesh)[1], size)
+    loops, owner = triangle_corners(mesh)
+    face = rasterize(read(mesh.uv_layers[uv_map].uv, "vector", 2)[loops], owner, size)
     pixels = np.zeros((size, size, 4), np.float32)
     pixels[face >= 0, :3] = wanted[face[face >= 0]]
     pixels[face >= 0, 3] = 1

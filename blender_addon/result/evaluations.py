@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain, groupby
 from pathlib import Path
 
 from ..files.errors import InputError
@@ -76,18 +77,15 @@ class Evaluation:
     def worst_rates(self) -> dict[str, float]:
         """Return the lowest success over the detectors for each control."""
         worst: dict[str, float] = {}
-        for name, (rate, _) in (pair for judged in self.detectors for pair in judged.rates.items()):
+        for name, (rate, _) in chain(*(judged.rates.items() for judged in self.detectors)):
             if rate.value is not None:
                 worst[name] = min(worst.get(name, 1.0), rate.value)
         return worst
 
     def worst_sectors(self) -> tuple[Sector, ...]:
         """Return the lowest success over the detectors for each azimuth."""
-        found: dict[float, Sector] = {}
-        for sector in (sector for judged in self.detectors for sector in judged.sectors):
-            if sector.azimuth not in found or sector.cloak < found[sector.azimuth].cloak:
-                found[sector.azimuth] = sector
-        return tuple(found[azimuth] for azimuth in sorted(found))
+        sectors = sorted(chain(*(d.sectors for d in self.detectors)), key=lambda sector: (sector.azimuth, sector.cloak))
+        return tuple(next(group) for _, group in groupby(sectors, key=lambda sector: sector.azimuth))
 
 
 def read_evaluation(run: Path) -> Evaluation | None:
@@ -106,27 +104,22 @@ def read_evaluation(run: Path) -> Evaluation | None:
 
 
 def _judged(spec: str, told: dict, summary: dict) -> Judged:
-    rates = {}
-    for name in CONTROLS:
-        if isinstance(told.get(name), dict):
-            rates[name] = _rate(told[name], ""), _rate(told[name], "_own")
-    sectors = (_sector(float(azimuth), rate) for azimuth, rate in told.get("by_angle", {}).items())
-    known = sorted((sector for sector in sectors if sector is not None), key=lambda sector: sector.azimuth)
-    return Judged(spec, summary.get("operating_points", {}).get(spec), rates, tuple(known))
+    known = [name for name in CONTROLS if isinstance(told.get(name), dict)]
+    rates = {name: (_rate(told[name], ""), _rate(told[name], "_own")) for name in known}
+    sectors = []
+    for azimuth, record in ((float(name), record) for name, record in told.get("by_angle", {}).items()):
+        cloak, images = _number(record.get("success")), int(record.get("n") or 0)
+        if cloak is not None and images:
+            found = record.get("n_conditional")  # images in which the body was found in its own clothing
+            clothing = 1 - found / images if isinstance(found, int) else None
+            sectors.append(Sector(azimuth, cloak, clothing, images))
+    sectors.sort(key=lambda sector: sector.azimuth)
+    return Judged(spec, summary.get("operating_points", {}).get(spec), rates, tuple(sectors))
 
 
 def _rate(record: dict, suffix: str) -> Rate:
     low, high = record.get(f"ci95{suffix}") or (None, None)
     return Rate(_number(record.get(f"success{suffix}")), _number(low), _number(high))
-
-
-def _sector(azimuth: float, record: dict) -> Sector | None:
-    cloak, images = _number(record.get("success")), int(record.get("n") or 0)
-    if cloak is None or not images:
-        return None
-    found = record.get("n_conditional")  # images in which the body was found in its own clothing
-    clothing = 1 - found / images if isinstance(found, int) else None
-    return Sector(azimuth, cloak, clothing, images)
 
 
 def _number(value: object) -> float | None:

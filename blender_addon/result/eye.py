@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ..blender.blend_paths import absolute
-from ..blender.mesh_arrays import evaluated_mesh, read, to_world, topology
+from ..blender.mesh_arrays import evaluated_mesh, to_world, topology, vertex_points
 from ..body.garments import worn_by
 from ..body.objects import object_of, refusal
 from ..files.errors import InputError
@@ -25,9 +27,10 @@ from ..session import session
 from ..trainer.onlooker import Onlooker, Seen
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
+from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
 from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
-from .viewpoints import Viewpoint, of_camera, of_view
+from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
 LONGEST = 640
 """Pixels along the longer side of the pictures that the detector gets."""
@@ -69,7 +72,9 @@ class Eye:
     def tick(self, context: bpy.types.Context) -> None:
         """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
         if refusal(judges, context.scene.cloak) == "" and judges(context.scene.cloak) != self.specs:
-            self._use(judges(context.scene.cloak))
+            self._onlooker.stop()
+            self.specs, self.seen, self._asked = judges(context.scene.cloak), None, None
+            self._onlooker = self._start(self.specs)
         failure = self._onlooker.failure()
         if failure:
             raise InputError(failure)
@@ -88,12 +93,6 @@ class Eye:
         if before != (self.seen, self.message):
             redraw()
 
-    def _use(self, specs: tuple[str, ...]) -> None:
-        """Switch to the detectors that are in the list now."""
-        self._onlooker.stop()
-        self.specs, self.seen, self._asked = specs, None, None
-        self._onlooker = self._start(specs)
-
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         viewpoint = self._looks_from(context, obj).sized(LONGEST)
         settings, run = context.scene.cloak, self._run(obj)
@@ -110,15 +109,18 @@ class Eye:
             stamp = (run / "colors.npy").stat().st_mtime_ns
         asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
         if asked != self._asked:
-            self._onlooker.ask({"scene": str(self._scene), **viewpoint.record(), **worn, **background})
+            self._onlooker.ask({"scene": str(self._scene), **asdict(viewpoint), **worn, **background})
             self._asked, self._asked_from = asked, viewpoint
 
     def _run(self, obj: bpy.types.Object) -> Path | None:
-        """The run whose colours fit, asked anew where the mesh or the run has changed."""
-        logo = run_of(obj) / "logo.npy" if obj.cloak.run else None
-        key = (session.mesh_changes, obj.cloak.run, logo is not None and logo.is_file())
+        """The run that the body wears, where that was trained on these faces; asked anew where either has changed."""
+        run = run_of(obj)
+        key = (session.mesh_changes, obj.cloak.run, run is not None and (run / "logo.npy").is_file())
         if self._fitting[0] != key:
-            self._fitting = key, fitting_run(obj)
+            fits = False
+            with suppress(InputError):
+                fits = run is not None and trained_faces(run)[1] == topology(obj)
+            self._fitting = key, run if fits else None
         return self._fitting[1]
 
     def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
@@ -149,21 +151,12 @@ class Eye:
         self._onlooker.stop()
 
 
-def fitting_run(obj: bpy.types.Object) -> Path | None:
-    """The run that the body wears, where that was trained on these faces."""
-    run = run_of(obj)
-    try:
-        return run if run is not None and trained_faces(run)[1] == topology(obj) else None
-    except InputError:
-        return None
-
-
 def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) -> str:
     """A hash of where the objects' evaluated vertices are."""
     graph, known = context.evaluated_depsgraph_get(), hashlib.sha256()
     for obj in objects:
         with evaluated_mesh(obj, graph) as (mesh, matrix):
-            known.update(to_world(read(mesh.vertices, "co", 3), matrix).tobytes())
+            known.update(to_world(vertex_points(mesh), matrix).tobytes())
             known.update(str(len(mesh.polygons)).encode())
     return known.hexdigest()
 
@@ -179,7 +172,8 @@ def open_eye(eye: Eye) -> None:
         bpy.app.timers.register(tick)
 
 
-def close_eye() -> None:
+@persistent
+def close_eye(*_: object) -> None:
     """Close the open eye."""
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
@@ -202,9 +196,79 @@ def tick() -> float | None:
     return TICK_SECONDS
 
 
-@persistent
-def _close(*_: object) -> None:
-    close_eye()
+KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
+"""What is looked at: its name, and the sRGB colour of its boxes."""
+LEFT, BELOW_TOP, LINE = 70, 110, 18
+"""Position of the lines, in pixels."""
+Rectangle = tuple[float, float, float, float]
+"""Left, bottom, right, top in pixels."""
 
 
-HOOKS = Hooks(("load_pre", _close), closing=close_eye)
+def place_of_picture(context: bpy.types.Context, watching: Eye) -> Rectangle | None:
+    """Return the last picture's rectangle in this viewport; None if the viewport shows something else."""
+    region, view, seen_from = context.region, context.region_data, watching.viewpoint
+    if seen_from is None or view is None:
+        return None
+    try:
+        if not of_view(context.scene, region, view, watching.object).is_like(seen_from):
+            return None
+    except InputError:
+        return None
+    whole = (0.0, 0.0, float(region.width), float(region.height))
+    return camera_frame(context) if view.view_perspective == "CAMERA" else whole
+
+
+def box_in(place: Rectangle, box: tuple[float, ...], seen: Seen) -> Rectangle:
+    """A box of the picture (its rows count from the top) in a viewport."""
+    left, bottom, right, top = place
+    across, up = (right - left) / seen.width, (top - bottom) / seen.height
+    x1, y1, x2, y2 = box[:4]
+    return left + x1 * across, top - y2 * up, left + x2 * across, top - y1 * up
+
+
+def draw() -> None:
+    """Viewport callback."""
+    watching, context = session.eye, bpy.context
+    if watching is None or watching.object is None or not context.space_data.overlay.show_overlays:
+        return
+    scale = size_of_words(context)
+    place = place_of_picture(context, watching)
+    if place is not None and watching.seen is not None:
+        _draw_boxes(watching.seen, place, scale)
+    x, y = LEFT * scale, context.region.height - BELOW_TOP * scale
+    for words, color in lines(watching, place is not None):
+        write(words, x, y, color)
+        y -= LINE * scale
+
+
+def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, float]]]:
+    """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
+    told = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
+    if watching.message:
+        return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
+    if watching.seen is None or not fits:
+        return told
+    for spec, glances in watching.seen.glances.items():
+        point = next(iter(glances.values())).operating_point
+        told.append((f"{short(spec)} reports from {point:g}", WHITE))
+        for kind, glance in glances.items():
+            name, color = KINDS[kind]
+            told.append((f"    {name}: {glance.describe()}", color))
+    return told
+
+
+def _draw_boxes(seen: Seen, place: Rectangle, scale: float) -> None:
+    """Draw the reported boxes, those of the cloak with thicker lines."""
+    for glances in seen.glances.values():
+        for kind, glance in glances.items():
+            color, thickness = KINDS[kind][1], (3 if kind == "cloak" else 2) * scale
+            for box in (box for box in glance.boxes if box[4] > glance.operating_point):
+                x1, y1, x2, y2 = box_in(place, box, seen)
+                frame(x1, y1, x2, y2, color, thickness)
+                words = f"{KINDS[kind][0]} {box[4]:.2f}"
+                top = y2 if kind == "cloak" else y1 - 18 * scale  # so that two boxes' words do not meet
+                fill(x1, top, width_of(words) + 8 * scale, 18 * scale, color, 0.85)
+                write(words, x1 + 4 * scale, top + 5 * scale)
+
+
+HOOKS = Hooks(("load_pre", close_eye), drawing=((draw, "POST_PIXEL"),), closing=close_eye)

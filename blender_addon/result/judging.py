@@ -8,6 +8,7 @@ import math
 import bpy
 
 from ..blender.blend_paths import absolute
+from ..poses.poses import PoseChoice
 from ..trainer.command_lines import detector_options
 from ..ui import props
 
@@ -78,6 +79,13 @@ class CloakJudging(bpy.types.PropertyGroup):
         ("png", "Pictures", "A folder of PNGs"),
     )
     film_seconds: props.number("Turntable", "Seconds that a turntable takes", 6.0, min=0.5, max=120.0, subtype="TIME")
+
+    @property
+    def frames(self) -> PoseChoice | None:
+        """This body's frames to evaluate on; None for the bodies that were kept back."""
+        if self.bodies == "KEPT":
+            return None
+        return PoseChoice("RANGE", self.frame_start, self.frame_end, self.frame_step)
 
 
 def evaluate_options(judging: CloakJudging, specs: tuple[str, ...], device: str) -> list[str]:

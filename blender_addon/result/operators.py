@@ -11,17 +11,24 @@ from ..blender import colors
 from ..blender.blend_paths import absolute
 from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, object_of, of_the_body, refusal
-from ..trainer.command_lines import cloak_command
+from ..poses.export import poses_reason
+from ..poses.poses import PoseChoice
+from ..session import session
+from ..trainer.command_lines import cloak_command, detector_options
 from ..trainer.jobs import Job, launch, run_cloak, waits
-from ..trainer.preferences import chosen_python
+from ..trainer.onlooker import Onlooker
+from ..trainer.preferences import chosen_python, local_python
 from ..training import run_list, runs
 from ..training.detectors import judges, thresholds
-from ..training.runs import run_of
+from ..training.runs import input_folder, run_of, side_folder
 from ..translations import said
 from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
-from . import render_check
-from .reasons import judged_reason, result_reason
+from ..ui.window import main_region, redraw
+from . import eye, render_check
+from .evaluations import kept_back, read_evaluation
+from .judging import evaluate_options
+from .reasons import export_worn, judged_reason, result_reason
 
 
 def wear_reason(context: bpy.types.Context) -> str:
@@ -36,11 +43,9 @@ def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     if not obj.cloak.run:
         return "Choose a run in the list first"
     run = run_of(obj)
-    if (run / "report.html").is_file():
+    if (run / "report.html").is_file() or (run / "config.json").is_file():
         return ""
-    if not (run / "config.json").is_file():
-        return f"{run}: not a run folder (no config.json in it), so there is nothing to report"
-    return ""
+    return f"{run}: not a run folder (no config.json in it), so there is nothing to report"
 
 
 @of_the_body
@@ -139,3 +144,73 @@ def _judge(job: Job, plan: render_check.Plan, points: dict[str, float], uid: int
         obj.cloak.verdict = render_check.describe_all(found)
     run_list.refresh(bpy.context)
     return render_check.describe_all(found)
+
+
+def evaluate_reason(context: bpy.types.Context) -> str:
+    """Why the body's run cannot be evaluated."""
+    judging = context.scene.cloak.judging
+    reason = judged_reason(context) or (poses_reason(context, judging.frames) if judging.frames else "")
+    folder = absolute(judging.backgrounds)
+    return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
+
+
+@of_the_body
+def eye_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the detector cannot look at the body."""
+    return poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
+
+
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason):
+    """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
+beside controls on the same images. The result is shown here and as a ring around the body"""
+
+    def run(self, context: bpy.types.Context) -> str:
+        obj, settings = active_body(context), context.scene.cloak
+        run, judging = run_of(obj), settings.judging
+        options = evaluate_options(judging, judges(settings), settings.device)
+        folder = side_folder(run)
+        if judging.frames:
+            scene = folder / "evaluation scene"
+            export_worn(context, obj, run, judging.frames, scene)
+            options.append(f"--scene={scene}")
+        elif not kept_back(run) and (input_folder(run) / "scene").is_dir():
+            options.append(f"--scene={input_folder(run) / 'scene'}")
+        words, ended = ["evaluate", run, *options], lambda job: _evaluated(job, run)
+        return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
+
+
+def _evaluated(job: Job, run: Path) -> str | None:
+    found = read_evaluation(run)
+    run_list.refresh(bpy.context)
+    if found is None:
+        return None
+    rates = [judged.rates for judged in found.detectors]
+    job.is_bad_news = any((rate["logo"][0].value or 0) <= (rate["clothing"][0].value or 0) for rate in rates)
+    outcome = "The cloak hides no more than own clothing does" if job.is_bad_news else "Evaluation done"
+    return f"{outcome}: {found.describe()}"
+
+
+class CLOAK_OT_eye(CloakOperator, label="Detector's Eye"):
+    """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
+It goes on looking as you move, and while a training runs, until this is pressed again"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return "" if session.eye is not None else eye_reason(context)
+
+    def run(self, context: bpy.types.Context) -> str:
+        if session.eye is not None:
+            eye.close_eye()
+            redraw()
+            return "The detector looks no more"
+        obj, settings = active_body(context), context.scene.cloak
+        folder = Path(bpy.app.tempdir, "cloak eye")
+        folder.mkdir(parents=True, exist_ok=True)
+        python = local_python()
+        options = lambda specs: [*detector_options(specs), f"--device={settings.device}"]
+        start = lambda specs: Onlooker(cloak_command(python, "look", "-", *options(specs)), folder)
+        opened = eye.Eye(obj, start, folder, judges(settings))
+        if context.area is not None and context.area.type == "VIEW_3D":
+            opened.region = main_region(context.area).as_pointer()
+        eye.open_eye(opened)
+        return f"{', '.join(opened.specs)}: getting ready to look"

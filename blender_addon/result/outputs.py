@@ -11,11 +11,10 @@ import numpy as np
 from ..blender import colors
 from ..blender.blend_paths import first_free
 from ..body.objects import active_body, of_the_body, refusal, scene_axes
-from ..exchange.bodies import Bodies
 from ..files.errors import InputError
 from ..files.writing import write_text
+from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
-from ..poses.reasons import poses_reason
 from ..trainer.jobs import run_cloak
 from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
@@ -40,12 +39,6 @@ def made(run: Path) -> list[Path]:
     found = [path for name in MADE for path in side_folder(run).glob(f"{name}*") if path.suffix not in BESIDE]
     found = [path for path in found if not path.name.endswith("scene")]
     return sorted(found, key=lambda path: path.stat().st_mtime, reverse=True)
-
-
-def film_fps(scene: bpy.types.Scene, suffix: str) -> float:
-    """Frames a second of a film of this scene."""
-    fps = scene.render.fps / scene.render.fps_base
-    return min(fps, GIF_FPS) if suffix == ".gif" else fps
 
 
 def write_camera(context: bpy.types.Context, path: Path, pivot: np.ndarray) -> None:
@@ -93,6 +86,12 @@ def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
 
 
+@of_the_body
+def bake_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why there are no colours to bake."""
+    return "" if colors.CLOAK in obj.data.color_attributes else "Train, or load colours, first"
+
+
 class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason):
     """Lay the logo out flat at true size: sheets to print and cut (PDF), a texture, and the body with it (GLB, OBJ)"""
 
@@ -122,12 +121,9 @@ with what the detector sees. The camera looks at the middle of the body, which w
 
     def run(self, context: bpy.types.Context) -> str:
         obj, scene = active_body(context), context.scene
-        view = of_camera(scene, obj)
-        choice, still = PoseChoice(), context.scene.cloak.pose_source == "CURRENT"
-        if not still:
+        choice, options = PoseChoice(), [f"--field-of-view={of_camera(scene, obj).field_of_view:.4f}"]
+        if scene.cloak.pose_source != "CURRENT":
             choice = PoseChoice("RANGE", scene.frame_start, scene.frame_end, 1)
-        options = [f"--field-of-view={view.field_of_view:.4f}"]
-        if not still:
             options.append(f"--poses-per-second={scene.render.fps / scene.render.fps_base:g}")
         return film(context, self.bl_label, FILM, options, choice)
 
@@ -146,34 +142,23 @@ def film(
     scene = folder / f"{name} scene"
     bodies = export_worn(context, obj, run, choice or PoseChoice(), scene)
     if not any(word.startswith("--camera=") for word in options):
-        write_camera(context, folder / f"{name}.csv", middle_of_motion(bodies))
-        options = [*options, f"--camera={folder / name}.csv"]
-    options = [*options, f"--fps={film_fps(context.scene, suffix):g}", f"--device={settings.device}"]
+        middles = (bodies.vertices.min(1).astype(float) + bodies.vertices.max(1)) / 2  # of the poses
+        write_camera(context, folder / f"{name}.csv", middles.mean(0))
+        options.append(f"--camera={folder / name}.csv")
+    fps = context.scene.render.fps / context.scene.render.fps_base
+    options += [f"--fps={min(fps, GIF_FPS) if suffix == '.gif' else fps:g}", f"--device={settings.device}"]
     words = ["film", run, "--scene", scene, *options, backgrounds_option(settings.judging), "--out", place]
     return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
 
-def middle_of_motion(bodies: Bodies) -> np.ndarray:
-    """[3] what the film's camera looks at: the mean of the poses' middles."""
-    return ((bodies.vertices.min(1).astype(float) + bodies.vertices.max(1)) / 2).mean(0)
-
-
-class CLOAK_OT_bake(BodyOperator, label="Bake to Image"):
+class CLOAK_OT_bake(BodyOperator, label="Bake to Image", needs=bake_reason):
     """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
 or one with too little room, Cloak makes one of its own"""
 
     size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        reason = BodyOperator.needs(context)
-        if reason or colors.CLOAK in context.object.data.color_attributes:
-            return reason
-        return "Train, or load colours, first"
-
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        self.show(0.3)
-        done = bake.bake(obj, self.size)
+        done = bake.bake(obj, self.size, self.show)
         material = bake.baked_material(done.image, done.uv_map)
         faces = f"{done.off:,} of {len(obj.data.polygons):,} faces are off by more than 4/255"
         made = f"Image and material '{material.name}' on UV map '{done.uv_map}'; {faces}"

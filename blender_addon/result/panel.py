@@ -17,7 +17,6 @@ from ..ui.drawing import icon_of, short
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import eye
 from .evaluations import CONTROLS, Evaluation, Judged
-from .eye_drawing import KINDS
 from .outputs import made
 from .reasons import result_reason
 from .render_check import Verdict
@@ -176,7 +175,7 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
         for kind, path in watching.seen.pictures.items():
             cell = row.column(align=True)
             cell.template_icon(icon_of(path), scale=6.0)
-            cell.label(text=KINDS[kind][0])
+            cell.label(text=eye.KINDS[kind][0])
             for glances in watching.seen.glances.values():
                 if kind in glances:
                     cell.label(

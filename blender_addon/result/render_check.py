@@ -8,6 +8,7 @@ degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and ab
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import sys
@@ -20,7 +21,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..blender import colors
-from ..blender.mesh_arrays import evaluated_mesh, image_pixels, read, to_world
+from ..blender.mesh_arrays import evaluated_mesh, image_pixels, to_world, vertex_points
 from ..body.garments import undress, worn_by
 from ..files.errors import InputError
 from ..files.reading import read_json
@@ -49,9 +50,7 @@ class Plan:
 
 def new_folder_in(parent: Path) -> Path:
     """A folder `render check N` that did not exist."""
-    number = 1
-    while (folder := parent / f"render check {number}").exists():
-        number += 1
+    folder = next(f for f in (parent / f"render check {n}" for n in itertools.count(1)) if not f.exists())
     try:
         folder.mkdir(parents=True)
     except OSError as error:
@@ -83,7 +82,8 @@ def run_plan(path: Path) -> None:
     plan = Plan(record["object"], Path(record["folder"]), tuple(record["angles"]), record["backgrounds"])
     bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
     obj = bpy.data.objects[plan.object]
-    photographs = _photographs(plan.backgrounds)
+    files = sorted(Path(plan.backgrounds).iterdir()) if plan.backgrounds else ()
+    photographs = [path for path in files if path.suffix.lower() in IMAGES]
     for worn in (obj, *worn_by(obj)):
         colors.set_look(worn, colors.LOOKDEV)  # light falls on it here
     paths = image_paths(plan)
@@ -198,7 +198,9 @@ def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = S
         _light(scene, holders[1], world)
         scene.frame_set(bpy.context.scene.frame_current)
         metre = 1 / bpy.context.scene.unit_settings.scale_length
-        _aim(scene, holders[0], _middle(scene, obj), azimuth, DISTANCE * metre)
+        with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
+            body = to_world(vertex_points(mesh), matrix)
+        _aim(scene, holders[0], Vector((body.min(0) + body.max(0)) / 2), azimuth, DISTANCE * metre)
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
     finally:
@@ -233,12 +235,6 @@ def _light(scene: bpy.types.Scene, sun: bpy.types.Object, world: bpy.types.World
     sun.rotation_euler = Vector(LIGHT_POSITION).to_track_quat("Z", "Y").to_euler()
 
 
-def _middle(scene: bpy.types.Scene, obj: bpy.types.Object) -> Vector:
-    with evaluated_mesh(obj, scene.view_layers[0].depsgraph) as (mesh, matrix):
-        world = to_world(read(mesh.vertices, "co", 3), matrix)
-    return Vector((world.min(0) + world.max(0)) / 2)
-
-
 def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimuth: float, distance: float) -> None:
     elevation, turn = math.radians(ELEVATION), math.radians(azimuth)
     away = Vector((math.cos(elevation) * math.sin(turn), -math.cos(elevation) * math.cos(turn), math.sin(elevation)))
@@ -251,10 +247,6 @@ def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimut
 
 
 # --- backgrounds -----------------------------------------------------------------------------------------------------
-
-
-def _photographs(folder: str) -> list[Path]:
-    return sorted(p for p in Path(folder).iterdir() if p.suffix.lower() in IMAGES) if folder else []
 
 
 def _composite(path: Path, photograph: Path | None) -> None:

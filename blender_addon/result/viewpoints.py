@@ -8,12 +8,13 @@ Whatever looks in perspective and is not rolled can be said so exactly.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
+from ..blender.mesh_arrays import box_of
 from ..body.objects import scene_axes
 from ..files.errors import InputError
 
@@ -40,10 +41,6 @@ class Viewpoint:
         scale = longest / max(self.width, self.height)
         return replace(self, width=max(1, round(self.width * scale)), height=max(1, round(self.height * scale)))
 
-    def record(self) -> dict:
-        """As `cloak look` takes it."""
-        return asdict(self) | {"pivot": list(self.pivot)}
-
     def is_like(self, other: Viewpoint) -> bool:
         """Whether both viewpoints show the same picture."""
         mine, theirs = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
@@ -59,7 +56,7 @@ class Viewpoint:
 
 
 def viewpoint(
-    matrix: Matrix, field_of_view: float, width: int, height: int, middle: Vector, metre: float = 1.0
+    matrix: Matrix, field_of_view: float, width: int, height: int, middle: np.ndarray, metre: float = 1.0
 ) -> Viewpoint:
     """The viewpoint of a camera's world matrix that looks at what is as far away as `middle` (Blender's units).
 
@@ -96,7 +93,7 @@ def of_view(
         raise InputError("This view has no perspective: press Numpad 5, or let the detector look through the camera")
     field = 2 * math.degrees(math.atan(1 / view.window_matrix[1][1]))
     size, metre = (region.width, region.height), 1 / scene.unit_settings.scale_length
-    return viewpoint(view.view_matrix.inverted(), field, *size, middle_of(obj), metre)
+    return viewpoint(view.view_matrix.inverted(), field, *size, box_of(obj).mean(0), metre)
 
 
 def of_camera(scene: bpy.types.Scene, obj: bpy.types.Object) -> Viewpoint:
@@ -114,7 +111,7 @@ def of_camera(scene: bpy.types.Scene, obj: bpy.types.Object) -> Viewpoint:
     top, _, low, _ = camera.view_frame(scene=scene)[:4]
     field = 2 * math.degrees(math.atan(abs(top.y - low.y) / 2 / abs(top.z)))
     metre = 1 / scene.unit_settings.scale_length
-    return viewpoint(holder.matrix_world, field, round(width), round(height), middle_of(obj), metre)
+    return viewpoint(holder.matrix_world, field, round(width), round(height), box_of(obj).mean(0), metre)
 
 
 def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
@@ -132,8 +129,3 @@ def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float
         return None
     x, y = [place.x for place in places], [place.y for place in places]
     return min(x), min(y), max(x), max(y)
-
-
-def middle_of(obj: bpy.types.Object) -> Vector:
-    """The middle of the body's box, in the world."""
-    return obj.matrix_world @ (sum(map(Vector, obj.bound_box), Vector()) / 8)

@@ -72,12 +72,10 @@ def last_worn(run: Path) -> Worn | None:
 
 def _rates(told: dict) -> dict[str, float]:
     """At the detector's own threshold, where that is known."""
-    found = {}
-    for name, rate in told.items():
-        value = rate.get("success_own", rate.get("success")) if isinstance(rate, dict) else None
-        if isinstance(value, (int, float)):
-            found[name] = float(value)
-    return found
+    rates = {
+        name: rate.get("success_own", rate.get("success")) for name, rate in told.items() if isinstance(rate, dict)
+    }
+    return {name: float(value) for name, value in rates.items() if isinstance(value, (int, float))}
 
 
 class CLOAK_OT_wear(CloakOperator, label="Wear"):
@@ -92,20 +90,19 @@ class CLOAK_OT_wear(CloakOperator, label="Wear"):
         settings, run = context.scene.cloak, run_of(active_body(context))
         people, place = people_file(settings.judging.people), first_free(side_folder(run), WEAR)
         options = [f"--people={people}", *detector_options(judges(settings)), f"--device={settings.device}"]
-        words, ended = ["wear", run, *options, "--out", place], lambda job: _ended(job, place)
-        waits = run_cloak("Wear", words, side_folder(run), "wear", ended)
+
+        def ended(job: Job) -> str:
+            try:
+                record = json.loads(job.outputs[-1])
+                count = int(record["people"])
+            except (ValueError, KeyError, TypeError):
+                raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
+            place.mkdir(exist_ok=True)
+            write_json(place / ANSWER, record)
+            return f"{count} people wear it"
+
+        waits = run_cloak("Wear", ["wear", run, *options, "--out", place], side_folder(run), "wear", ended)
         return f"{run.name} is put on by the people of {people.name}{waits}"
-
-
-def _ended(job: Job, place: Path) -> str | None:
-    try:
-        record = json.loads(job.outputs[-1])
-        people = int(record["people"])
-    except (ValueError, KeyError, TypeError):
-        raise InputError("Wear: the trainer's answer is not understood; see wear.log") from None
-    place.mkdir(exist_ok=True)
-    write_json(place / ANSWER, record)
-    return f"{people} people wear it"
 
 
 class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):

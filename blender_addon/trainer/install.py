@@ -72,20 +72,14 @@ def read_base(python: str) -> Base:
         answer = ask(python, _PROBE)
     except InputError as error:
         raise InputError(f"Python '{python}' {error}") from None
-    said = (answer.stderr.strip().splitlines() or ["no answer"])[-1]
+    said, about = (answer.stderr.strip().splitlines() or ["no answer"])[-1], {}
     if answer.returncode and "No module named 'venv'" not in said:
         raise InputError(f"Python '{python}' does not work: {said[:200]}")
-    if answer.returncode:
-        return _checked(python, {})
-    try:
-        about = {key: str(value) for key, value in json.loads(answer.stdout.strip().splitlines()[-1]).items()}
-    except (ValueError, IndexError, AttributeError):
-        raise InputError(f"Python '{python}' gives no sensible answer") from None
-    return _checked(python, about)
-
-
-def _checked(python: str, about: dict[str, str]) -> Base:
-    """The base that a Python told about itself; `InputError` when it is none."""
+    if not answer.returncode:
+        try:
+            about = {key: str(value) for key, value in json.loads(answer.stdout.strip().splitlines()[-1]).items()}
+        except (ValueError, IndexError, AttributeError):
+            raise InputError(f"Python '{python}' gives no sensible answer") from None
     lends_pip = _numbers(about.get("pip", "")) >= PIP_FOR_OTHERS
     if not lends_pip and about.get("ensurepip") != "True":
         raise InputError(
@@ -153,11 +147,6 @@ def require_room(folder: Path, needed: float) -> None:
         raise InputError(f"{folder}: the trainer takes about {needed:.1f} GB, but only {free:.1f} GB are free there")
 
 
-def next_place(folder: Path) -> Path:
-    """A new environment's folder: one that works stays until the next one does."""
-    return next(place for place in (folder / str(number) for number in range(1, 10_000)) if not place.exists())
-
-
 def python_in(place: Path) -> str:
     """The Python of an environment."""
     return str(place / "Scripts" / "python.exe" if os.name == "nt" else place / "bin" / "python")
@@ -203,11 +192,8 @@ class InstallJob(Job):
 
     def everything(self) -> str:
         """All that was said: to standard error, then to standard output."""
-        texts = []
-        for path in self._files[::-1] if self.running else (self.log,):
-            with contextlib.suppress(OSError):
-                texts.append(path.read_text("utf-8", "replace"))
-        return "\n".join([texts[0] if texts else "", *self.outputs, *texts[1:]])
+        out, log = (path.read_text("utf-8", "replace") if path.is_file() else "" for path in self._files)
+        return "\n".join([log, *self.outputs, *([out] if self.running else [])])
 
     @property
     def complete(self) -> bool:

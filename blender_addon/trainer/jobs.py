@@ -15,7 +15,6 @@ import subprocess
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import bpy
 
@@ -25,7 +24,7 @@ from ..ui.window import redraw
 from .command_lines import cloak_command
 from .preferences import chosen_python, through
 from .progress import Progress, take_event
-from .python import clean_environment, no_window
+from .python import start_process
 
 TICK_SECONDS = 0.25
 MAX_READ = 1 << 20
@@ -36,21 +35,12 @@ OnEnd = Callable[["Job"], str | None]
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
 
 
-class Process(Protocol):
-    """What a job asks of its process; `subprocess.Popen` has it."""
-
-    def poll(self) -> int | None:
-        """The exit code, None while it runs."""
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-
-
 class Job:
     """Commands that run one after the other outside Blender; `poll` moves it on.
 
     `state` is "waiting" or "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
-    events: the file that the commands log their progress to, where they do.
+    events: the file that the commands log their progress to, where they do. process: one that runs already, of which
+    `poll` and `terminate` are asked as of a `subprocess.Popen`.
     """
 
     def __init__(
@@ -61,7 +51,7 @@ class Job:
         name: str,
         on_end: OnEnd | None = None,
         events: Path | None = None,
-        process: Process | None = None,
+        process: object = None,
     ) -> None:
         self.label, self.state, self.message = label, "waiting", ""
         self.notice = ""
@@ -73,7 +63,7 @@ class Job:
         self.progress = Progress()
         self.on_tick: Callable[[Job], None] | None = None
         """Called at every look while it runs: live colours."""
-        self._on_end, self._commands, self._process = on_end, list(commands), process
+        self.on_end, self._commands, self._process = on_end, list(commands), process
         self._files = (folder / f"{name}.out", folder / f"{name}.log")
         self._events, self._position = events, 0
         self._cancelled = False
@@ -129,20 +119,9 @@ class Job:
             self._finish("failed", str(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
-        try:
-            with self._files[0].open("wb") as out, self._files[1].open("ab") as log:
-                return subprocess.Popen(
-                    through(command),
-                    stdout=out,
-                    stderr=log,
-                    stdin=subprocess.DEVNULL,
-                    cwd=self._files[0].parent,
-                    env=clean_environment(),
-                    start_new_session=os.name == "posix",  # Ctrl-C in Blender's terminal is ours to pass on
-                    **no_window(),
-                )
-        except OSError as error:
-            raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None
+        out, log = self._files
+        # Ctrl-C in Blender's terminal is ours to pass on.
+        return start_process(through(command), out, log, stdin=subprocess.DEVNULL, start_new_session=os.name == "posix")
 
     def poll(self) -> bool:
         """Look in on the process; True while there is more to wait for."""
@@ -152,6 +131,8 @@ class Job:
         if code is None:
             self._read_events()
             return True
+        while self._read_events():
+            pass  # the last events belong into the message
         self.outputs.append(self._said())
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
             self._process = None
@@ -179,11 +160,8 @@ class Job:
         return bool(whole)
 
     def _said(self) -> str:
-        """What the command that has ended said on standard output."""
-        try:
-            return self._files[0].read_text("utf-8", "replace")
-        except FileNotFoundError:  # a trainer that somebody else started
-            return ""
+        """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
+        return self._files[0].read_text("utf-8", "replace") if self._files[0].is_file() else ""
 
     def _verdict(self, code: int) -> tuple[str, str]:
         if code == STOPPED or (self._cancelled and code != 0):
@@ -198,18 +176,12 @@ class Job:
         return "failed", f"{self.label} failed (exit code {code}): {said or 'no message'}"
 
     def _finish(self, state: str, message: str) -> None:
-        while self._read_events():
-            pass  # the last events belong into the message
-        self.state, self.message = state, self._last_message(state, message)
-        if self._on_end is not None:
+        self.state, self.message = state, message
+        if self.on_end is not None:
             try:
-                self.message = self._on_end(self) or self.message
+                self.message = self.on_end(self) or self.message
             except InputError as error:
                 self.state, self.message = "failed", str(error)
-
-    def _last_message(self, state: str, message: str) -> str:
-        """What is said of how it ended."""
-        return message
 
     # --- its early end ---
 
@@ -217,12 +189,9 @@ class Job:
         """Ask the process to stop, which may take a moment; a queued job stops at once."""
         self._cancelled = True
         if self.running:
-            self._ask_to_stop()
+            self._terminate()
         elif self.state == "waiting":
             self._finish("stopped", f"{self.label} stopped")
-
-    def _ask_to_stop(self) -> None:
-        self._terminate()
 
     def _terminate(self) -> None:
         with contextlib.suppress(OSError):
@@ -230,7 +199,7 @@ class Job:
 
     def abandon(self) -> None:
         """Blender is closing: ask the process to end, and wait no longer than a blink."""
-        self._on_end = None
+        self.on_end = None
         self.cancel()
 
     def wait(self, seconds: float = math.inf) -> Job:
@@ -246,13 +215,11 @@ class Job:
 class TrainingJob(Job):
     """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
 
-    def __init__(
-        self, command: list[str], run: Path, folder: Path, on_end: OnEnd | None = None, process: Process | None = None
-    ) -> None:
+    def __init__(self, command: list[str], run: Path, folder: Path, process: object = None) -> None:
         self.run = run
         self.is_ours = process is None
         """Whether this Blender started the trainer; only then it stops it when it closes."""
-        super().__init__("Training", [command], folder, "train", on_end, run / "events.jsonl", process)
+        super().__init__("Training", [command], folder, "train", None, run / "events.jsonl", process)
 
     def _start(self, command: list[str]) -> subprocess.Popen:
         with contextlib.suppress(OSError):
@@ -266,7 +233,7 @@ class TrainingJob(Job):
 
     def poll(self) -> bool:
         if self.running and self._cancelled:
-            self._ask_to_stop()  # again: a trainer that is just opening its run folder sweeps old requests away
+            self._terminate()  # again: a trainer that is just opening its run folder sweeps old requests away
         return super().poll()
 
     def abandon(self) -> None:
@@ -274,21 +241,23 @@ class TrainingJob(Job):
             return
         super().abandon()
         if self.running:
-            self._terminate()
+            super()._terminate()
 
-    def _ask_to_stop(self) -> None:
+    def _terminate(self) -> None:
         if not self.run.is_dir():
-            self._terminate()  # nothing to save yet
+            super()._terminate()  # nothing to save yet
             return
         with contextlib.suppress(OSError):
             (self.run / "cancel").touch()
 
-    def _last_message(self, state: str, message: str) -> str:
+    def _finish(self, state: str, message: str) -> None:
         if state == "done":
-            return f"Training done: {self.progress.describe()}, {self.progress.figures()}"
-        if state == "stopped":
-            return f"Stopped at step {self.progress.step}: Resume goes on from there"
-        return message + ("; Resume goes on from the last checkpoint" if self.progress.step else "")
+            message = f"Training done: {self.progress.describe()}, {self.progress.figures()}"
+        elif state == "stopped":
+            message = f"Stopped at step {self.progress.step}: Resume goes on from there"
+        elif self.progress.step:
+            message += "; Resume goes on from the last checkpoint"
+        super()._finish(state, message)
 
 
 def last_words(log: Path) -> str:
@@ -360,14 +329,9 @@ def tick() -> float | None:
 
 
 def shut_down() -> None:
-    """End all jobs: the add-on is being disabled, or Blender is closing."""
+    """End all jobs that Blender started: the add-on is being disabled, or Blender is closing. Others go on."""
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
-    forget()
-
-
-def forget() -> None:
-    """Drop all jobs: stop the ones that Blender started; a training that it attached to continues."""
     for job in session.jobs:
         if job.running:
             job.abandon()

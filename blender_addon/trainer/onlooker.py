@@ -16,7 +16,7 @@ from pathlib import Path
 from ..files.errors import InputError
 from ..files.reading import read_json
 from .jobs import last_words
-from .python import clean_environment, no_window
+from .python import start_process
 
 ANSWER = "look.json"
 THRESHOLD = 0.6
@@ -59,19 +59,8 @@ class Onlooker:
         self.folder = folder
         self.waiting = False
         self._log = folder / "look.log"
-        try:
-            with self._log.open("wb") as log:
-                self._process = subprocess.Popen(
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=log,
-                    cwd=folder,
-                    env=clean_environment(),
-                    **no_window(),
-                )
-        except OSError as error:
-            raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None
+        self._log.unlink(missing_ok=True)
+        self._process = start_process(command, subprocess.DEVNULL, self._log, stdin=subprocess.PIPE)
 
     def failure(self) -> str:
         """Why it has ended; "" while it lives."""
@@ -98,7 +87,9 @@ class Onlooker:
         if "error" in record:
             raise InputError(str(record["error"]))
         try:
-            return _seen(record)
+            glances = {spec: _glances(told) for spec, told in record["detectors"].items()}
+            pictures = {kind: Path(path) for kind, path in record["pictures"].items()}
+            return Seen(glances, pictures, int(record["width"]), int(record["height"]))
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{path}: not the answer to a look") from None
 
@@ -112,16 +103,14 @@ class Onlooker:
             self._process.wait(0.5)  # else nobody would take note of its end
 
 
-def _seen(record: dict) -> Seen:
-    glances = {}
-    for spec, told in record["detectors"].items():
-        point = float(told["operating_point"])
-        glances[spec] = {
-            kind: Glance(
-                float(told[kind]["max_person"]), tuple(tuple(map(float, box)) for box in told[kind]["boxes"]), point
-            )
-            for kind in ("clothing", "cloak")
-            if kind in told
-        }
-    pictures = {kind: Path(path) for kind, path in record["pictures"].items()}
-    return Seen(glances, pictures, int(record["width"]), int(record["height"]))
+def _glances(told: dict) -> dict[str, Glance]:
+    """What one detector saw, by kind of clothing."""
+    return {
+        kind: Glance(
+            float(told[kind]["max_person"]),
+            tuple(tuple(map(float, box)) for box in told[kind]["boxes"]),
+            float(told["operating_point"]),
+        )
+        for kind in ("clothing", "cloak")
+        if kind in told
+    }

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from ..body.objects import refusal
 from ..files.errors import InputError
 from ..session import session
 from ..translations import said
@@ -40,17 +41,14 @@ class CLOAK_OT_find_python(CloakOperator, label="Find Python"):
         return f"Trainer's Python: {python}"
 
 
-class CLOAK_OT_test_python(CloakOperator, label="Test Trainer"):
+class CLOAK_OT_test_python(CloakOperator, label="Test Trainer", needs=lambda context: jobs.busy()):
     """Start the trainer and show its version and device"""
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return jobs.busy()
 
     def run(self, context: bpy.types.Context) -> str:
         python = chosen_python()
         preferences().answer = "Starting the trainer..."
-        launch(Job("Test", [about_command(python)], user_folder("test"), "test", lambda job: _show_answer(job, python)))
+        answer = lambda job: _say(refusal(describe_trainer, python, job) or describe_trainer(python, job))
+        launch(Job("Test", [about_command(python)], user_folder("test"), "test", answer))
         return "Testing the trainer: the answer appears in the preferences"
 
 
@@ -66,13 +64,6 @@ def describe_trainer(python: str, job: Job) -> str:
     """One line about a trainer, from what `about_command` said last; `InputError` where it does not work."""
     facts = parse_about(python, job.state == "done", "".join(job.outputs[-1:]), last_words(job.log))
     return f"Cloak {facts['cloak']}, torch {facts['torch']}, Python {facts['python']}, {facts['device']}"
-
-
-def _show_answer(job: Job, python: str) -> str:
-    try:
-        return _say(describe_trainer(python, job))
-    except InputError as error:
-        return _say(str(error))
 
 
 def _say(answer: str) -> str:
@@ -143,7 +134,8 @@ index. Asks first, and says how much it takes"""
     def run(self, context: bpy.types.Context) -> str:
         base, source, folder = _base(self.python, 60), install.find_source(preferences().source), trainer_folder()
         install.require_room(folder, install.gigabytes(base, self.share_torch))
-        place = install.next_place(folder)
+        # One that works stays until the next one does.
+        place = next(place for place in (folder / str(number) for number in range(1, 10_000)) if not place.exists())
         (folder / "install.log").write_bytes(b"")
         commands = install.install_commands(base, place, source, self.share_torch)
         launch(InstallJob(INSTALLATION, commands, folder, "install", lambda job: _ended(job, place)))
@@ -160,15 +152,14 @@ def _ended(job: InstallJob, place: Path) -> str:
             return "Installation cancelled: nothing of it is left"
         words = install.diagnosis(job.everything(), job.message)
         return _say(f"The trainer was not installed. {words} (log: {job.log})")
-    try:
-        answer = describe_trainer(python, job)
-    except InputError as error:
+    refused = refusal(describe_trainer, python, job)
+    if refused:
         install.sweep(folder, _in_use(folder))
         job.state = "failed"
-        return _say(str(error))
+        return _say(refused)
     use_python(python)
     install.sweep(folder, place)
-    return _say(answer)
+    return _say(describe_trainer(python, job))
 
 
 def _in_use(folder: Path) -> Path | None:

@@ -13,7 +13,7 @@ import bpy
 from ..session import session
 from ..translations import said
 from ..ui import props
-from .python import INSTALL_LINE, ask_ahead, find_python, forget_answers, known_reason
+from .python import INSTALL_LINE, find_python, forget_answers, known_reason
 
 PACKAGE = __package__.rpartition(".")[0]
 """The add-on's name in Blender."""
@@ -39,7 +39,7 @@ def user_folder(name: str) -> Path:
 def look_ahead(kept: object = None, context: object = None) -> None:
     """Start to look for the trainer's Python in the background."""
     if not bpy.app.background:
-        ask_ahead(preferences().python)
+        known_reason(preferences().python)
 
 
 def local_python(chosen: str | None = None) -> str:

@@ -24,7 +24,6 @@ class Progress:
     """"done", "stopped" or "failed" when its log has ended so; "" else."""
     why: str = ""
     """What a failed run said of itself."""
-    broken_lines: int = 0
 
     @property
     def fraction(self) -> float:
@@ -59,12 +58,12 @@ def duration(seconds: float) -> str:
 
 
 def take_event(progress: Progress, line: bytes) -> Progress:
-    """Progress after one more line of events.jsonl; a line that is no event is counted and passed over."""
+    """Progress after one more line of events.jsonl; a line that is no event is passed over."""
     try:
         event = json.loads(line)
         kind = event["type"]
     except (ValueError, KeyError, TypeError, RecursionError):
-        return replace(progress, broken_lines=progress.broken_lines + 1)
+        return progress
     step, seconds = _number(event.get("step")), _number(event.get("time"))
     if kind == "end":
         return replace(progress, outcome="done" if event.get("outcome") == "done" else "stopped")
@@ -74,10 +73,8 @@ def take_event(progress: Progress, line: bytes) -> Progress:
         progress = replace(progress, outcome="", why="")
     if kind in ("start", "resume") and _number(event.get("steps")) is not None:
         progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
-    if kind != "step" or step is None:
+    if kind != "step" or step is None or step < progress.step:
         return progress
-    if step < progress.step:
-        return replace(progress, broken_lines=progress.broken_lines + 1)
     success = _number(event.get("success"))
     if success is not None and progress.success is not None:
         success = 0.95 * progress.success + 0.05 * success  # one batch says little

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,16 @@ def clean_environment() -> dict[str, str]:
     """
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP")}
     return environment | {"PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
+
+
+def start_process(command: list[str], out: Path | int, log: Path, **options: object) -> subprocess.Popen:
+    """Start a program that works in the folder of its log, which it goes on writing. Raises `InputError`."""
+    try:
+        with log.open("ab") as errors, out.open("wb") if isinstance(out, Path) else nullcontext(out) as file:
+            streams = {"stdout": file, "stderr": errors, "cwd": log.parent, "env": clean_environment()}
+            return subprocess.Popen(command, **streams, **options, **no_window())
+    except OSError as error:
+        raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None
 
 
 def candidates() -> list[str]:
@@ -90,10 +101,6 @@ def trainer_reason(python: str) -> str:
     return "has no cloak_core" if answer.returncode == NO_TRAINER or not said else f"does not work: {said[-1][:200]}"
 
 
-def _first_found() -> str:
-    return next((python for python in candidates() if not trainer_reason(python)), "")
-
-
 class Question(threading.Thread):
     """Asks Pythons about themselves in a thread; `answer` is None until it is known, or the `InputError` of asking."""
 
@@ -122,19 +129,13 @@ def _path_of(chosen: str) -> str | None:
 def _question(path: str) -> Question:
     """What is being found out, or known: why this Python cannot train; of "" which Python can, "" for none."""
     if path not in _questions:
-        _questions[path] = Question(functools.partial(trainer_reason, path) if path else _first_found)
+        find = lambda: next((python for python in candidates() if not trainer_reason(python)), "")
+        _questions[path] = Question(functools.partial(trainer_reason, path) if path else find)
     return _questions[path]
 
 
-def ask_ahead(chosen: str = "") -> None:
-    """Begin to find out what `find_python` will want to know."""
-    path = _path_of(chosen)
-    if path is not None:
-        _question(path)
-
-
 def known_reason(chosen: str = "") -> str | None:
-    """Why `find_python` would refuse, "" when it would not, None while the answer is on its way. Never waits."""
+    """Why `find_python` would refuse, "" when it would not, None while that is being found out. Never waits."""
     path = _path_of(chosen)
     if path is None:
         return f"The trainer's Python '{chosen}' cannot be run"

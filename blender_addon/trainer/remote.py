@@ -56,8 +56,9 @@ class Remote:
 
     def send(self, path: Path) -> str:
         """Send a file or folder unless an unchanged copy is there; return its remote path."""
-        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else beside(path)
-        files = [p for p in files if p.name not in OWN]
+        # Of a file also what belongs to it by its name: weights of an .xml, a description of an .onnx.
+        found = path.rglob("*") if path.is_dir() else path.parent.glob(f"{path.stem}.*")
+        files = sorted(p for p in found if p.is_file() and p.name not in OWN)
         look = [f"{p} {p.stat().st_size} {p.stat().st_mtime_ns}" for p in files]
         place = f"{self.folder}/{hashlib.sha256(chr(10).join([str(path), *look]).encode()).hexdigest()[:16]}"
         names = {}
@@ -132,11 +133,6 @@ class Remote:
 def plain(name: str) -> str:
     """A file's name as no shell has trouble with it."""
     return re.sub(r"[^A-Za-z0-9._-]", "_", name)
-
-
-def beside(path: Path) -> list[Path]:
-    """A file, and what belongs to it by its name: weights of an .xml, a description of an .onnx."""
-    return sorted(p for p in path.parent.glob(f"{path.stem}.*") if p.is_file())
 
 
 def translated(remote: Remote, words: list[str]) -> tuple[list[str], list[tuple[Path, str]]]:

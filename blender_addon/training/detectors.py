@@ -93,17 +93,14 @@ class CloakDetector(bpy.types.PropertyGroup):
     @property
     def bare(self) -> str:
         """As the command line names it, without its threshold; `InputError` where a file is missing."""
-        words = self._named()
+        words = self.spec.strip() or BUILTIN
+        if self.file:
+            file, suffix = existing(self.file, "Detector > File"), Path(self.file).suffix.lower()
+            if suffix not in FAMILIES:
+                raise InputError(f"{file}: a detector's file ends in {', '.join(FAMILIES)}")
+            weights = existing(self.weights, "Detector > Weights") if suffix == ".cfg" else ""
+            words = FAMILIES[suffix].format(file=file, weights=weights)
         return f"{words}@{self.options.strip()}" if self.options.strip() else words
-
-    def _named(self) -> str:
-        if not self.file:
-            return self.spec.strip() or BUILTIN
-        file, suffix = existing(self.file, "Detector > File"), Path(self.file).suffix.lower()
-        if suffix not in FAMILIES:
-            raise InputError(f"{file}: a detector's file ends in {', '.join(FAMILIES)}")
-        weights = existing(self.weights, "Detector > Weights") if suffix == ".cfg" else ""
-        return FAMILIES[suffix].format(file=file, weights=weights)
 
     @property
     def full(self) -> str:
@@ -255,12 +252,12 @@ def check(detector: CloakDetector) -> str:
 def _told(job: Job, spec: str) -> str | None:
     """Write the answer to every entry that it is about."""
     try:
-        record = json.loads(job.outputs[-1]) if job.outputs else {}
-    except ValueError:
+        record = dict(json.loads(job.outputs[-1])) if job.outputs else {}
+    except (ValueError, TypeError):
         record = {}
-    failed = [str(name) for name in record.get("failed", [])] if isinstance(record, dict) else []
+    failed = [str(name) for name in record.get("failed", [])]
     works = job.state == "done" and not failed
-    point = record.get("operating_point") if isinstance(record, dict) else None
+    point = record.get("operating_point")
     answer = _answer(record, point) if works else f"fails: {', '.join(failed)}" if failed else job.message
     if works or failed:
         job.state = "done"

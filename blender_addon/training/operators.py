@@ -1,41 +1,108 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 4: start, extend, cancel and resume a training, and what happens while it runs."""
+"""Operators of step 4: start, extend, cancel and resume a training, and why they cannot run now ("": they can)."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
-import numpy as np
 
-from ..blender.blend_paths import blend_folder, portable
 from ..blender.faces import active_logo, logo_names
-from ..body.objects import active_body, refusal
+from ..body.objects import active_body, body_reason, logo_reason, of_the_body, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from ..poses.export import Export, export, read_export
+from ..poses.export import Export, export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_request
 from ..session import session
-from ..trainer.command_lines import train_command
-from ..trainer.jobs import Job, TrainingJob, launch, waits
+from ..trainer.command_lines import differing_options, train_command
+from ..trainer.jobs import Job, TrainingJob, busy, launch, waits
 from ..trainer.preferences import chosen_python
 from ..ui import props
-from ..ui.operator import CloakOperator, push_undo
+from ..ui.operator import CloakOperator
 from . import run_list, runs
-from .reasons import (
-    attach_reason,
-    cancel_reason,
-    delete_reason,
-    extend_reason,
-    kept_reason,
-    resume_reason,
-    selected_run,
-    stop_reason,
-    train_reason,
-)
-from .run_states import FoundTrainer, RunState, request_stop
+from .run_states import DONE, RUNNING, FoundTrainer, RunState, read_state, request_stop
 from .runs import run_of
+
+
+def train_reason(context: bpy.types.Context) -> str:
+    """Why no training can start."""
+    reason = logo_reason(context) or poses_reason(context)
+    return reason or refusal(train_request, context.scene.cloak)
+
+
+def selected_run(context: bpy.types.Context) -> RunState | None:
+    """Read the state of the run that is chosen in the list."""
+    chosen = run_list.selected_path(context)
+    return read_state(Path(chosen)) if chosen else None
+
+
+def _chosen_reason(state: RunState | None) -> str:
+    if state is None:
+        return "Choose a run in the list first"
+    return "" if state.exists else f"{state.path} is gone: choose another run"
+
+
+def extend_reason(context: bpy.types.Context) -> str:
+    """Why no training can go on from the chosen run's colours."""
+    state = selected_run(context)
+    reason = body_reason(context) or _chosen_reason(state) or train_reason(context)
+    if reason:
+        return reason
+    if state.state == RUNNING:
+        return f"{state.title} is being trained: stop it first"
+    return "" if (state.path / "colors.npy").is_file() else f"{state.title} has no colours yet"
+
+
+def kept_reason(context: bpy.types.Context) -> str:
+    """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
+    state = selected_run(context)
+    if state is None or not state.resumable or refusal(train_request, context.scene.cloak):
+        return ""
+    kept = differing_options(list(state.options), train_request(context.scene.cloak).options())
+    return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
+
+
+@of_the_body
+def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Why the chosen run cannot go on."""
+    state = selected_run(context)
+    reason = _chosen_reason(state)
+    if reason or state.resumable:
+        return reason
+    if state.state == RUNNING:
+        return f"{state.title} is being trained: Attach follows it"
+    if state.state == DONE:
+        return f"{state.title} is done ({state.progress.describe()}): Extend trains on from its colours"
+    if not state.path.is_dir():
+        return f"{state.title} never began, so there is nothing to go on with: press Start"
+    return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
+
+
+def cancel_reason(context: bpy.types.Context) -> str:
+    """Why nothing can be cancelled."""
+    return "" if busy() else "Nothing is running"
+
+
+def stop_reason(context: bpy.types.Context) -> str:
+    """Why the chosen run cannot be stopped."""
+    state = selected_run(context)
+    return _chosen_reason(state) or ("" if state.state == RUNNING else f"{state.title} is not being trained")
+
+
+def attach_reason(context: bpy.types.Context) -> str:
+    """Why the chosen run cannot be followed."""
+    reason = stop_reason(context)
+    if reason:
+        return reason
+    state = selected_run(context)
+    return f"{state.title} is followed already" if session.training_of(state.path) else ""
+
+
+def delete_reason(context: bpy.types.Context) -> str:
+    """Why the chosen run cannot be deleted."""
+    state = selected_run(context)
+    busy = state is not None and state.state == RUNNING
+    return _chosen_reason(state) or (f"{state.title} is being trained: stop it first" if busy else "")
 
 
 class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason):
@@ -107,91 +174,21 @@ class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=resume_reason):
 
 def begin(obj: bpy.types.Object, run: Path, done: Export, command: list[str]) -> None:
     """Launch the training of an export and wire its live colours."""
-    watch = Watch(obj, run, read_face_list(done.face_list).ids, done.topology)
-    follow(obj, TrainingJob(command, run, done.folder, watch.finish), watch)
+    live = runs.LiveColors(obj, run, done.topology, read_face_list(done.face_list).ids)
+    follow(obj, TrainingJob(command, run, done.folder), live)
 
 
-def follow(obj: bpy.types.Object, job: TrainingJob, watch: Watch) -> None:
+def follow(obj: bpy.types.Object, job: TrainingJob, live: runs.LiveColors) -> None:
     """Make a training a job, and its run the body's as soon as it runs."""
-    job.on_tick = watch.tick
-    if launch(job).running:
-        watch.wear(obj)
-    run_list.refresh(bpy.context)
 
-
-class Watch:
-    """Looks after one training on the main thread: shows live colours, imports the last ones.
-
-    The body is found again by what it is, should the file have been reverted, opened again, or changed.
-    """
-
-    def __init__(self, obj: bpy.types.Object, run: Path, face_ids: np.ndarray, topology: str) -> None:
-        self._live = runs.LiveColors(obj, run, topology, face_ids)
-        self._run, self._name = run, obj.name
-        self._trained = face_ids, topology
-        self._worn = False
-        self._looked = -1
-        self._refused = ""
-        self._last = time.monotonic()
-
-    def wear(self, obj: bpy.types.Object) -> None:
-        """Assign this run to the body."""
-        obj.cloak.run, obj.cloak.verdict = portable(str(self._run), blend_folder()), ""
-        self._worn = True
-
-    def body(self) -> bpy.types.Object | None:
-        """The body, found anew where it is not the one that was there at the start; None where there is none."""
-        obj = self._live.object
-        if obj is not None and obj.users_scene:
-            return obj
-        if self._looked == session.mesh_changes:
-            return None
-        self._looked = session.mesh_changes
-        face_ids, topology = self._trained
-        found = runs.body_of(self._run, topology)
-        if found is not None:
-            self._live = runs.LiveColors(found, self._run, topology, face_ids)
-            self.wear(found)
-        return found
-
-    def tick(self, job: Job) -> None:
-        """Called by the timer."""
-        if not job.running:
-            return
-        obj = self.body()
-        if obj is None:
-            job.notice = f"'{self._name}' was deleted: its training goes on in {self._run.name}. Ctrl Z brings it back"
-            return
-        if not self._worn:
-            self.wear(obj)
-        if runs.run_of(obj) != self._run:
-            job.notice = f"'{obj.name}' wears another run: choose {self._run.name} in the list to see its colours"
-            return
-        settings = bpy.context.scene.cloak
-        if settings.live and time.monotonic() - self._last >= settings.live_seconds:
-            self._refused = refusal(self._live.update, bpy.context)
-            self._last = time.monotonic()
-        job.notice = self._refused
-
-    def finish(self, job: Job) -> str | None:
-        """At the end: refresh the list of runs and import the last colours."""
+    def ended(job: Job) -> str | None:
         run_list.refresh(bpy.context)
-        if not (self._run / "colors.npy").exists():
-            return None
-        self._looked = -1
-        obj = self.body()
-        try:
-            if obj is None:
-                raise InputError("the object is gone; open its file and press Load Colours")
-            if runs.run_of(obj) != self._run:
-                raise InputError(f"'{obj.name}' wears another run; choose {self._run.name} in the list")
-            if obj.mode == "EDIT":
-                raise InputError("leave Edit Mode (Tab) and press Load Colours")
-            runs.import_colors(bpy.context, obj, self._run)
-            push_undo("Cloak Colours")
-        except InputError as error:
-            return f"{job.message}; no colours imported: {error}"
-        return None
+        return live.finish(job)
+
+    job.on_end, job.on_tick = ended, live.tick
+    if launch(job).running:
+        live.give(obj)
+    run_list.refresh(bpy.context)
 
 
 class CLOAK_OT_run_attach(CloakOperator, label="Attach", needs=attach_reason):
@@ -205,8 +202,8 @@ on the body. When Blender closes it goes on"""
         if obj is None:
             raise InputError(f"No body of this file has the faces that {run.name} is trained on: open its own file")
         context.view_layer.objects.active = obj
-        watch = Watch(obj, run, face_ids, topology)
-        follow(obj, TrainingJob([], run, runs.side_folder(run), watch.finish, FoundTrainer(run)), watch)
+        job = TrainingJob([], run, runs.side_folder(run), FoundTrainer(run))
+        follow(obj, job, runs.LiveColors(obj, run, topology, face_ids))
         return f"Following {run.name}"
 
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 import bpy
 
 from ..body.objects import active_body, body_reason, logo_reason
@@ -12,7 +14,7 @@ from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import run_list
 from .detectors import CHECK, active_detector
-from .reasons import kept_reason, train_reason
+from .operators import kept_reason, train_reason
 from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
 BLACK_BOX = "It only judges: its runtime gives no gradients to train with"
@@ -129,7 +131,7 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
     """Every training there is: beside the file, in the output folder, worn by a body"""
 
     def draw(self, context: bpy.types.Context) -> None:
-        run_list.is_drawn()
+        session.runs_drawn = time.monotonic()  # so that the list is refreshed
         window = context.window_manager.cloak
         row = self.layout.row()
         row.template_list("CLOAK_UL_runs", "", window, "runs", window, "run_index", rows=4)
@@ -164,13 +166,8 @@ class CLOAK_PT_compare(CloakPanel, label="Compare", inside="runs"):
             column = self.layout.column(align=True)
             column.label(text=state.title, icon=RUN_ICONS[state.state])
             grid = column.grid_flow(row_major=True, columns=2, even_columns=True)
-            for (name, tip), rate in zip(COLUMNS.items(), _compared(state), strict=True):
-                figure(grid, f"{said(name)} {rate}", tip)
+            rates = (state.progress.success, *map(state.unseen.get, ("logo", "clothing", "random")))
+            for (name, tip), rate in zip(COLUMNS.items(), rates, strict=True):
+                figure(grid, f"{said(name)} {'–' if rate is None else f'{100 * rate:.0f} %'}", tip)
         if not any(state.unseen for state in shown):
             wrapped(self.layout, context, "Unseen: Evaluate, in step 5, measures it, beside its controls")
-
-
-def _compared(state: RunState) -> tuple[str, ...]:
-    """Success in per cent, by the columns."""
-    rates = (state.progress.success, *(state.unseen.get(name) for name in ("logo", "clothing", "random")))
-    return tuple("–" if rate is None else f"{100 * rate:.0f} %" for rate in rates)

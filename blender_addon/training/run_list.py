@@ -32,26 +32,18 @@ WATCHED_SECONDS = 5.0
 """The list is refreshed for this long after it was last drawn."""
 
 
-def places(context: bpy.types.Context) -> list[Path]:
-    """Folders in which runs are looked for."""
-    found = [blend_folder()]
-    with contextlib.suppress(InputError):  # the output folder cannot be used now: Start says why
-        found.append(output_folder(context.scene.cloak))
-    return [place for place in dict.fromkeys(found) if place is not None]
-
-
-def named_runs() -> list[Path]:
-    """Runs that objects of this file wear, and the one of the current job, wherever they lie."""
-    found = [run_of(obj) for obj in bpy.data.objects if obj.type == "MESH" and obj.cloak.run]
-    if isinstance(session.job, jobs.TrainingJob):
-        found.append(session.job.run)
-    return [run for run in found if run.is_dir() or input_folder(run).is_dir()]
-
-
 def refresh(context: bpy.types.Context) -> bool:
     """Read the disk again; True when something changed. Must not be called while a panel is drawn."""
-    runs = dict.fromkeys([*named_runs(), *(run for place in places(context) for run in find_runs(place))])
-    found = sorted(map(read_state, runs), key=lambda state: state.begun, reverse=True)
+    named = [run_of(obj) for obj in bpy.data.objects if obj.type == "MESH" and obj.cloak.run]
+    if isinstance(session.job, jobs.TrainingJob):
+        named.append(session.job.run)
+    runs = [run for run in named if run.is_dir() or input_folder(run).is_dir()]  # wherever they lie
+    places = [blend_folder()]
+    with contextlib.suppress(InputError):  # the output folder cannot be used now: Start says why
+        places.append(output_folder(context.scene.cloak))
+    for place in filter(None, places):
+        runs += find_runs(place)
+    found = sorted(map(read_state, dict.fromkeys(runs)), key=lambda state: state.begun, reverse=True)
     fresh = {str(state.path): state for state in found}
     items = context.window_manager.cloak.runs
     if [item.path for item in items] != list(fresh):
@@ -119,11 +111,6 @@ class CloakWindow(bpy.types.PropertyGroup):
 
 
 # --- keeping it fresh -------------------------------------------------------------------------------------------------
-
-
-def is_drawn() -> None:
-    """Note that the list is visible, so that it is refreshed."""
-    session.runs_drawn = time.monotonic()
 
 
 def _watch() -> float:

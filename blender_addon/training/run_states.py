@@ -113,12 +113,6 @@ def read_state(run: Path) -> RunState:
     return replace(state, state=RUNNING, why="") if is_running(run) else state
 
 
-def _begun(run: Path) -> float:
-    """When the export was written; of a run of the command line, when its settings were."""
-    written = (input_folder(run) / RECORD, run / "logo.npy", run / "config.json")
-    return next((path.stat().st_mtime for path in written if path.is_file()), 0.0)
-
-
 def _stamp(path: Path) -> tuple[int, int]:
     try:
         found = path.stat()
@@ -142,10 +136,14 @@ def _read(run: Path) -> RunState:
         state = DONE  # colours without a training's log, such as the zoo's
     elif state == FAILED and not why:
         why = f"its process ended without a word after step {progress.step}"
-    detectors, evaluation = _detectors(run / "config.json"), read_evaluation(run)
-    return RunState(
-        run, state, progress, why=why, begun=_begun(run), detectors=detectors, evaluation=evaluation, **names
-    )
+    detectors: tuple[str, ...] = ()
+    with contextlib.suppress(InputError, KeyError, TypeError):
+        detectors = tuple(str(detector["spec"]) for detector in read_json(run / "config.json")["detectors"])
+    # It begins when its export is written; of a run of the command line, when its settings are.
+    written = (folder / RECORD, run / "logo.npy", run / "config.json")
+    begun = next((path.stat().st_mtime for path in written if path.is_file()), 0.0)
+    found = {"why": why, "begun": begun, "detectors": detectors, "evaluation": read_evaluation(run)}
+    return RunState(run, state, progress, **found, **names)
 
 
 def _read_events(path: Path) -> Progress:
@@ -161,13 +159,6 @@ def _read_events(path: Path) -> Progress:
     if len(head) < start:
         head, tail = head[: head.rfind(b"\n") + 1], tail[tail.find(b"\n") + 1 :]
     return functools.reduce(take_event, (head + tail).splitlines(), Progress())
-
-
-def _detectors(config: Path) -> tuple[str, ...]:
-    try:
-        return tuple(str(detector["spec"]) for detector in read_json(config)["detectors"])
-    except (InputError, KeyError, TypeError):
-        return ()
 
 
 # --- following a trainer that this Blender did not start --------------------------------------------------------------

@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,16 +19,19 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.blend_paths import absolute, blend_folder, first_free
+from ..blender.blend_paths import absolute, blend_folder, first_free, portable
 from ..blender.mesh_arrays import topology
 from ..body.garments import write_worn
-from ..body.objects import object_of, require_body
+from ..body.objects import object_of, refusal, require_body
 from ..exchange.colors import read_colors
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
 from ..poses.export import RECORD, read_export
+from ..session import session
+from ..trainer.jobs import Job
+from ..ui.operator import push_undo
 
 
 def run_of(obj: bpy.types.Object) -> Path | None:
@@ -155,49 +159,108 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
     if obj.mode == "EDIT":
         raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
     result = read_run(run)
-    LiveColors(obj, run, result.topology, result.face_ids).write(context, result.colors, dress=True)
+    LiveColors(obj, run, result.topology, result.face_ids).write(context, obj, result.colors, dress=True)
     return result
 
 
 class LiveColors:
-    """Shows a run's colours on its object, also while they grow. What can be prepared is, so that writing is quick."""
+    """Shows a run's colours on its body, also while they grow. What can be prepared is, so that writing is quick.
+
+    The body is found again by what it is, should the file have been reverted, opened again, or changed.
+    """
 
     def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
-        self._run, self._topology, self._uid = run, body_topology, obj.session_uid
+        self._run, self._topology, self._all, self._name = run, body_topology, face_ids, obj.name
         known = (input_folder(run) / RECORD).exists()
-        self._garments, self._all = read_export(input_folder(run)).garments if known else [], face_ids
-        self._mine = (face_ids < len(obj.data.polygons)) | (not self._garments)
-        self._ids = face_ids[self._mine]
-        require_same_topology(obj, body_topology)
+        self._garments = read_export(input_folder(run)).garments if known else []
+        self._given, self._refused, self._last = False, "", time.monotonic()
+        self._looked = -1
+        self._use(obj)
+
+    def _use(self, obj: bpy.types.Object) -> None:
+        """Prepare to write onto this body. Raises `InputError` where it has other faces."""
+        require_same_topology(obj, self._topology)
+        self._uid, self._seen = obj.session_uid, 0
+        self._mine = (self._all < len(obj.data.polygons)) | (not self._garments)
+        self._ids = self._all[self._mine]
         if len(self._ids) and self._ids[-1] >= len(obj.data.polygons):
-            raise InputError(f"{run}: face {self._ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
-        self._seen = 0
+            raise InputError(f"{self._run}: face {self._ids[-1]} is beyond the mesh's {len(obj.data.polygons)}")
         self._base = colors.own_face_colors(obj)
 
-    @property
-    def object(self) -> bpy.types.Object | None:
-        """The object, found by its session id because it may have been renamed."""
-        return object_of(self._uid)
+    def give(self, obj: bpy.types.Object) -> None:
+        """Make the run the body's."""
+        obj.cloak.run, obj.cloak.verdict = portable(str(self._run), blend_folder()), ""
+        self._given = True
+
+    def body(self) -> bpy.types.Object | None:
+        """The body, found anew where it is not the one that was there at the start; None where there is none."""
+        obj = object_of(self._uid)
+        if obj is not None and obj.users_scene:
+            return obj
+        if self._looked == session.mesh_changes:
+            return None
+        self._looked = session.mesh_changes
+        found = body_of(self._run, self._topology)
+        if found is not None:
+            self._use(found)
+            self.give(found)
+        return found
+
+    def tick(self, job: Job) -> None:
+        """Called by the timer of the job that trains."""
+        if not job.running:
+            return
+        obj = self.body()
+        if obj is None:
+            job.notice = f"'{self._name}' was deleted: its training goes on in {self._run.name}. Ctrl Z brings it back"
+            return
+        if not self._given:
+            self.give(obj)
+        if run_of(obj) != self._run:
+            job.notice = f"'{obj.name}' wears another run: choose {self._run.name} in the list to see its colours"
+            return
+        settings = bpy.context.scene.cloak
+        if settings.live and time.monotonic() - self._last >= settings.live_seconds:
+            self._refused, self._last = refusal(self.update, bpy.context), time.monotonic()
+        job.notice = self._refused
+
+    def finish(self, job: Job) -> str | None:
+        """At the end of the job: import the last colours. Returns why they were not; None where they were, or none."""
+        if not (self._run / "colors.npy").exists():
+            return None
+        self._looked = -1
+        obj = self.body()
+        try:
+            if obj is None:
+                raise InputError("the object is gone; open its file and press Load Colours")
+            if run_of(obj) != self._run:
+                raise InputError(f"'{obj.name}' wears another run; choose {self._run.name} in the list")
+            if obj.mode == "EDIT":
+                raise InputError("leave Edit Mode (Tab) and press Load Colours")
+            import_colors(bpy.context, obj, self._run)
+            push_undo("Cloak Colours")
+        except InputError as error:
+            return f"{job.message}; no colours imported: {error}"
+        return None
 
     def update(self, context: bpy.types.Context) -> bool:
         """Write new colours if there are any; False when there is nothing new or the object cannot take them now.
 
         What undo took off the object comes back. Raises `InputError` when the object changed since export.
         """
-        obj, path = self.object, self._run / "colors.npy"
+        obj, path = object_of(self._uid), self._run / "colors.npy"
         if obj is None or obj.mode == "EDIT" or not path.exists():
             return False
         stamp = path.stat().st_mtime_ns
         naked = not self._seen or colors.lost_its_cloak(obj)
         if stamp == self._seen and not naked:
             return False
-        self.write(context, read_colors(path, count=len(self._mine)), dress=naked)
+        self.write(context, obj, read_colors(path, count=len(self._mine)), dress=naked)
         self._seen = stamp
         return True
 
-    def write(self, context: bpy.types.Context, values: np.ndarray, dress: bool) -> None:
+    def write(self, context: bpy.types.Context, obj: bpy.types.Object, values: np.ndarray, dress: bool) -> None:
         """Colours [L, 3] onto the object and its garments; with `dress` their faces get the cloak's material."""
-        obj = self.object
         require_same_topology(obj, self._topology)
         write_worn(self._garments, self._all, values, dress)
         self._base[self._ids] = values[self._mine]

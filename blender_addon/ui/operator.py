@@ -66,6 +66,7 @@ class BodyOperator(CloakOperator):
     """
 
     bl_options = WITH_UNDO
+    show = staticmethod(lambda fraction: None)
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:

@@ -91,12 +91,11 @@ class CloakPanel(bpy.types.Panel):
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
         """Draw this panel's jobs: progress, place in the queue, or how the last one ended."""
-        mine = [(number, job) for number, job in enumerate(session.jobs) if job.label in labels]
-        for number, job in mine:
-            if job.active:
+        for number, job in enumerate(session.jobs):
+            if job.label in labels and job.active:
                 self._active(context, number, job)
-        if mine and not mine[-1][1].active and mine[-1][1].message:
-            job = mine[-1][1]
+        job = session.job_of(*labels)
+        if job is not None and not job.active and job.message:
             bad = job.state == "failed" or job.is_bad_news
             wrapped(self.layout, context, job.message, icon="ERROR" if bad else "CHECKMARK")
 

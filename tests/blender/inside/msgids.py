@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import cloak
 from cloak.logo import paint
-from cloak.result import evaluations, eye_drawing, judging, panel
+from cloak.result import evaluations, eye, judging, panel
 from cloak.training import detectors
 from cloak.training import panel as training_panel
 
@@ -15,7 +15,7 @@ ROOM = Path(cloak.__file__).parent
 DRAWS = {"label", "prop", "operator", "operator_menu_enum", "progress", "row", "invoke_props_dialog"}
 TABLES = (
     *(training_panel.COLUMNS, training_panel.COLUMNS.values(), evaluations.CONTROLS.values(), panel.CONTROL.values()),
-    *(panel.RENDERS, [name for name, _ in eye_drawing.KINDS.values()]),
+    *(panel.RENDERS, [name for name, _ in eye.KINDS.values()]),
 )
 """What panels go through."""
 BLENDERS = {"filepath", "check_existing"}

@@ -9,7 +9,7 @@ from cloak.body import objects as body
 from cloak.body import samples
 from cloak.exchange.bodies import Bodies
 from cloak.files.errors import InputError
-from cloak.poses.reasons import poses_reason
+from cloak.poses.export import poses_reason
 from conftest import run_job
 from made import add_ngons, link, make_egg, set_mode
 

@@ -11,8 +11,8 @@ from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
+from cloak.poses.export import export_summary, poses_reason
 from cloak.poses.poses import PoseChoice, list_poses, lying_warning
-from cloak.poses.reasons import export_summary, poses_reason
 from cloak.training import runs
 from made import add_ngons, make_egg, make_grid, set_mode
 

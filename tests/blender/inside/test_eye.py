@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from cloak.files.errors import InputError
-from cloak.result import eye, eye_drawing, viewpoints
+from cloak.result import eye, viewpoints
 from cloak.session import session
 from cloak.trainer import jobs, onlooker
 from conftest import folder_of, run_job
@@ -106,9 +106,9 @@ def test_the_eye_sees_own_clothing_and_the_cloak(dressed, open_eye):
     told = asked()
     assert math.isclose(told["azimuth"], 0, abs_tol=1e-3) and math.isclose(told["distance"], 3, rel_tol=1e-4)
     assert told["colors"] == str(folder_of(dressed) / "colors.npy") and max(told["width"], told["height"]) == 640
-    words = [line for line, _ in eye_drawing.lines(open_eye, fits=True)]
+    words = [line for line, _ in eye.lines(open_eye, fits=True)]
     assert words[1:] == ["builtin reports from 0.5", "    Own clothing: found, 0.90", "    Cloak: hidden, 0.20"]
-    box = eye_drawing.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
+    box = eye.box_in((100, 50, 300, 150), open_eye.seen.glances["builtin"]["clothing"].boxes[0], open_eye.seen)
     assert np.allclose(box, (100, 50, 200, 150))
     assert not jobs.busy()  # it is no job: a training may run beside it
 
@@ -164,7 +164,7 @@ def test_the_eye_looks_again_when_view_body_or_colours_change(dressed, open_eye)
 def test_the_eye_says_what_stands_in_its_way_and_goes_on(dressed, open_eye):
     bpy.context.scene.camera.data.type = "ORTHO"
     watch(lambda: "no perspective" in open_eye.message)
-    assert eye_drawing.lines(open_eye, fits=True)[1][0] == open_eye.message
+    assert eye.lines(open_eye, fits=True)[1][0] == open_eye.message
     bpy.context.scene.camera.data.type = "PERSP"
     watch(lambda: not open_eye.message)
     set_mode("EDIT")

@@ -12,7 +12,7 @@ from cloak.blender.mesh_arrays import topology
 from cloak.blender.surface import read_surface
 from cloak.body import samples
 from cloak.logo import stamp
-from cloak.logo.heat import heatmap_words, show_heat
+from cloak.logo.operators import heatmap_words, show_heat
 from conftest import ROOT, blender_command
 from made import add_ngons, make_egg
 

@@ -10,7 +10,7 @@ import cloak
 import pytest
 from cloak.blender import colors
 from cloak.body import objects as body
-from cloak.logo import heat
+from cloak.logo import operators as heat
 from cloak.session import session
 from cloak.trainer import jobs
 from conftest import EXTENSION, MODULE, ROOT

@@ -105,7 +105,7 @@ def test_a_training_on_the_sample_body_says_what_it_was_made_from(ready, monkeyp
 
 
 def test_a_cloak_that_hides_no_more_than_clothing_is_bad_news(dressed, tmp_path):
-    from cloak.result.evaluate import _evaluated
+    from cloak.result.operators import _evaluated
 
     run = folder_of(dressed)
     (run / "evaluation").mkdir()

@@ -10,8 +10,8 @@ from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
+from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
-from cloak.poses.reasons import poses_reason
 from cloak.training import runs
 from made import centers, make_egg, make_grid, set_mode
 

@@ -22,7 +22,7 @@ from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, run_states, runs
-from cloak.training.reasons import kept_reason, resume_reason, selected_run
+from cloak.training.operators import kept_reason, resume_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import make_egg
 

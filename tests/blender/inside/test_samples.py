@@ -12,7 +12,8 @@ from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
 from cloak.exchange.scenes import read_scene
 from cloak.files.errors import InputError
-from cloak.logo import heat, overlay
+from cloak.logo import operators as heat
+from cloak.logo import overlay
 from cloak.poses import export as scene_export
 from cloak.poses.poses import PoseChoice
 from cloak.result.operators import check_reason

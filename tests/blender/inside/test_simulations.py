@@ -7,8 +7,8 @@ from cloak.blender import faces
 from cloak.files.errors import InputError
 from cloak.poses import export as scene_export
 from cloak.poses import poses
+from cloak.poses.export import poses_reason
 from cloak.poses.poses import PoseChoice
-from cloak.poses.reasons import poses_reason
 from made import make_egg
 
 FRAMES = PoseChoice("RANGE", 5, 21, 8)

@@ -65,7 +65,8 @@ def test_the_copy_of_an_edited_mesh_ages_with_each_change():
         faces.write_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) < 3)
         assert faces.read_faces(obj, "a").sum() == 3
         faces.write_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) < 5)
-        faces.add_faces(obj, "a", np.arange(mesh_arrays.face_count(obj)) == 7)
+        only = np.arange(mesh_arrays.face_count(obj)) == 7
+        faces.write_faces(obj, "a", only, where=only)
         assert faces.read_faces(obj, "a").sum() == 6
     assert not [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith(".cloak")]
 

@@ -13,7 +13,7 @@ from cloak.result.reasons import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, run_states, runs
-from cloak.training.reasons import attach_reason
+from cloak.training.operators import attach_reason
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
 from made import make_egg, set_mode
 
@@ -133,7 +133,7 @@ def test_a_training_does_not_paint_over_another_run_that_was_chosen(ready, monke
 
 
 def test_rows_keep_their_places_and_attach_finds_its_body(training, monkeypatch):
-    jobs.forget()  # asks it to end; what it did last must not move its row
+    jobs.shut_down()  # asks it to end; what it did last must not move its row
     wait_for(lambda: not run_states.is_running(training))
     body = bpy.data.objects["Body"]
     time.sleep(0.02)

@@ -10,7 +10,7 @@ from cloak.files.errors import InputError
 from cloak.trainer import command_lines
 from cloak.trainer import python as trainer_python
 from cloak.trainer.preferences import preferences
-from cloak.training.reasons import train_reason
+from cloak.training.operators import train_reason
 from conftest import run_job
 
 # --- its Python -------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Step 4 with a stub trainer: the panel's way from Start to colours, and everything that may go wrong on it."""
 
 import json
+import math
 import os
 import re
 import threading
@@ -13,7 +14,7 @@ from cloak.body import objects as body
 from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.training import run_list
-from cloak.training.reasons import resume_reason, train_reason
+from cloak.training.operators import resume_reason, train_reason
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import set_mode
 
@@ -95,8 +96,9 @@ def test_broken_event_lines_are_passed_over(ready, monkeypatch):
     monkeypatch.setenv("CLOAK_STUB", "broken")
     bpy.ops.cloak.train_start()
     job = run_job()
-    assert job.state == "done" and job.progress.step == 20
-    assert job.progress.broken_lines >= 40
+    assert job.state == "done" and job.progress.describe() == "20/20"
+    assert math.isfinite(job.progress.loss) and "nan" not in job.message
+    assert red_faces(ready) == LOGO_FACES
 
 
 def test_object_changed_since_export(ready, monkeypatch):

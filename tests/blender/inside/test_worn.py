@@ -10,8 +10,8 @@ from cloak.body import garments
 from cloak.files.errors import InputError
 from cloak.logo import overlay
 from cloak.poses import export as scene_export
+from cloak.poses.export import export_summary, poses_reason
 from cloak.poses.poses import PoseChoice
-from cloak.poses.reasons import export_summary, poses_reason
 from cloak.result.operators import check_reason
 from cloak.result.reasons import export_worn, judged_reason
 from cloak.training import runs
