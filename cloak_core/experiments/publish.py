@@ -11,7 +11,6 @@ from cloak_core.evaluation.controls import LOGO
 from cloak_core.evaluation.report.page import data_uri, write_page
 from cloak_core.experiments.runner import experiments, finished
 from cloak_core.experiments.tables import readable
-from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.scene.pictures import open_picture, read_picture, save_picture
@@ -28,7 +27,7 @@ COLORS = 128
 
 def make_page(out: Path) -> Path:
     """Write OUT/index.html from the experiments in OUT and return its path. InputError: there is none."""
-    records = _finished(out)
+    records = finished(out)
     shown = [
         _shown(name, record, SHOWN)
         | {
@@ -61,11 +60,11 @@ def publish(out: Path, folder: Path) -> Path:
 
     Plots only, no pictures: whether the photographs in those may be published only their owner knows.
     """
-    records = _finished(out)
+    records = finished(out)
     folder.mkdir(parents=True, exist_ok=True)
     shown = []
     for name, record in records.items():
-        plots = [file for file in record["figures"] if file.endswith(".png") and not file.startswith("pictures")]
+        plots = [file for file in record["figures"] if file.endswith(".png")]
         config = read_json(out / name / "config.json")
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
         rows, curves = record["rows"][:ROWS], record.get("thresholds", [])
@@ -81,12 +80,6 @@ def publish(out: Path, folder: Path) -> Path:
             }
         )
     return write_page(folder / "tables.md", "experiments.md", {"experiments": shown})
-
-
-def _finished(out: Path) -> dict[str, dict]:
-    if not (records := finished(out)):
-        raise InputError(f"{out}: holds no finished experiment")
-    return records
 
 
 def _copy(source: Path, target: Path) -> str:

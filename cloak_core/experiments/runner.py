@@ -159,7 +159,10 @@ def find(name: str) -> Experiment:
 
 
 def finished(out: Path) -> dict[str, dict]:
-    """Read the records of the experiments that OUT holds, in order."""
+    """Read the records of the experiments that OUT holds, in order. InputError: there is none."""
     paths = {name: out / name / "numbers.json" for name in experiments()}
     records = {name: read_json(path) for name, path in paths.items() if path.exists()}
-    return {name: record for name, record in records.items() if "words" in record}
+    found = {name: record for name, record in records.items() if "words" in record}
+    if not found:
+        raise InputError(f"{out}: holds no finished experiment")
+    return found

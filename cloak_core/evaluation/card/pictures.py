@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.report.pictures import describe, draw_pair, draw_trial, write_flat, write_shot
+from cloak_core.evaluation.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.store import RunStore, Trained
@@ -40,10 +40,11 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
         place = folder / place_of(part)
         place.mkdir()
         if part == "clean":
-            for trial in missed_trials(results.rows(spec, CLOTHING), own):
+            rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
+            for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
                 shots = draw_trial(place, renderer, trial, (CLOTHING,), detectors, own)
                 found["missed"].append(describe(renderer, trial) | shots)
-            for index in alarming_backgrounds(results.rows(spec, NOBODY), own):
+            for index in first_by(bare[~hidden(bare, own)], SHOWN, ("score", "background"))["background"].tolist():
                 shot = write_shot(place / f"bare-{index:05d}.jpg", renderer.bare([index]), detectors, own)
                 found["alarms"].append({"background": renderer.background_names[index], "bare": shot})
         else:
@@ -52,17 +53,6 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
             flat = {side: write_flat(place, side, renderer.flat_view(angle, 320)) for side, angle in SIDES.items()}
             found["cloaks"].append({"part": part} | flat)
     return found
-
-
-def missed_trials(rows: pd.DataFrame, own: float) -> list[int]:
-    """Choose the images in own clothing without a reported person and with the lowest scores."""
-    return rows[hidden(rows, own)].sort_values("score", kind="stable")["image"].head(SHOWN).tolist()
-
-
-def alarming_backgrounds(rows: pd.DataFrame, own: float) -> list[int]:
-    """Choose the bare backgrounds with a reported person and the highest scores, best first."""
-    alarms = rows[~hidden(rows, own)].sort_values(["score", "background"], ascending=False, kind="stable")
-    return alarms["background"].head(SHOWN).tolist()
 
 
 def hidden_trials(rows: pd.DataFrame, own: float) -> list[int]:

@@ -81,8 +81,12 @@ def _spaced(values: np.ndarray, count: int) -> np.ndarray:
 
 def failure_trials(rows: pd.DataFrame, threshold: float) -> list[int]:
     """Choose the cloaked images with a reported person and the highest scores, best first."""
-    found = rows[~hidden(rows, threshold)].sort_values("score", ascending=False, kind="stable")
-    return found["image"].head(FAILURES).tolist()
+    return first_by(rows[~hidden(rows, threshold)], FAILURES)["image"].tolist()
+
+
+def first_by(rows: pd.DataFrame, count: int, by: Sequence[str] = ("score",), ascending: bool = False) -> pd.DataFrame:
+    """Select the rows with the highest scores, or the lowest, in this order; equals in the order of images."""
+    return rows.sort_values([*by], ascending=ascending, kind="stable").head(count)
 
 
 def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]]:
