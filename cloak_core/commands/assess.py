@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import Stopped, err, out
+from cloak_core.commands.base import err, out
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.progress import WorkProgress
 from cloak_core.commands.sharing import Sharing, SharingOptions
@@ -66,15 +66,11 @@ class Assess(Splitting, Detecting, Sharing):
         from cloak_core.evaluation.card.leaderboard import gather, write_leaderboard
         from cloak_core.evaluation.card.page import write_card, write_comparison
         from cloak_core.evaluation.report.words import short_names
-        from cloak_core.evaluation.store import Interrupted
 
         self._budget()
         bounds = self._bounds()
-        try:
-            self.sharing.spread(self._parts(), self.compute)
-            cards = self.work() if self.specs else gather(self.out)
-        except Interrupted as stop:
-            raise Stopped(str(stop)) from None
+        self.sharing.spread(self._parts(), self.compute)
+        cards = self.work() if self.specs else gather(self.out)
         called = short_names(card["spec"] for card in cards.values())
         folders = {called[card["spec"]]: self.out / name for name, card in cards.items()}
         pages = [write_card(folder) for folder in folders.values()]

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from rich.console import Console
 
-from cloak_core.files.errors import InputError, one_line
+from cloak_core.files.errors import InputError, Stopped, one_line
 from cloak_core.scene.opening import load_scene
 
 __all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "share", "warn"]
@@ -33,10 +33,6 @@ err = Words(stderr=True)
 """Progress, warnings and errors: standard error, always."""
 out = Words()
 """Results for people: standard output, silent under --json."""
-
-
-class Stopped(Exception):
-    """The command ended early but in order (cancelled, out of budget): exit code 3."""
 
 
 @dataclass(kw_only=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Stopped, err, out, warn
+from cloak_core.commands.base import err, out, warn
 from cloak_core.commands.options import Computing, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.experiments.options import Options, names
@@ -49,21 +49,15 @@ class Reproduce(Splitting, Computing, Sharing):
     def _measure(self) -> tuple[dict, dict]:
         """Measure; give records by name, and why others were left out."""
         from cloak_core.evaluation.cycles import NoBlender
-        from cloak_core.evaluation.store import Interrupted
         from cloak_core.experiments.runner import run_experiment
 
-        try:
-            self.sharing.spread(self._parts(), self.compute)
-        except Interrupted as stop:
-            raise Stopped(str(stop)) from None
+        self.sharing.spread(self._parts(), self.compute)
         self.prepare()
         store = self._store()
         done, skipped = {}, {}
         for name in self._names():
             try:
                 done[name] = run_experiment(name, store)
-            except Interrupted as stop:
-                raise Stopped(str(stop)) from None
             except NoBlender as missing:
                 if self.name != "all":
                     raise

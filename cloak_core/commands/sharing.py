@@ -15,7 +15,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.commands.base import Command, err
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 
 if TYPE_CHECKING:
     from cloak_core.jobs.ray_cluster import RayCluster
@@ -25,7 +25,7 @@ class Part(Protocol):
     """A command for a part of the work; it can be pickled."""
 
     def work(self) -> object:
-        """Make what is missing. InputError; `Interrupted` where it was ended early, in order."""
+        """Make what is missing. InputError; `Stopped` where it was ended early, in order."""
         ...
 
 
@@ -50,10 +50,9 @@ class SharingOptions:
     def spread(self, parts: Sequence[tuple[str, Part]], compute: ComputeSettings) -> None:
         """Have the parts done, each with its name for people; do nothing without --ray.
 
-        A part that fails leaves the others alone; then InputError names the first such. Interrupted: a part was ended
+        A part that fails leaves the others alone; then InputError names the first such. Stopped: a part was ended
         early.
         """
-        from cloak_core.evaluation.store import Interrupted
         from cloak_core.jobs.job import Job, hand_out
 
         executor = self.executor()
@@ -67,7 +66,7 @@ class SharingOptions:
                 if outcome.error:
                     failed.append(f"{outcome.job.name}: {outcome.error}")
                 elif outcome.result:
-                    raise Interrupted(outcome.result)
+                    raise Stopped(outcome.result)
         if failed:
             raise InputError(f"{len(failed)} of {len(jobs)} parts failed, the first of them {failed[0]}")
 
@@ -83,10 +82,8 @@ class Sharing(Command):
 
 def do(part: Part) -> str:
     """Do a part; say why it was ended early, "" where it was not."""
-    from cloak_core.evaluation.store import Interrupted
-
     try:
         part.work()
-    except Interrupted as stop:
+    except Stopped as stop:
         return str(stop) or "interrupted"
     return ""

@@ -79,7 +79,6 @@ class Transfer(Splitting, Detecting, Sharing):
     """Write table and heat map again from the cells in --out; train and judge nothing."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.store import Interrupted
         from cloak_core.evaluation.transfer.matrix import gather
         from cloak_core.evaluation.transfer.plan import ablation_names
 
@@ -88,10 +87,10 @@ class Transfer(Splitting, Detecting, Sharing):
             try:
                 self.sharing.spread(self._parts(asked), self.compute)
                 self.work()
-            except Interrupted as stop:
+            except Stopped as stop:
                 stopped = str(stop)
                 if not (self.out / "cells").exists():
-                    raise Stopped(stopped) from None
+                    raise
         result = self._shown(gather(self.out), asked)
         return result | ({"stopped": stopped} if stopped else {})
 

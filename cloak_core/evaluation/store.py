@@ -35,7 +35,7 @@ from cloak_core.evaluation.wearing.judging import PeopleRenderer
 from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
 from cloak_core.files.locks import lock
 from cloak_core.files.writing import new_folder, remove_leftovers, write_json, written
@@ -52,10 +52,6 @@ MEASUREMENT_VERSION = 1
 drawn images, rendering, detectors, or of what is kept of their answers."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
 CONTROLS = (*STANDARD, *NATURAL)
-
-
-class Interrupted(Exception):
-    """A training was stopped in order; the same call continues it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +117,7 @@ class RunStore:
         """Train colours for these faces against these detectors, or find them.
 
         bodies: the split's training bodies where none are given. precision: of the detectors. changes: training
-        settings by name. Interrupted: the training was stopped in order.
+        settings by name. Stopped: the training was stopped in order.
         """
         bodies = bodies or self.split.bodies
         settings = self.train_settings(seed, specs, **changes)
@@ -146,7 +142,7 @@ class RunStore:
             heard = {"resume": True, "on_event": on_event, "people": people}
             result = train(settings, bodies, logo, detectors, backgrounds, folder, **heard)
         if result.stopped:
-            raise Interrupted(f"{folder}: stopped at step {result.step}: {result.stopped}")
+            raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
 
     def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
         """Make the settings of a training from the options, with changes by name.

@@ -44,7 +44,7 @@ def experiments() -> dict[str, Experiment]:
 def run_experiment(name: str, store: RunStore) -> dict:
     """Run one experiment and write OUT/NAME; returns its record: rows, caption, figures, the paper's values.
 
-    InputError: there is no such experiment. Interrupted: a training was stopped in order; the same call continues it.
+    InputError: there is no such experiment. Stopped: a training was stopped in order; the same call continues it.
     """
     experiment = find(name)
     numbers = measure(experiment, store)

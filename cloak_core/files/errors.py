@@ -1,4 +1,4 @@
-"""The one error for bad input."""
+"""The error for bad input, and the end of work that was stopped in order."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ class InputError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+class Stopped(Exception):
+    """Work ended early but in order (cancelled, out of budget); the same call goes on. The command line exits with 3.
+
+    The message says where it stopped.
+    """
 
 
 def one_line(text: str) -> str:

@@ -103,7 +103,7 @@ def test_a_part_that_fails_is_named_after_the_others_are_done(transfer, elsewher
 
 
 def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch):
-    monkeypatch.setattr(store.RunStore, "train", failing(store.Interrupted("enough")))
+    monkeypatch.setattr(store.RunStore, "train", failing(store.Stopped("enough")))
     assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 3
     assert len(elsewhere.names) == 1
 

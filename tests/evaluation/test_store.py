@@ -8,8 +8,8 @@ import pytest
 
 from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit, open_data_split
-from cloak_core.evaluation.store import Interrupted, RunStore
-from cloak_core.files.errors import InputError
+from cloak_core.evaluation.store import RunStore
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.scene.logos.garments import chest_thighs
 from tests.evaluation.made_split import Glow, make_options, make_split
 
@@ -83,7 +83,7 @@ def test_an_interrupted_set_goes_on(split: DataSplit, tmp_path: Path) -> None:
     faces = chest_thighs(split.bodies)
     whole = RunStore(split, make_options(tmp_path, steps=(3,))).train(faces, [RED]).colors
     other = RunStore(split, make_options(tmp_path / "other", steps=(3,)))
-    with pytest.raises(Interrupted, match="stopped at step 1"):
+    with pytest.raises(Stopped, match="stopped at step 1"):
         other.train(faces, [RED], max_seconds=1e-6)
     assert np.array_equal(other.train(faces, [RED]).colors, whole)
 

@@ -10,7 +10,7 @@ from cloak_core.cli import load
 from cloak_core.commands import parsing
 from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit
-from cloak_core.evaluation.store import Interrupted, RunStore
+from cloak_core.evaluation.store import RunStore
 from cloak_core.evaluation.store_options import StoreOptions
 from cloak_core.evaluation.transfer.matrix import Matrix, gather, show, summary
 from cloak_core.evaluation.transfer.plan import (
@@ -24,7 +24,7 @@ from cloak_core.evaluation.transfer.plan import (
     family_of,
     kinship,
 )
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.garments import chest_thighs
@@ -141,7 +141,7 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     assert set(told["matrix"]) == {"onnx:red.onnx", "yolo:a"}
     values = [cell["success"] for cell in cells]
     assert told["mean"] == pytest.approx(np.mean(values), abs=1e-4) and told["worst"] == min(values)
-    with pytest.raises(Interrupted, match="time budget"):
+    with pytest.raises(Stopped, match="time budget"):
         matrix(out, deadline=0.0).fill(["adaptive"])
     files = show(cells, tmp_path / "docs", "table", "cloak transfer --detector onnx:/secret/place/a.onnx --out /x/y")
     text = files[-1].read_text()

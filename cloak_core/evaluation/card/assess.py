@@ -71,7 +71,7 @@ class Assessment:
         self.entries = self._entries()
 
     def run(self) -> dict:
-        """Make the card. `Interrupted` where a training was stopped in order: the same call goes on from there."""
+        """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
         budget = self.budget
         rate = self._seconds_per_image() if budget.minutes else 0.0
         smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []

@@ -24,7 +24,7 @@ from cloak_core.evaluation.report.page import write_page
 from cloak_core.evaluation.report.style import SERIES, save_figure, style
 from cloak_core.evaluation.report.words import file_name, percent, short_name
 from cloak_core.evaluation.statistics_card import heat_values, transfer_means, transfer_record
-from cloak_core.evaluation.store import Interrupted, RunStore, Trained, training_times
+from cloak_core.evaluation.store import RunStore, Trained, training_times
 from cloak_core.evaluation.transfer.plan import (
     ALL,
     CROSS_FAMILY,
@@ -34,7 +34,7 @@ from cloak_core.evaluation.transfer.plan import (
     ablation_settings,
     kinship,
 )
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import remove_leftovers, write_json, written
@@ -64,7 +64,7 @@ class Matrix:
     def fill(self, asked: Sequence[str]) -> None:
         """Make every judged detector's cell of each of these ablations.
 
-        Interrupted: the time is over; the same call goes on from there. InputError: a judged detector has no surrogate.
+        Stopped: the time is over; the same call goes on from there. InputError: a judged detector has no surrogate.
         """
         for judged in self.judges:
             self.surrogates_for(judged)
@@ -114,7 +114,7 @@ class Matrix:
     def _trained(self, surrogates: tuple[str, ...], seed: int, settings: dict) -> Trained:
         left = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
         if left and left["max_seconds"] <= 0:
-            raise Interrupted("the time budget is spent; the same command goes on with what is left")
+            raise Stopped("the time budget is spent; the same command goes on with what is left")
         return self.store.train(self.faces, surrogates, seed=seed, **settings, **left)
 
 
