@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
@@ -18,8 +19,8 @@ from cloak_core.evaluation.report.pictures import reported, to_pil
 from cloak_core.evaluation.report.style import INK, style
 
 BOX = "#e0341c"
-INCHES, LINE = 1.6, 0.2
-"""Side of a picture on a sheet, and height of the line below it."""
+INCHES, LINE, DPI = 1.6, 0.2, 150
+"""Side of a picture on a sheet, and height of the line below it; pixels an inch."""
 
 
 class Picture(NamedTuple):
@@ -34,7 +35,8 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
     """Draw a contact sheet: named rows of pictures."""
     columns = max(map(len, rows.values()))
     with style(**{"axes.grid": False}):
-        figure = Figure(figsize=(columns * INCHES + LINE, len(rows) * (INCHES + LINE)), layout="constrained")
+        size = columns * INCHES + LINE, len(rows) * (INCHES + LINE)
+        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         grid = figure.subplots(len(rows), columns, squeeze=False, subplot_kw={"xticks": [], "yticks": []})
         for (name, pictures), axes in zip(rows.items(), grid, strict=True):
             axes[0].set_ylabel(name, weight="bold")
@@ -45,9 +47,9 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
                 axis.set_xlabel(text, color=BOX if boxes else INK, fontsize=8)
                 for x1, y1, x2, y2, _ in boxes:
                     axis.add_patch(Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, color=BOX))
-        data = io.BytesIO()
-        figure.savefig(data, format="png", facecolor="white")
-    return Image.open(data)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 @torch.no_grad()
