@@ -155,7 +155,7 @@ def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B
 
 
 HERS = 0.4
-"""A person box of this overlap with hers is hers; so is one that lies by half of its own area within her box."""
+"""A person box of this overlap with hers is hers; so is one that lies by half of its own area within her."""
 THEIRS = 0.5
 """A box that overlaps another known person's by so much, and more than hers, is that person's."""
 
@@ -165,14 +165,16 @@ def only_hers(
     bodies: Float[Tensor, "B 4"],
     others: Float[Tensor, "B K 4"],
     anywhere: Bool[Tensor, " B"] | None = None,
+    masks: Bool[Tensor, "B H W"] | None = None,
 ) -> Detections:
     """Keep the scores of boxes that are one person's in each image; those of all others become 0, differentiably.
 
     bodies: the person's true box, xyxy, pixels; others: those of the other people, zeros where there are fewer;
-    anywhere: images in which every box counts.
+    anywhere: images in which every box counts; masks: True on the person. Without a mask the box of somebody half hidden
+    behind her, whom nobody annotated, lies within hers and is taken for her own.
     """
     theirs = of_others(detections.boxes, bodies, others)
-    hers = found_as_person(detections.boxes, bodies, HERS) & ~theirs
+    hers = found_as_person(detections.boxes, bodies, HERS, masks=masks) & ~theirs
     if anywhere is not None:
         hers, theirs = hers | anywhere[:, None], theirs & ~anywhere[:, None]
     other = None if detections.other is None else torch.where(theirs, 0.0, detections.other)

@@ -47,7 +47,7 @@ _log = logging.getLogger("cloak")
 TRAINING_VERSION = 2
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
-MEASUREMENT_VERSION = 1
+MEASUREMENT_VERSION = 2
 """Raise it by one when the same colours and settings give other scores or boxes than before: after a change of the
 drawn images, rendering, detectors, or of what is kept of their answers."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")

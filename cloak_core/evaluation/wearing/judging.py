@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cloak_core.detectors.outcomes import HERS, OnBody, on_body, only_hers
@@ -21,7 +21,7 @@ from cloak_core.evaluation.wearing.clothes import Clothes, clothes_position, con
 from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.render.compositing import compose
 from cloak_core.render.photographs.fitting import Fit
-from cloak_core.render.photographs.views import framing_of, photograph_view, shares_of
+from cloak_core.render.photographs.views import framing_of, person_mask, photograph_view, shares_of
 from cloak_core.render.types import BakedView
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.photographs.posing import seen_from
@@ -103,9 +103,13 @@ class PeopleRenderer:
         return tuple(self._backgrounds.names)
 
     def views(self, indices: Indices) -> list[BakedView]:
-        """The photographs as they are: no face is laid anywhere."""
-        own = self.clothes[CLOTHING]
-        return [dress(self.fits[i], own, i, self.settings)[0] for i in map(int, indices)]
+        """The photographs as they are, no face laid anywhere, each with the person's mask."""
+        return [self._photograph(int(i)) for i in indices]
+
+    def _photograph(self, number: int) -> BakedView:
+        fit, settings = self.fits[number], self.settings
+        view, _ = dress(fit, self.clothes[CLOTHING], number, settings)
+        return replace(view, mask=person_mask(fit, framing_of(fit, settings.context, settings.size)))
 
     def compose(
         self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
@@ -128,11 +132,15 @@ class PeopleRenderer:
         others = torch.zeros(len(views), most, 4)
         for k, view in enumerate(views):
             others[k, : len(view.provenance["others"])] = torch.tensor(view.provenance["others"]).reshape(-1, 4)
-        return only_hers(detections, self.boxes(views, indices), others.to(detections.boxes))
+        at = self.boxes(views, indices), others.to(detections.boxes)
+        return only_hers(detections, *at, masks=self._masks(views))
 
     def on_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> OnBody:
-        """Find the best scores among boxes that are the person's or lie within her box."""
-        return on_body(detections, self.boxes(views, indices), HERS)
+        """Find the best scores among boxes that fit the person's or lie by half within her mask."""
+        return on_body(detections, self.boxes(views, indices), HERS, masks=self._masks(views))
+
+    def _masks(self, views: Sequence[BakedView]) -> Bool[Tensor, "B H W"]:
+        return torch.stack([view.mask for view in views]).to(self._device)
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds without people, as large as the images."""

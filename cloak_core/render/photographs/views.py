@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy import sparse
+from torch import Tensor
 
 from cloak_core.render.baking import baked_view
 from cloak_core.render.photographs.fitting import Fit
@@ -140,6 +141,14 @@ def photograph_view(
             "others": [framing.box(box) for box in fit.person.others],
         },
     )
+
+
+def person_mask(fit: Fit, framing: Framing) -> Bool[Tensor, "s s"]:
+    """True where a pixel of the image shows the person by half or more."""
+    height, width = fit.person.mask.shape
+    down = _kernel(framing.y, framing.side, framing.size, height, framing.softness, False)
+    across = _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
+    return torch.from_numpy(across @ (down @ fit.person.mask.astype(np.float32)).T >= 0.5).T
 
 
 def _moved_rows(fit: Fit, looseness: Looseness) -> np.ndarray:
