@@ -170,8 +170,8 @@ def only_hers(
     """Keep the scores of boxes that are one person's in each image; those of all others become 0, differentiably.
 
     bodies: the person's true box, xyxy, pixels; others: those of the other people, zeros where there are fewer;
-    anywhere: images in which every box counts; masks: True on the person. Without a mask the box of somebody half hidden
-    behind her, whom nobody annotated, lies within hers and is taken for her own.
+    anywhere: images in which every box counts; masks: True on the person. Without masks the box of somebody half hidden
+    behind her, of whom nobody told, lies within hers and is taken for her own.
     """
     theirs = of_others(detections.boxes, bodies, others)
     hers = found_as_person(detections.boxes, bodies, HERS, masks=masks) & ~theirs

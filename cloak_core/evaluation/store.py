@@ -44,7 +44,7 @@ from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import Logo, make_logo
 
 _log = logging.getLogger("cloak")
-TRAINING_VERSION = 2
+TRAINING_VERSION = 3
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
 MEASUREMENT_VERSION = 2

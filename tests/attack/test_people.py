@@ -122,6 +122,15 @@ BODY = torch.tensor([[100.0, 100.0, 200.0, 400.0]])
 NOBODY = torch.zeros(1, 0, 4)
 
 
+def test_somebody_behind_her_lies_in_her_box_and_not_on_her_mask():
+    mask = torch.zeros(1, 500, 500, dtype=torch.bool)
+    mask[:, 100:400, 100:150] = True
+    behind, drawn = boxes([155, 110, 195, 250, 0.9]), boxes([105, 200, 145, 260, 0.8])
+    assert only_hers(behind, BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
+    assert only_hers(behind, BODY, NOBODY, masks=mask).scores.tolist() == [[0.0]]
+    assert only_hers(drawn, BODY, NOBODY, masks=mask).scores.tolist() == [[pytest.approx(0.8)]]
+
+
 def test_a_small_person_drawn_on_the_cloth_counts():
     assert only_hers(boxes([120, 200, 160, 260, 0.9]), BODY, NOBODY).scores.tolist() == [[pytest.approx(0.9)]]
 

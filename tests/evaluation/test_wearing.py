@@ -20,6 +20,7 @@ from cloak_core.evaluation.wearing.settings import WearSettings
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.render.photographs.fits import fit_people
+from cloak_core.render.types import box_of
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.photographs.people import load_people
 from cloak_core.zoo.entry import entry
@@ -83,6 +84,8 @@ def test_people_in_photographs_are_views_like_any_other(people):
     backgrounds = load_backgrounds("procedural:test:2")
     renderer = PeopleRenderer(fit_people(people), [], backgrounds, SMALL)
     assert isinstance(renderer, EvaluationRenderer)
+    for view in renderer.views([0, 1]):
+        assert np.allclose(box_of(view.mask), view.box, atol=2)
     results = measure(renderer, {"body": BodyDetector()}, ("clothing", "grey"), (0, 1))
     rows = results.rows("body", "grey")
     assert rows["body"].tolist() == [person.name for person in people.people] and rows["angle"].isna().all()
