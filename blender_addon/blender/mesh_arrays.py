@@ -164,7 +164,8 @@ def triangle_corners(mesh: bpy.types.Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 def triangle_areas(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """[T] areas of triangles, corners [T, 3] of points [V, 3]."""
-    axes = np.ascontiguousarray(points.T, np.float64)  # axis by axis numpy takes half the time
+    # Axis by axis, around the middle and in single precision: numpy takes a quarter of the time.
+    axes = np.ascontiguousarray((points - points.mean(0)).T, np.float32)
     first, second, third = (axes.take(corners[:, corner], axis=1) for corner in range(3))
     a, b = second - first, third - first
     return np.sqrt(sum((a[i] * b[j] - a[j] * b[i]) ** 2 for i, j in ((0, 1), (1, 2), (2, 0)))) / 2

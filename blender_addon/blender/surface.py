@@ -28,7 +28,7 @@ class Surface:
     points: np.ndarray
     """[V, 3] vertices."""
     centers: np.ndarray
-    """[P, 3]."""
+    """[P, 3]; one axis after the other in memory, so that a pass over them is quick."""
     normals: np.ndarray
     """[P, 3], of any length."""
     reach_squared: np.ndarray
@@ -72,7 +72,8 @@ class Surface:
 
     def _squared_to(self, point: np.ndarray) -> np.ndarray:
         """[P] squared distances of the shown faces' centres from a point relative to `middle`; infinite for others."""
-        return np.where(self.shown, _squared(self.centers - point), np.float32(np.inf))
+        offset = self.centers.T - point[:, None]
+        return np.where(self.shown, (offset * offset).sum(0), np.float32(np.inf))
 
     def _face_at(self, point: np.ndarray, squared: np.ndarray) -> int:
         near = np.flatnonzero(squared <= self.reach_squared)
@@ -122,11 +123,12 @@ def _surface(obj: bpy.types.Object, mesh: bpy.types.Mesh, matrix: np.ndarray, ow
     placed = arrays.to_world(arrays.vertex_points(mesh), matrix)
     middle = placed.mean(0)
     points = (placed - middle).astype(np.float32)
-    counts, loops = arrays.polygon_loops(mesh)
+    corners, face = arrays.mesh_triangles(mesh)
+    counts, loops = np.bincount(face, minlength=len(own)) + 2, arrays.corner_vertices(mesh)  # n-gons: n - 2 triangles
     centers = (arrays.to_world(arrays.read(mesh.polygons, "center", 3), matrix) - middle).astype(np.float32)
     normals = arrays.read(mesh.polygon_normals, "vector", 3) @ np.linalg.inv(matrix[:3, :3]).astype(np.float32)
     away = _squared(points[loops] - np.repeat(centers, counts, axis=0))
     reach = 1.001 * np.maximum.reduceat(away, np.cumsum(counts) - counts) + np.float32(1e-12)
     shown = ~arrays.hidden_faces(mesh)
-    triangles = arrays.mesh_triangles(mesh)
-    return Surface(middle, points, centers, normals, reach, shown, *triangles, own, arrays.face_count(obj))
+    centers = np.asfortranarray(centers)
+    return Surface(middle, points, centers, normals, reach, shown, corners, face, own, arrays.face_count(obj))

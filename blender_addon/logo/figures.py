@@ -64,7 +64,7 @@ def logo_stats(parts: list[Part]) -> LogoStats:
         hidden += int((mask & hides).sum())
         area = triangle_areas(points, corners)
         areas.append((area[mask[face]].sum(), area.sum()))
-        seen = ~hides[face] if obj.mode == "EDIT" else slice(None)
+        seen = ~hides[face] if obj.mode == "EDIT" and hides.any() else slice(None)
         shapes.append((np.stack([points[:, 0], points[:, 2], -points[:, 1]], -1), corners[seen], face[seen]))
     count, (own, whole) = sum(int(mask.sum()) for _, mask in parts), (square * np.sum(areas, axis=0)).tolist()
     return LogoStats(count, hidden, own, whole, **_from_the_front(parts, shapes, square))
