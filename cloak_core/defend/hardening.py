@@ -33,6 +33,9 @@ from cloak_core.scene.photographs.people import People
 
 WARM_UP = 0.05
 """Share of the steps over which the learning rate rises."""
+LAST = 0.8
+"""Share of the steps after which cloaks count more (`cloaked_weight`) and the learning rate begins anew, at half its
+height: a detector whose cloaks counted more from the start took cloth for people more often than before."""
 CLIP = 5.0
 """Longest gradient, over all parameters."""
 
@@ -155,7 +158,7 @@ class Hardening:
         student.detector.requires_grad_(True)
         each = student.distance(images, wanted, surer, self.settings.sure)
         weights = torch.ones_like(each)
-        weights[:count] = self.settings.cloaked_weight
+        weights[:count] = self.settings.cloaked_weight if self.step >= LAST * self.settings.steps else 1.0
         loss = (weights * each).sum() / weights.sum()
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -214,8 +217,11 @@ class Hardening:
 
 
 def rate(step: int, steps: int) -> float:
-    """Share of the learning rate before update `step` (from 0): a rise, then half a cosine down to 0."""
-    warm = max(1, round(WARM_UP * steps))
+    """Share of the learning rate before update `step` (from 0): a rise, half a cosine down to 0, another from 0.5."""
+    last = max(1, math.ceil(LAST * steps))
+    if step >= last:
+        return 0.25 + 0.25 * math.cos(math.pi * (step - last) / (steps - last))
+    warm = max(1, round(WARM_UP * last))
     if step < warm:
         return (step + 1) / (warm + 1)
-    return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / max(1, steps - warm))
+    return 0.5 + 0.5 * math.cos(math.pi * (step - warm) / max(1, last - warm))

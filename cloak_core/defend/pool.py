@@ -49,7 +49,7 @@ their slot ended with on the same faces. A cloak's life is short: without this n
 WHOLE_BODY = 4
 """Each one in so many cloaks covers the whole body, the largest logo that an attacker has: of 200 drawn logos the
 largest covered four fifths, and a detector that never saw more fell to a cloak over everything."""
-FINISH = 120
+FINISH = 240
 """Steps that train a cloak to its end."""
 KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""

@@ -12,9 +12,9 @@ from cloak_core.attack.settings.values import Bounds
 
 @dataclass(frozen=True, kw_only=True)
 class HardenSettings:
-    """How a detector is hardened. The defaults are the best that is known; docs/defence.md has what they gain."""
+    """How a detector is hardened; docs/defence.md says what was measured, and with which settings."""
 
-    steps: Annotated[int, Bounds(1, 10_000_000)] = 1500
+    steps: Annotated[int, Bounds(1, 10_000_000)] = 1900
     """Updates of the detector."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
@@ -23,14 +23,14 @@ class HardenSettings:
     clean: Annotated[int, Bounds(0, 4096)] = 3
     """The first so many of these images are shown in their own clothes, too."""
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
-    """How much an image in a cloak counts beside one without and a picture: more makes the detector more robust, less
-    keeps more of its answers without cloaks."""
+    """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
+    counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
     pictures: Annotated[int, Bounds(0, 4096)] = 3
     """Pictures per update, backgrounds and photographs in turn, of which the detector is to say what it said."""
     decoys: Annotated[int, Bounds(0, 4096)] = 5
     """Such pictures per update with patterned cloth that nobody wears (panels, curtains, boxes, racks, dummies), of
     which the detector is to say what it said without the cloth."""
-    finished: Annotated[int, Bounds(0, 256)] = 2
+    finished: Annotated[int, Bounds(0, 256)] = 4
     """Cloaks that are trained against the unhardened detector before its first update, for such cloth alone: those of
     the pool are young at first, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
@@ -38,7 +38,7 @@ class HardenSettings:
     cloaks: Annotated[int, Bounds(1, 256)] = 4
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. One in four
     covers the whole body, the others random parts of it."""
-    life: Annotated[int, Bounds(1, 100_000)] = 64
+    life: Annotated[int, Bounds(1, 100_000)] = 32
     """Turns after which a cloak makes room for a new one, on another logo and from other colours: times attack_steps,
     so many updates a cloak gets. Short lives teach the detector to withstand weak cloaks alone."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 3
@@ -49,7 +49,8 @@ class HardenSettings:
     """Their learning rate (Adam), in units of colour. 0.1 is too much: colours flicker, and after 60 steps nothing was
     hidden where 0.03 to 0.05 hid more than 0.8."""
     lr: Annotated[float, Bounds(0, 1, "()")] = 1e-3
-    """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0."""
+    """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0, and for the last fifth of
+    the updates another from half the height."""
     sure: Annotated[float, Bounds(0, 1, "[)")] = 0.9
     """Where the unhardened detector reports the rendered person, it is to be at least so sure; 0: as sure as it was."""
     average: Annotated[float, Bounds(0, 1, "[)")] = 0.99

@@ -13,7 +13,7 @@ import torch
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
-from cloak_core.defend.hardening import HardenResult, harden
+from cloak_core.defend.hardening import HardenResult, harden, rate
 from cloak_core.defend.logos import JUDGED, draw_colors, draw_logo
 from cloak_core.defend.pool import Given, Pool
 from cloak_core.defend.settings import HardenSettings
@@ -123,11 +123,21 @@ def test_a_folder_of_an_earlier_version_says_why_it_does_not_go_on(student: Stud
         hardened(student, tmp_path / "out", resume=True, steps=1)
 
 
-def test_cloaked_images_count_as_much_as_asked(student: Student, tmp_path: Path) -> None:
-    hardened(student, tmp_path / "out", steps=1, cloaked_weight=3.0)
-    step = json.loads((tmp_path / "out" / "events.jsonl").read_text().splitlines()[1])
-    wanted = (3 * 2 * step["cloaked"] + 2 * step["clean"] + step["pictures"] + step["decoys"]) / (3 * 2 + 2 + 1 + 1)
-    assert step["cloaked"] != step["clean"] and step["loss"] == pytest.approx(wanted, rel=1e-5)
+def test_cloaked_images_count_as_much_as_asked_in_the_last_fifth(student: Student, tmp_path: Path) -> None:
+    hardened(student, tmp_path / "out", steps=5, cloaked_weight=3.0)
+    told = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
+    steps = [event for event in told if event["type"] == "step"]
+    for weight, step in ((1, steps[3]), (3, steps[4])):
+        wanted = weight * 2 * step["cloaked"] + 2 * step["clean"] + step["pictures"] + step["decoys"]
+        assert step["cloaked"] != step["clean"]
+        assert step["loss"] == pytest.approx(wanted / (weight * 2 + 2 + 1 + 1), rel=1e-5)
+
+
+def test_the_learning_rate_falls_twice() -> None:
+    rates = [rate(step, 100) for step in range(100)]
+    assert max(rates) == rates[4] == 1.0 and rates[79] < 0.01
+    assert rates[80] == 0.5 and rates[99] < 0.01 and sorted(rates[80:], reverse=True) == rates[80:]
+    assert 0 < rate(0, 1) <= 1
 
 
 def test_what_cannot_be_trained_is_refused_in_one_line() -> None:
