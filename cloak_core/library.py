@@ -134,10 +134,10 @@ def evaluate(
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
+    from cloak_core.evaluation.cloaked import open_cloaked
     from cloak_core.evaluation.evaluate import FOLDER
     from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
     from cloak_core.evaluation.evaluate import over_time as judge_snapshots
-    from cloak_core.evaluation.foreign_colors import open_cloaked
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -210,8 +210,8 @@ def film(
     prints: frames hidden, the longest visible run, first sight, tracks; per detector for colours and clothing.
     InputError: as in `evaluate`; another kind of film, no PyAV for a .mp4.
     """
+    from cloak_core.evaluation.cloaked import open_cloaked
     from cloak_core.evaluation.film import make_film
-    from cloak_core.evaluation.foreign_colors import open_cloaked
 
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)

@@ -65,8 +65,8 @@ class Coco(Computing):
             return export_coco(renderer, self.out, self.format, told)
 
     def _renderer(self) -> BodyRenderer:
+        from cloak_core.evaluation.cloaked import open_cloaked
         from cloak_core.evaluation.evaluate import make_renderer
-        from cloak_core.evaluation.foreign_colors import open_cloaked
         from cloak_core.evaluation.trained_run import read_run
         from cloak_core.zoo.entry import run_path
 

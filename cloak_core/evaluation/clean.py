@@ -19,9 +19,10 @@ from cloak_core.detectors.check import read_image
 from cloak_core.detectors.defended.masks import Masks
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.verification.kit import framed, natural_size, verify
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import batches, measure
-from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer, Indices, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, Indices, render_images
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.trials import make_trials

@@ -17,10 +17,11 @@ import torch
 
 from cloak_core.attack.events import read_events
 from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.cycles import in_cycles
 from cloak_core.evaluation.film import write_turntable
 from cloak_core.evaluation.measure import OnProgress, all_controls, check_asked, kept_frozen, measure
-from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer
+from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.report.pictures import write_pictures
 from cloak_core.evaluation.report.plots import success_over_time
 from cloak_core.evaluation.report.style import save_figure, style

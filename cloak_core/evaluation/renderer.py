@@ -10,21 +10,18 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Int64
 from torch import Tensor
 
 from cloak_core.detectors.outcomes import OnBody, on_body
 from cloak_core.detectors.protocol import Detections
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
-from cloak_core.exchange.bodies import Bodies
-from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import Canvas, compose, true_boxes
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.types import BakedView
 from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.logos.logo import Logo
 
 Indices = Sequence[int] | np.ndarray
 """Trials, or backgrounds, by number."""
@@ -77,30 +74,6 @@ class EvaluationRenderer(Protocol):
 def render_images(renderer: EvaluationRenderer, indices: Indices, control: str) -> Float[Tensor, "B 3 H W"]:
     """Render these trials, in [0, 1], with the logo's faces coloured as `control` says."""
     return next(renderer.compose(renderer.views(indices), indices, (control,)))
-
-
-@dataclass(frozen=True, eq=False)
-class Cloaked:
-    """What is evaluated: a logo in its colours on bodies, and the backgrounds they stand before.
-
-    InputError: colours, logo and scene do not fit together, or there is no background.
-    """
-
-    colors: Float32[np.ndarray, "L 3"]
-    """Of the logo's faces, in their order."""
-    logo: Logo
-    bodies: Bodies
-    backgrounds: Backgrounds
-
-    def __post_init__(self) -> None:
-        logo, bodies = self.logo, self.bodies
-        if logo.topology != bodies.topology:
-            made = f"the logo was made for topology {logo.topology}, this scene has {bodies.topology}"
-            raise InputError(f"scene '{bodies.name}': {made}")
-        if len(self.colors) != len(logo.face_ids):
-            raise InputError(f"colours for {len(self.colors)} faces, but the logo has {len(logo.face_ids)}")
-        if not len(self.backgrounds):
-            raise InputError("no background to evaluate on")
 
 
 @dataclass(eq=False)

@@ -21,11 +21,12 @@ from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
 from cloak_core.evaluation.data_split import DataSplit, backgrounds_record, bodies_record
 from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
-from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, EvaluationRenderer
+from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from cloak_core.detectors.loading import load_detector
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.evaluate import evaluate, headline
 from cloak_core.evaluation.measure import OnProgress
-from cloak_core.evaluation.renderer import Cloaked
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import EMBEDDED, kept_back
 from cloak_core.exchange.bodies import Bodies

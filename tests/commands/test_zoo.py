@@ -11,7 +11,7 @@ from PIL import Image
 from cloak_core import library
 from cloak_core.attack.run_folder import RunFolder, read_start
 from cloak_core.cli import main
-from cloak_core.evaluation.foreign_colors import colors_of
+from cloak_core.evaluation.cloaked import colors_of
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.exchange.profiles import Profile, write_profile

@@ -8,7 +8,7 @@ from PIL import Image
 
 from cloak_core.evaluation.card import assess
 from cloak_core.evaluation.card.assess import Assessment
-from cloak_core.evaluation.foreign_colors import cloth_colors
+from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.cloth import cloth_coordinates
 from cloak_core.scene.people.samples import sample_bodies

@@ -8,9 +8,10 @@ import pytest
 from PIL import Image
 
 from cloak_core.detectors.loading import load_detector
+from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.photographs.judge import judge
-from cloak_core.evaluation.renderer import BodyRenderer, Cloaked, render_images
+from cloak_core.evaluation.renderer import BodyRenderer, render_images
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.settings import EvaluateSettings, JudgeSettings
 from cloak_core.evaluation.trials import draw_trials

@@ -19,8 +19,8 @@ from cloak_core.evaluation import statistics_card
 from cloak_core.evaluation.card import protocol
 from cloak_core.evaluation.card.pictures import keep_pictures
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
+from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
-from cloak_core.evaluation.foreign_colors import cloth_colors
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import MEASUREMENT_VERSION, TRAINING_VERSION, RunStore, Trained
 from cloak_core.evaluation.trained_run import read_run, seen_in_training, trained_against

@@ -1,11 +1,9 @@
-"""Open what is evaluated: a run's logo in its colours, or in others: a row per face, a run, or a picture.
-
-Scene and backgrounds are given, or what was kept back from the run's training.
-"""
+"""What is evaluated: a logo in a run's colours, or in others (a row per face, another run, a picture), on bodies."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,6 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from PIL import Image
 
-from cloak_core.evaluation.renderer import Cloaked
 from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
@@ -29,6 +26,30 @@ from cloak_core.zoo.entry import run_path
 
 CLOTH_CELL = 0.01
 """Metres; faces are about as wide, and show no finer pattern."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cloaked:
+    """What is evaluated: a logo in its colours on bodies, and the backgrounds they stand before.
+
+    InputError: colours, logo and scene do not fit together, or there is no background.
+    """
+
+    colors: Float32[np.ndarray, "L 3"]
+    """Of the logo's faces, in their order."""
+    logo: Logo
+    bodies: Bodies
+    backgrounds: Backgrounds
+
+    def __post_init__(self) -> None:
+        logo, bodies = self.logo, self.bodies
+        if logo.topology != bodies.topology:
+            made = f"the logo was made for topology {logo.topology}, this scene has {bodies.topology}"
+            raise InputError(f"scene '{bodies.name}': {made}")
+        if len(self.colors) != len(logo.face_ids):
+            raise InputError(f"colours for {len(self.colors)} faces, but the logo has {len(logo.face_ids)}")
+        if not len(self.backgrounds):
+            raise InputError("no background to evaluate on")
 
 
 def open_cloaked(
