@@ -140,7 +140,7 @@ class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", needs=logo_reason):
     """Take the outermost faces off the active logo"""
 
     def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        smaller = ~faces.grow(obj, ~mask)  # without those that share a corner with a face outside
+        smaller = ~faces.grow(obj, ~mask)  # drops faces that touch one outside the logo
         if not smaller.any():
             raise InputError("The logo is too small to shrink: nothing would be left")
         return smaller

@@ -39,8 +39,8 @@ class Job:
     """Commands that run one after the other outside Blender; `poll` moves it on.
 
     `state` is "waiting" or "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
-    events: the file that the commands log their progress to, where they do. process: one that runs already, of which
-    `poll` and `terminate` are asked as of a `subprocess.Popen`.
+    events: the commands' progress log, if they keep one. process: a process that is already running; it needs the
+    methods `poll` and `terminate` of `subprocess.Popen`.
     """
 
     def __init__(

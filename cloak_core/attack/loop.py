@@ -259,10 +259,10 @@ class TrainingLoop:
         return self._on_faces(self.optimizer.finished())
 
     def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
-        """Give the colours of the logo's faces: of a cloth, what they show of it.
+        """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
 
-        Where colours are bound (inks, a garment to stay close to), a mean of several need not be: then it is the square
-        under the face's centre.
+        Where colours are restricted (`PatternSettings.binds`) the mean might not be allowed; then it is the colour of
+        the square under the face's centre.
         """
         cloth, colors = self.batcher.cloth, _as_array(colors)
         if cloth is None:

@@ -17,7 +17,7 @@ from cloak_core.scene.logos.cloth import Cloth, face_places
 from cloak_core.scene.logos.logo import Logo
 
 _POINTS = 6
-"""Of a face, along and across, at which the cloth on it is looked up."""
+"""Points of that grid along each side of a face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class ClothOnLogo:
         return np.where(faces[:, None] > 0, means, values.mean(axis=0)).astype(np.float32)
 
     def on_faces(self, colors: Float[np.ndarray, "S 3"]) -> Float[np.ndarray, "L 3"]:
-        """Average what each face shows of the cloth: finer squares than faces would be a matter of luck one by one."""
+        """Average the squares that lie on each face, looked up at a grid of points."""
         steps = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
         total = np.zeros((len(self.places), 3))
         for step in itertools.product(steps, steps):

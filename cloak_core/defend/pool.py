@@ -47,8 +47,8 @@ GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
 WHOLE_BODY = 4
-"""Each one in so many cloaks covers the whole body, the largest logo that an attacker has: of 200 drawn logos the
-largest covered four fifths, and a detector that never saw more fell to a cloak over everything."""
+"""One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
+200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
 FINISH = 240
 """Steps that train a cloak to its end."""
 KEPT = 32

@@ -21,7 +21,7 @@ class HardenSettings:
     batch: Annotated[int, Bounds(1, 4096)] = 6
     """Rendered images per update, in a cloak."""
     clean: Annotated[int, Bounds(0, 4096)] = 3
-    """The first so many of these images are shown in their own clothes, too."""
+    """How many of these images are also shown in their own clothes."""
     cloaked_weight: Annotated[float, Bounds(0, 1000, "(]")] = 4.0
     """How much an image in a cloak counts beside one without and a picture in the last fifth of the updates; before it
     counts 1. More makes the detector more robust, less keeps more of its answers without cloaks."""
@@ -39,8 +39,8 @@ class HardenSettings:
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. One in four
     covers the whole body, the others random parts of it."""
     life: Annotated[int, Bounds(1, 100_000)] = 32
-    """Turns after which a cloak makes room for a new one, on another logo and from other colours: times attack_steps,
-    so many updates a cloak gets. Short lives teach the detector to withstand weak cloaks alone."""
+    """Turns after which a cloak makes room for a new one, on another logo and from other colours. A cloak is updated
+    attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 3
     """Steps of a cloak against the detector as it stands, before each update."""
     hide: Hide = "person"

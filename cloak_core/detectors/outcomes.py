@@ -155,7 +155,8 @@ def _best(values: Float[Tensor, "B N"]) -> tuple[Float[Tensor, B], Int[Tensor, B
 
 
 HERS = 0.4
-"""A person box of this overlap with hers is hers; so is one that lies by half of its own area within her."""
+"""A person box that overlaps hers by this IoU is hers; so is one of which half the area lies on her mask, or in her box
+where there is no mask."""
 THEIRS = 0.5
 """A box that overlaps another known person's by so much, and more than hers, is that person's."""
 

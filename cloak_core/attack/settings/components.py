@@ -234,7 +234,7 @@ class PatternSettings:
 
     @property
     def binds(self) -> bool:
-        """Whether not every colour will do, so that a mean of two may not."""
+        """Whether colours are restricted, to inks or to the neighbourhood of a garment; their mean may break that."""
         return self.colors_at_most is not None or self.near is not None
 
 

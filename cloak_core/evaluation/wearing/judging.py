@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.outcomes import HERS, OnBody, on_body, only_hers
@@ -132,15 +132,12 @@ class PeopleRenderer:
         others = torch.zeros(len(views), most, 4)
         for k, view in enumerate(views):
             others[k, : len(view.provenance["others"])] = torch.tensor(view.provenance["others"]).reshape(-1, 4)
-        at = self.boxes(views, indices), others.to(detections.boxes)
-        return only_hers(detections, *at, masks=self._masks(views))
+        masks = torch.stack([view.mask for view in views]).to(self._device)
+        return only_hers(detections, self.boxes(views, indices), others.to(detections.boxes), masks=masks)
 
     def on_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> OnBody:
-        """Find the best scores among boxes that fit the person's or lie by half within her mask."""
-        return on_body(detections, self.boxes(views, indices), HERS, masks=self._masks(views))
-
-    def _masks(self, views: Sequence[BakedView]) -> Bool[Tensor, "B H W"]:
-        return torch.stack([view.mask for view in views]).to(self._device)
+        """Find the best scores of what `about_person` left: its person boxes are all hers."""
+        return on_body(detections, self.boxes(views, indices), HERS, within=0.0)
 
     def bare(self, backgrounds: Indices) -> Float[Tensor, "B 3 H W"]:
         """Backgrounds without people, as large as the images."""

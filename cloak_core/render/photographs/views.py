@@ -120,12 +120,11 @@ def photograph_view(
     left = np.ones(height * width, np.float32)
     left[fit.pixels] -= np.asarray(shares.sum(axis=1)).ravel()
     photograph = fit.person.image.astype(np.float32) / 255 * left.reshape(height, width, 1)
-    down = _kernel(framing.y, framing.side, framing.size, height, framing.softness, False)
-    across = _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
+    down, across = _kernels(framing, height, width)
     base = _resample(photograph, down, across) + PADDING * _beyond(down, across)[..., None]
     lit = sparse.diags(_light(fit, looseness)) @ shares
-    image = (_pixels_to_pixels(fit.pixels, width, down, across) @ lit).tocsr()
-    image.sort_indices()
+    image = _pixels_to_pixels(fit.pixels, width, down, across) @ lit
+    image.sort_indices()  # within rows, far sooner than all entries at once
     image = image.tocoo()
     return baked_view(
         torch.from_numpy(image.row.astype(np.int64)),
@@ -145,9 +144,7 @@ def photograph_view(
 
 def person_mask(fit: Fit, framing: Framing) -> Bool[Tensor, "s s"]:
     """True where a pixel of the image shows the person by half or more."""
-    height, width = fit.person.mask.shape
-    down = _kernel(framing.y, framing.side, framing.size, height, framing.softness, False)
-    across = _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
+    down, across = _kernels(framing, *fit.person.mask.shape)
     return torch.from_numpy(across @ (down @ fit.person.mask.astype(np.float32)).T >= 0.5).T
 
 
@@ -169,6 +166,12 @@ def _moved_rows(fit: Fit, looseness: Looseness) -> np.ndarray:
 def _light(fit: Fit, looseness: Looseness | None) -> np.ndarray:
     shading = fit.shading.reshape(-1)[fit.pixels]
     return shading if looseness is None else shading**looseness.folds * looseness.exposure
+
+
+def _kernels(framing: Framing, height: int, width: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Filters of a photograph of this size: down [size, height], and across [size, width]."""
+    down = _kernel(framing.y, framing.side, framing.size, height, framing.softness, False)
+    return down, _kernel(framing.x, framing.side, framing.size, width, framing.softness, framing.mirror)
 
 
 def _kernel(start: Number, side: Number, size: int, count: int, softness: Number, mirror: bool) -> sparse.csr_matrix:
