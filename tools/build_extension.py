@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ("files", "exchange")
 """Rooms of cloak_core that the add-on uses; links in the checkout, which some systems check out as text files."""
-UNPICKLING = ("torch_pickles.py", "unpickling.py", "pickle_machine.py", "pickle_values.py")
+UNPICKLING = ("torch_pickles.py", "unpickling.py", "pickle_machine.py")
 LEFT_OUT = ("caching.py", "likeness.py", *UNPICKLING, "__pycache__")
 """Of those rooms, what the add-on does not use."""
 BUILDER = "scripts/addons_core/bl_pkg/cli/blender_ext.py"

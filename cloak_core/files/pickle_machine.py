@@ -1,37 +1,108 @@
-"""A stack machine that reads pickles of plain values, arrays and inert records, and runs nothing that they say.
+"""Read pickles of plain values, arrays and inert records, and run nothing that they say.
 
-Python's own unpickler calls whatever a pickle names, grows a table to any index that it mentions, and hands numpy
-states that numpy trusts. Here each opcode has its own few lines, no object of a foreign class exists, and neither the
-steps taken nor the memory used exceed what the file's size allows.
+Python's own reader, `pickle._Unpickler` (the one in Python, which joblib and pandas derive theirs from, too), calls
+whatever a pickle names, sets attributes of anything, and hands numpy states that numpy trusts. Here every opcode that
+calls, fills or imports something has a step of its own, those that nobody needs are unknown, no object of a foreign
+class exists, and neither the reads nor the memory exceed what the file's size allows.
 """
 
 from __future__ import annotations
 
-import codecs
 import io
-import pickletools
+import pickle
 import re
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from .errors import InputError
-from .pickle_values import Admitted, DType, Record, Sized, count_of, plain_key
 
-MAX_STEPS = 1 << 20
-"""Opcodes of one pickle; a YOLOv5 checkpoint has 34,000."""
+MAX_READS = 1 << 21
+"""Of one pickle: of each opcode and of what follows it; a YOLOv5 checkpoint has 34,000 opcodes."""
 MAX_CLASSES = 1 << 12
 """Classes that a pickle may name."""
 SPARE_BYTES = 64 << 20
 TIMES_THE_FILE = 4
 """No more is made than this many times the file, and `SPARE_BYTES`."""
-MAX_INTEGER_BYTES = 64
+MAX_AXES = 64
+_PLAIN = (str, int, float, bytes, bool, type(None))
+"""Types of dictionary keys: hashing nested tuples takes time exponential in their depth."""
+_NUMBER = re.compile(r"[<>|=]?(b1|\?|[iu][1248]|f[248]|[SU][0-9]{1,4})\Z")
 
 
-class PickleMachine:
-    """Reads one pickle from a file.
+class Record:
+    """What is left of an object of a class that is not imported: its class's name and its state."""
+
+    def __init__(self) -> None:
+        self.state: dict = {}
+
+
+class DType:
+    """The type of an array's numbers; its byte order may follow when it is given its state."""
+
+    def __init__(self, code: object, *unused: object) -> None:
+        code = code.decode("latin1") if isinstance(code, bytes) else code
+        if not isinstance(code, str) or not _NUMBER.match(code):
+            raise ValueError(f"an array of {str(code)[:20]!r}, which is no type of numbers")
+        self.dtype = np.dtype(code)
+
+    def set_state(self, state: object) -> None:
+        """Of all that numpy records, the byte order alone counts."""
+        order = state[1] if isinstance(state, tuple) and len(state) > 1 else None
+        if order not in ("<", ">", "|", "="):
+            raise ValueError("a type of numbers without a byte order")
+        self.dtype = self.dtype.newbyteorder("<" if order == "=" else order)
+
+
+class Admitted:
+    """A function that a pickle may call. `make` gets the machine, then the pickle's arguments: anything at all."""
+
+    def __init__(self, make: Callable[..., object]) -> None:
+        self.make = make
+
+
+def count_of(shape: object) -> int:
+    """How many numbers an array of this shape has. ValueError: no shape."""
+    if not isinstance(shape, tuple) or len(shape) > MAX_AXES:
+        raise ValueError("a shape that is none")
+    count = 1
+    for extent in shape:
+        if type(extent) is not int or not 0 <= extent < 1 << 48:
+            raise ValueError("a shape that is none")
+        count *= extent
+    return count
+
+
+def plain_key(value: object) -> object:
+    """The value, which a dictionary or set is to hold as a key. ValueError: slow to hash, or to compare."""
+    if type(value) not in _PLAIN or (type(value) is int and not -(1 << 63) <= value < 1 << 64):
+        raise ValueError(f"a {type(value).__name__} as a key")
+    return value
+
+
+class _Bounded:
+    """A file of which so many reads are made at most, and never for more than it holds: a length may be anything."""
+
+    def __init__(self, file: io.BufferedIOBase) -> None:
+        self.file, start, self.left = file, file.tell(), MAX_READS
+        self.size = file.seek(0, io.SEEK_END)
+        file.seek(start)
+        self.readline = file.readline
+
+    def read(self, count: int) -> bytes:
+        self.left -= 1
+        if self.left < 0:
+            raise ValueError("more steps than any pickle taken here")
+        if count > self.size - self.file.tell():
+            raise ValueError("it breaks off")
+        return self.file.read(count)
+
+
+class PickleMachine(pickle._Unpickler):
+    """Reads one pickle from a file, by `load`. ValueError, LookupError, TypeError, UnpicklingError ...: damage.
 
     admitted: functions and values by (module, name); recorded: "module name" of the classes whose objects become
     `Record`s. InputError: any other name.
@@ -39,27 +110,16 @@ class PickleMachine:
 
     admitted: Mapping[tuple[str, str], object] = {}
     recorded = re.compile(r"(?!)")
+    dispatch: ClassVar = dict(pickle._Unpickler.dispatch)
+    """The step of each opcode, by its byte."""
 
     def __init__(self, file: io.BufferedIOBase, path: Path, size: int | None = None) -> None:
         """size: of the whole file in bytes, where the pickle is a part of it."""
-        self.file, self.path = Sized(file), path
-        self.left = SPARE_BYTES + TIMES_THE_FILE * (self.file.size if size is None else size)
-        self.stack: list = []
-        self.marked: list[list] = []
-        self.memo: dict[int, object] = {}
+        bounded = _Bounded(file)
+        super().__init__(bounded, encoding="latin1")
+        self.path, self.left = path, SPARE_BYTES + TIMES_THE_FILE * (bounded.size if size is None else size)
         self.classes: dict[str, type[Record]] = {}
         self.empty: dict[int, np.ndarray] = {}
-
-    def load(self) -> object:
-        """The value that the pickle describes. ValueError, IndexError, KeyError, TypeError, OverflowError: damage."""
-        for _ in range(MAX_STEPS):
-            opcode = _OPCODES.get(self.file.read(1))
-            if opcode is None:
-                raise ValueError("it breaks off" if self.file.file.tell() == self.file.size else "an unknown opcode")
-            if opcode.name == "STOP":
-                return self.stack.pop()
-            _STEPS[opcode.name](self, self._argument(opcode))
-        raise ValueError(f"more than {MAX_STEPS:,} steps")
 
     def charge(self, count: int) -> None:
         """ValueError: so many bytes more are out of all proportion to the file."""
@@ -71,21 +131,9 @@ class PickleMachine:
         """What a reference to something outside the pickle stands for."""
         raise InputError(f"{self.path}: the pickle refers to things outside itself")
 
-    def _argument(self, opcode: pickletools.OpcodeInfo) -> object:
-        if opcode.arg is None:
-            return None
-        if opcode.name == "STRING":  # pickletools takes it for ASCII; Python 2 wrote bytes so
-            return codecs.escape_decode(self.file.readline().strip()[1:-1])[0].decode("latin1")
-        if opcode.name in ("LONG1", "LONG4"):
-            count = int.from_bytes(self.file.read(1 if opcode.name == "LONG1" else 4), "little")
-            if count > MAX_INTEGER_BYTES:
-                raise ValueError("an integer of absurd size")
-            return int.from_bytes(self.file.read(count), "little", signed=True)
-        return opcode.arg.reader(self.file)
-
-    def find(self, module: object, name: object) -> object:
+    def find_class(self, module: str, name: str) -> object:
         """What a name stands for: something admitted, or a class of records made for it."""
-        known = self.admitted.get((module, name)) if isinstance(module, str) and isinstance(name, str) else None
+        known = self.admitted.get((module, name))
         if known is not None:
             return known
         whole = f"{module} {name}"
@@ -94,7 +142,7 @@ class PickleMachine:
         if whole not in self.classes:
             if len(self.classes) == MAX_CLASSES:
                 raise ValueError(f"more than {MAX_CLASSES:,} classes")
-            self.classes[whole] = type(str(name), (Record,), {"__module__": module})
+            self.classes[whole] = type(name, (Record,), {"__module__": module})
         return self.classes[whole]
 
     def call(self, function: object, arguments: object) -> object:
@@ -115,17 +163,6 @@ class PickleMachine:
         self.empty[id(array)] = array
         return array
 
-    def build(self, thing: object, state: object) -> None:
-        """Give something its state."""
-        if isinstance(thing, Record):
-            thing.state = state if isinstance(state, dict) else {}
-        elif isinstance(thing, DType):
-            thing.set_state(state)
-        elif isinstance(thing, np.ndarray) and self.empty.pop(id(thing), None) is not None:
-            self._fill(thing, state)
-        elif not isinstance(thing, OrderedDict):  # torch hangs notes on its state dictionaries
-            raise ValueError(f"a state for a {type(thing).__name__}")
-
     def _fill(self, array: np.ndarray, state: object) -> None:
         _, shape, kind, by_column, data = state
         data = data.encode("latin1") if isinstance(data, str) else data
@@ -137,139 +174,95 @@ class PickleMachine:
         self.charge(len(data))
         array.__setstate__((1, shape, kind.dtype, bool(by_column), data))
 
-    def mark(self) -> list:
-        """What stands on the stack above the last mark, which goes."""
-        items, self.stack = self.stack, self.marked.pop()
-        return items
+    def _instantiate(self, klass: object, args: list) -> None:
+        self.append(self.call(klass, tuple(args)))
 
-    def put(self, items: list, into: type) -> None:
-        """Append to the list, or add to the set, on top of the stack."""
-        target = self.stack[-1]
-        if type(target) is not into:
-            raise ValueError(f"items for a {type(target).__name__}")
-        if into is set:
-            target.update(map(plain_key, items))
-        else:
-            target.extend(items)
+    def load_reduce(self) -> None:
+        arguments = self.stack.pop()
+        self.append(self.call(self.stack.pop(), arguments))
 
-    def set_items(self, items: list) -> None:
-        """Keys and values in turns, into the dictionary on top of the stack."""
-        target = self.stack[-1]
-        if type(target) not in (dict, OrderedDict) or len(items) % 2:
-            raise ValueError(f"entries for a {type(target).__name__}")
+    dispatch[pickle.REDUCE[0]] = dispatch[pickle.NEWOBJ[0]] = load_reduce
+
+    def load_build(self) -> None:
+        """Give something its state."""
+        state = self.stack.pop()
+        thing = self.stack[-1]
+        if isinstance(thing, Record):
+            thing.state = state if isinstance(state, dict) else {}
+        elif isinstance(thing, DType):
+            thing.set_state(state)
+        elif isinstance(thing, np.ndarray) and self.empty.pop(id(thing), None) is not None:
+            self._fill(thing, state)
+        elif not isinstance(thing, OrderedDict):  # torch hangs notes on its state dictionaries
+            raise ValueError(f"a state for a {type(thing).__name__}")
+
+    dispatch[pickle.BUILD[0]] = load_build
+
+    def load_appends(self) -> None:
+        items = self.pop_mark()
+        self._top(list).extend(items)
+
+    dispatch[pickle.APPENDS[0]] = load_appends
+
+    def load_append(self) -> None:
+        item = self.stack.pop()
+        self._top(list).append(item)
+
+    dispatch[pickle.APPEND[0]] = load_append
+
+    def load_additems(self) -> None:
+        items = self.pop_mark()
+        self._top(set).update(map(plain_key, items))
+
+    dispatch[pickle.ADDITEMS[0]] = load_additems
+
+    def load_setitems(self) -> None:
+        self._set(self.pop_mark())
+
+    dispatch[pickle.SETITEMS[0]] = load_setitems
+
+    def load_setitem(self) -> None:
+        value = self.stack.pop()
+        self._set([self.stack.pop(), value])
+
+    dispatch[pickle.SETITEM[0]] = load_setitem
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        self.append({})
+        self._set(items)
+
+    dispatch[pickle.DICT[0]] = load_dict
+
+    def _top(self, *kinds: type) -> list | set | dict:
+        if type(self.stack[-1]) not in kinds:
+            raise ValueError(f"items for a {type(self.stack[-1]).__name__}")
+        return self.stack[-1]
+
+    def _set(self, items: list) -> None:
+        """Set keys and values, in turns, in the dictionary on top of the stack."""
+        target = self._top(dict, OrderedDict)
         for key, value in zip(items[::2], items[1::2], strict=True):
             target[plain_key(key)] = value
 
+    def load_frame(self) -> None:
+        self.read(8)  # its length: what is in it is read as all else
 
-def _push(machine: PickleMachine, value: object) -> None:
-    machine.stack.append(value)
+    dispatch[pickle.FRAME[0]] = load_frame
 
+    def load_bytearray8(self) -> None:
+        self.append(self.read(int.from_bytes(self.read(8), "little")))
 
-def _get(machine: PickleMachine, index: object) -> None:
-    machine.stack.append(machine.memo[index])
+    dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
+    def load_long4(self) -> None:
+        raise ValueError("an integer of absurd size")
 
-def _put(machine: PickleMachine, index: object) -> None:
-    machine.memo[index] = machine.stack[-1]
-
-
-def _memoize(machine: PickleMachine, _: object) -> None:
-    machine.memo[len(machine.memo)] = machine.stack[-1]
-
-
-def _mark(machine: PickleMachine, _: object) -> None:
-    machine.marked.append(machine.stack)
-    machine.stack = []
+    dispatch[pickle.LONG4[0]] = load_long4
 
 
-def _tuple(count: int) -> Callable[[PickleMachine, object], None]:
-    def step(machine: PickleMachine, _: object) -> None:
-        if len(machine.stack) < count:
-            raise ValueError("a tuple of more than there is")
-        machine.stack[len(machine.stack) - count :] = [tuple(machine.stack[len(machine.stack) - count :])]
-
-    return step
-
-
-def _dict(machine: PickleMachine, _: object) -> None:
-    items = machine.mark()
-    machine.stack.append({})
-    machine.set_items(items)
-
-
-def _pair(machine: PickleMachine) -> tuple[object, object]:
-    last = machine.stack.pop()
-    return machine.stack.pop(), last
-
-
-def _append(machine: PickleMachine, _: object) -> None:
-    item = machine.stack.pop()
-    machine.put([item], list)
-
-
-def _set_item(machine: PickleMachine, _: object) -> None:
-    machine.set_items(list(_pair(machine)))
-
-
-def _call(machine: PickleMachine, _: object) -> None:
-    machine.stack.append(machine.call(*_pair(machine)))
-
-
-def _build(machine: PickleMachine, _: object) -> None:
-    state = machine.stack.pop()
-    machine.build(machine.stack[-1], state)
-
-
-def _instance(machine: PickleMachine, name: str) -> None:
-    arguments = tuple(machine.mark())
-    machine.stack.append(machine.call(machine.find(*name.split(" ", 1)), arguments))
-
-
-def _object(machine: PickleMachine, _: object) -> None:
-    kind, *arguments = machine.mark()
-    machine.stack.append(machine.call(kind, tuple(arguments)))
-
-
-_STEPS: dict[str, Callable[[PickleMachine, object], None]] = {
-    "PROTO": lambda m, _: None,
-    "FRAME": lambda m, _: None,
-    "MARK": _mark,
-    "POP": lambda m, _: m.stack.pop() if m.stack else m.mark(),
-    "POP_MARK": lambda m, _: m.mark(),
-    "DUP": lambda m, _: m.stack.append(m.stack[-1]),
-    "NONE": lambda m, _: m.stack.append(None),
-    "NEWTRUE": lambda m, _: m.stack.append(True),
-    "NEWFALSE": lambda m, _: m.stack.append(False),
-    "EMPTY_LIST": lambda m, _: m.stack.append([]),
-    "EMPTY_TUPLE": lambda m, _: m.stack.append(()),
-    "EMPTY_DICT": lambda m, _: m.stack.append({}),
-    "EMPTY_SET": lambda m, _: m.stack.append(set()),
-    "LIST": lambda m, _: _push(m, m.mark()),
-    "TUPLE": lambda m, _: _push(m, tuple(m.mark())),
-    "TUPLE1": _tuple(1),
-    "TUPLE2": _tuple(2),
-    "TUPLE3": _tuple(3),
-    "DICT": _dict,
-    "APPEND": _append,
-    "APPENDS": lambda m, _: m.put(m.mark(), list),
-    "ADDITEMS": lambda m, _: m.put(m.mark(), set),
-    "SETITEM": _set_item,
-    "SETITEMS": lambda m, _: m.set_items(m.mark()),
-    "GLOBAL": lambda m, name: m.stack.append(m.find(*name.split(" ", 1))),
-    "STACK_GLOBAL": lambda m, _: m.stack.append(m.find(*_pair(m))),
-    "REDUCE": _call,
-    "NEWOBJ": _call,
-    "INST": _instance,
-    "OBJ": _object,
-    "BUILD": _build,
-    "BINPERSID": lambda m, _: m.stack.append(m.persistent_load(m.stack.pop())),
-    "PERSID": lambda m, pid: m.stack.append(m.persistent_load(pid)),
-    "MEMOIZE": _memoize,
-}
-"""What each opcode does; those of extensions, of buffers outside the pickle and of frozen sets are unknown here."""
-_STEPS |= dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), _put) | dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), _get)
-_STEPS |= dict.fromkeys(("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"), _push)
-_STEPS |= dict.fromkeys(("STRING", "BINSTRING", "SHORT_BINSTRING", "UNICODE", "BINUNICODE", "SHORT_BINUNICODE"), _push)
-_STEPS |= dict.fromkeys(("BINUNICODE8", "BINBYTES", "SHORT_BINBYTES", "BINBYTES8"), _push)
-_STEPS["BYTEARRAY8"] = lambda m, data: m.stack.append(bytes(data))
-_OPCODES = {op.code.encode("latin1"): op for op in pickletools.opcodes if op.name in _STEPS or op.name == "STOP"}
+for _code in (
+    *(pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.NEWOBJ_EX, pickle.FROZENSET),
+    *(pickle.NEXT_BUFFER, pickle.READONLY_BUFFER),
+):
+    del PickleMachine.dispatch[_code[0]]

@@ -19,8 +19,7 @@ from typing import BinaryIO
 import numpy as np
 
 from .errors import InputError, first_line
-from .pickle_machine import PickleMachine
-from .pickle_values import Admitted, count_of, plain_key
+from .pickle_machine import Admitted, PickleMachine, count_of, plain_key
 from .reading import MAX_BYTES, check_directory, open_regular
 from .unpickling import ADMITTED
 from .writing import replace_file

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import InputError, first_line
-from .pickle_machine import PickleMachine
-from .pickle_values import Admitted, DType, Record, count_of
+from .pickle_machine import Admitted, DType, PickleMachine, Record, count_of
 from .reading import MAX_BYTES, open_regular
 
 __all__ = ["ADMITTED", "ArrayMachine", "Record", "read_pickled_arrays"]

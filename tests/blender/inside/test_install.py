@@ -21,8 +21,7 @@ SHARED = {
     f"{room}/{path.name}": path
     for room in ("files", "exchange")
     for path in (ROOT / "cloak_core" / room).glob("*.py")
-    if path.name
-    not in ("caching.py", "likeness.py", "torch_pickles.py", "unpickling.py", "pickle_machine.py", "pickle_values.py")
+    if path.name not in ("caching.py", "likeness.py", "torch_pickles.py", "unpickling.py", "pickle_machine.py")
 }
 
 
