@@ -15,6 +15,7 @@ import torch.distributed as dist
 from torch import Tensor
 from torch.distributed.rendezvous import rendezvous
 
+from cloak_core.detectors.loading import usable_device
 from cloak_core.files.errors import InputError
 
 TIMEOUT = timedelta(minutes=10)
@@ -110,14 +111,8 @@ def local_device(name: str) -> torch.device:
 
     InputError: there is none.
     """
-    try:
-        device = torch.device(name)
-        if device.type == "cuda" and device.index is None and "LOCAL_RANK" in os.environ:
-            device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"--device {name}: {str(error).splitlines()[0]}") from None
-    return device
+    rank = os.environ.get("LOCAL_RANK")
+    return usable_device(f"cuda:{rank}" if name == "cuda" and rank else name)
 
 
 @contextlib.contextmanager

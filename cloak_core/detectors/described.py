@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -44,25 +45,33 @@ def read_description(path: Path) -> Description:
     except InputError as error:  # perhaps another program's, about something else
         _log.warning("%s; nothing of it is used", error)
         return Description()
-    names = next((found for key in NAMES if (found := _names(said.get(key)))), None)
+    names = next((found for key in NAMES if (found := names_of(said.get(key)))), None)
     outputs, inputs = (part if isinstance(part, Mapping) else {} for part in (said.get("output"), said.get("input")))
     layout = outputs.get("layout", said.get("layout"))
-    confidence = next((said[key] for key in CONFIDENCE if isinstance(said.get(key), float)), None)
     return Description(
         names,
         _person(said.get("person_class"), names),
         layout if isinstance(layout, str) else None,
-        confidence if confidence is not None and 0 < confidence < 1 else None,
+        confidence_of(said),
         _pixels(inputs),
     )
 
 
-def _names(said: object) -> tuple[str, ...] | None:
+def names_of(said: object) -> tuple[str, ...] | None:
+    """Read class names from a list of words, or from a word for each number; None where it is neither."""
     if isinstance(said, Mapping):
-        said = [said.get(str(index)) for index in range(len(said))]
-    if not isinstance(said, list) or not said or not all(isinstance(name, str) for name in said):
-        return None
-    return tuple(said)
+        said = [said.get(index, said.get(str(index))) for index in range(len(said))]
+    words = isinstance(said, list | tuple) and said and all(isinstance(name, str) for name in said)
+    return tuple(said) if words else None
+
+
+def confidence_of(said: Mapping[str, object]) -> float | None:
+    """Find the first usual name under which a confidence in (0, 1) is said, as a number or as text."""
+    for key in CONFIDENCE:
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            if 0 < (value := float(said[key])) < 1:
+                return value
+    return None
 
 
 def _person(said: object, names: tuple[str, ...] | None) -> int | None:

@@ -19,11 +19,12 @@ from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifie
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode, Decoded
 from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
 from cloak_core.detectors.onnx_family.networks import Converted, Session, as_input
-from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, sample_images, takes_batches
+from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request
+from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line
 
 END_TO_END = "end2end"
@@ -139,7 +140,7 @@ def _assemble(request: Request, named: str, file: ModelFile, network: Converted 
     detector.class_names = _names(file, count)
     # Among 91 and more of COCO's own numbering the first is nothing.
     detector.first_class = int(detector.class_names is COCO_IDS and count != COCO_91[0])
-    detector.person = _person(file, detector.class_names, count, request)
+    detector.person = chosen_person(request, detector.class_names, file.described.person, count, file.path)
     detector.operating_point = request.confidence or said or layout.confidence
     detector.operating_point_assumed = not (request.confidence or said)
     options = {"layout": layout_name, "pixels": repr(detector.pixels), "letterbox": letterbox}
@@ -226,11 +227,15 @@ def _names(file: ModelFile, count: int) -> tuple[str, ...] | None:
     return names
 
 
-def _person(file: ModelFile, names: tuple[str, ...] | None, count: int, request: Request) -> int:
-    """Find the class asked for, else the described one, else the only class of a file without names."""
-    said = file.described.person
-    if request.person_class is None and said is not None and said < count:
+def chosen_person(
+    request: Request, names: tuple[str, ...] | None, said: int | None, count: int | None, path: Path
+) -> int:
+    """Find the class asked for, else the described one (`said`), else the only or first one of a file without names.
+
+    count: of its classes; None where its outputs do not say.
+    """
+    if request.person_class is None and said is not None and (count is None or said < count):
         return said
-    if request.person_class is None and count == 1 and names is None:
+    if request.person_class is None and names is None and count in (None, 1):
         return 0
-    return person_index(names, request.person, count, str(file.path))
+    return person_index(names, request.person, count or len(names or ()) or COCO_91[1], str(path))

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from cloak_core.detectors.onnx_family.model_file import ModelFile
 from cloak_core.detectors.onnx_family.networks import Session
-from cloak_core.detectors.onnx_family.parity import sample_images
+from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloak_core.detectors.described import Description, read_description
+from cloak_core.detectors.described import Description, confidence_of, names_of, read_description
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import MAX_BYTES, read_bytes
@@ -123,8 +123,8 @@ def read_model(path: Path) -> ModelFile:
         batch=shape[0],
         size=tuple(sides) if all(sides) else _said_size(said),
         fixed_size=all(sides),
-        names=_said_names(said),
-        confidence=_said_confidence(said),
+        names=names_of(_literal(said, "names")),
+        confidence=confidence_of(said),
         described=read_description(path),
         quantised=tuple(_named(model, lambda kind: kind in QUANTISED))[:3],
         suppresses=next(_named(model, lambda kind: "NMS" in kind or kind == "NonMaxSuppression"), ""),
@@ -177,36 +177,19 @@ def _as_float32(model: onnx.ModelProto) -> None:
             tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float32), tensor.name))
 
 
-def _said_names(said: dict[str, str]) -> tuple[str, ...] | None:
-    """Read the names as ultralytics writes them, a Python dictionary or list."""
+def _literal(said: dict[str, str], key: str) -> object:
+    """Read a value that ultralytics wrote as Python has it; None where there is none."""
     try:
-        names = ast.literal_eval(said["names"])
+        return ast.literal_eval(said[key])
     except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):
         return None
-    if isinstance(names, dict) and set(names) == set(range(len(names))):
-        names = [names[i] for i in range(len(names))]
-    return tuple(map(str, names)) if isinstance(names, (list, tuple)) and names else None
 
 
 def _said_size(said: dict[str, str]) -> tuple[int, int] | None:
-    try:
-        sides = ast.literal_eval(said["imgsz"])
-    except (KeyError, ValueError, SyntaxError, MemoryError, RecursionError):
-        return None
+    sides = _literal(said, "imgsz")
     sides = [sides, sides] if isinstance(sides, int) else sides
     whole = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and 0 < s <= 8192 for s in sides)
     return tuple(sides) if whole else None
-
-
-def _said_confidence(said: dict[str, str]) -> float | None:
-    for key in ("conf", "confidence", "conf_thres", "score_threshold"):
-        try:
-            value = float(said[key])
-        except (KeyError, ValueError):
-            continue
-        if 0 < value < 1:
-            return value
-    return None
 
 
 MAX_DEPTH = 32

@@ -7,7 +7,6 @@ import contextlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from importlib.metadata import version
 
 import numpy as np
@@ -21,9 +20,7 @@ from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import code_hash, sha256_arrays
 from cloak_core.files.reading import parse_json
-from cloak_core.scene.backdrops.procedural import draw_scene
 
-IMAGES = 4
 LIMIT_BYTES = 1 << 20
 Answer = Callable[[Float[Tensor, "B 3 H W"]], Decoded]
 
@@ -53,13 +50,6 @@ class Parity:
     def takes_batches(self) -> bool:
         """Several images at once are answered as they are one by one."""
         return self.batch_scores is not None and self.batch_scores <= SCORES
-
-
-@lru_cache(4)
-def sample_images(size: tuple[int, int]) -> Float[Tensor, "B 3 H W"]:
-    """Draw procedural scenes, always the same ones."""
-    scenes = [draw_scene(np.random.default_rng([7, i]), *size) for i in range(IMAGES)]
-    return torch.from_numpy(np.stack(scenes)).permute(0, 3, 1, 2).float() / 255
 
 
 def compare(converted: Answer, original: Answer, images: Float[Tensor, "B 3 H W"]) -> Parity:

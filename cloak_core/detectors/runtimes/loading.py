@@ -3,51 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from cloak_core.detectors.classes import COCO_IDS, names_beside, person_index
+from cloak_core.detectors.classes import COCO_IDS, names_beside
 from cloak_core.detectors.described import read_description
 from cloak_core.detectors.extras import require
-from cloak_core.detectors.onnx_family.detector import OnnxDetector
+from cloak_core.detectors.onnx_family.detector import OnnxDetector, chosen_person
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier
 from cloak_core.detectors.onnx_family.layouts import Decode, Decoded, Layout, Size
 from cloak_core.detectors.onnx_family.networks import BlackBox
-from cloak_core.detectors.onnx_family.parity import sample_images
 from cloak_core.detectors.runtimes import openvino_file, tflite_file
 from cloak_core.detectors.runtimes.layouts import AFTER_SUPPRESSION, RUNTIME_LAYOUTS, runtime_layout
 from cloak_core.detectors.runtimes.model import RuntimeModel
 from cloak_core.detectors.specs import Request
+from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line
 
 FRACTIONS = 2.0
 """Boxes whose coordinates all lie below this are parts of the input's sides, not pixels."""
 
 
-class RuntimeDetector(OnnxDetector):
-    """A network that another runtime runs on the CPU: scores and boxes, no gradients."""
-
-    def original(self) -> None:
-        """Give nothing: it is the original."""
-        return None
-
-
-def load_openvino(request: Request) -> RuntimeDetector:
+def load_openvino(request: Request) -> OnnxDetector:
     """Load `openvino:FILE.xml[:LAYOUT]`, an OpenVINO IR, as a black box; see `_load`."""
     return _load(request, openvino_file.PACKAGE, openvino_file.read_openvino)
 
 
-def load_tflite(request: Request) -> RuntimeDetector:
+def load_tflite(request: Request) -> OnnxDetector:
     """Load `tflite:FILE.tflite[:LAYOUT]`, a TensorFlow Lite file, as a black box; see `_load`."""
     return _load(request, tflite_file.PACKAGE, tflite_file.read_tflite)
 
 
-def _load(
-    request: Request, package: str, read: Callable[[Path, tuple[int, int] | None], RuntimeModel]
-) -> RuntimeDetector:
+def _load(request: Request, package: str, read: Callable[[Path, tuple[int, int] | None], RuntimeModel]) -> OnnxDetector:
     """Load a file: layout, pixels, names and confidence as the spec says, else the file, else a JSON file beside it.
 
     Else as the layout usually has them. InputError names what is missing or ambiguous.
@@ -61,12 +50,12 @@ def _load(
     layout_name, layout, decode = _layout(model, outputs, request, named or said.layout)
     letterbox = request.letterbox or (layout.letterbox and not request.stretch)
     told = request.pixels or model.pixels or said.pixels
-    detector = RuntimeDetector(network, decode, model.size, told or layout.pixels, letterbox, request.spec)
+    detector = OnnxDetector(network, decode, model.size, told or layout.pixels, letterbox, request.spec)
     detector.fill, detector.pixels_assumed = layout.fill, told is None
     detector.name, detector.path = path.stem, path
     count = None if layout_name in AFTER_SUPPRESSION else decode(outputs, model.size).classes.shape[-1]
     detector.class_names = _names(model, said.names, count, layout_name)
-    detector.person = _person(detector.class_names, said.person, count, request, path)
+    detector.person = chosen_person(request, detector.class_names, said.person, count, path)
     confidence = request.confidence or model.confidence or said.confidence
     detector.operating_point = confidence or layout.confidence
     detector.operating_point_assumed = not confidence
@@ -109,7 +98,7 @@ def _layout(
     except (RuntimeError, IndexError, ValueError) as error:  # what tensors of another shape end in
         raise InputError(f"{model.path}: its outputs {shapes} are not laid out as {name}") from error
     if name in ("yolov5", "yolov8") and float(found.boxes.abs().max()) < FRACTIONS:
-        return name, replace(layout), _in_fractions(decode)
+        return name, layout, _in_fractions(decode)
     return name, layout, decode
 
 
@@ -131,12 +120,3 @@ def _names(model: RuntimeModel, said: tuple[str, ...] | None, count: int | None,
     if count is not None:
         return names_beside(model.path, count)
     return COCO_IDS[1:] if layout == "tflite-ssd" else None
-
-
-def _person(names: tuple[str, ...] | None, said: int | None, count: int | None, request: Request, path: Path) -> int:
-    """Find the class asked for, else the described one, else the only or first one of a file without names."""
-    if request.person_class is None and said is not None:
-        return said
-    if request.person_class is None and names is None and count in (None, 1):
-        return 0
-    return person_index(names, request.person, count or len(names or ()) or 91, str(path))

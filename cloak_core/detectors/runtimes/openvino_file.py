@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from cloak_core.detectors.described import confidence_of
 from cloak_core.detectors.onnx_family.layouts import Layout
 from cloak_core.detectors.runtimes.layouts import OPEN_MODEL_ZOO, SsdHead
 from cloak_core.detectors.runtimes.model import RuntimeModel, image_size
@@ -64,8 +65,8 @@ def read_openvino(path: Path, wanted: tuple[int, int] | None) -> RuntimeModel:
         channels_last,
         size,
         tuple(next(iter(output.names), f"output {k}") for k, output in enumerate(compiled.outputs)),
-        names=_said_names(network),
-        confidence=_said_confidence(network),
+        names=tuple(_said(network, "labels").split()) or None,
+        confidence=confidence_of({"confidence": _said(network, "confidence_threshold")}),
         layout=None if head is None else ("ssd-head", Layout(head, 0.5, pixels=OPEN_MODEL_ZOO)),
     )
 
@@ -93,21 +94,10 @@ def _before_suppression(network: openvino.Model) -> tuple[openvino.Model, SsdHea
     return openvino.Model(sources, network.get_parameters(), network.get_friendly_name()), head
 
 
-def _said_names(network: openvino.Model) -> tuple[str, ...] | None:
-    """Read class names as OpenVINO's Model API writes them, joined by spaces."""
-    place = ["model_info", "labels"]
-    if not network.has_rt_info(place):
-        return None
-    return tuple(str(network.get_rt_info(place).value).split()) or None
-
-
-def _said_confidence(network: openvino.Model) -> float | None:
-    place = ["model_info", "confidence_threshold"]
-    try:
-        value = float(network.get_rt_info(place).value) if network.has_rt_info(place) else 0.0
-    except ValueError:
-        return None
-    return value if 0 < value < 1 else None
+def _said(network: openvino.Model, name: str) -> str:
+    """Read what OpenVINO's Model API notes of a network; "" for nothing."""
+    place = ["model_info", name]
+    return str(network.get_rt_info(place).value) if network.has_rt_info(place) else ""
 
 
 def _words(error: Exception) -> str:

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from cloak_core.detectors.described import names_of
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
 from cloak_core.detectors.ultralytics_family.library import library
 from cloak_core.files.errors import InputError, first_line
@@ -174,12 +175,9 @@ def _tensor(value: np.ndarray, key: str, path: Path) -> Tensor:
 
 
 def _names(names: object) -> tuple[str, ...] | None:
-    """List class names in order, from a list or a dictionary; None where each is but its number."""
-    if isinstance(names, dict):
-        names = [names.get(index) for index in range(len(names))]
-    if not isinstance(names, list | tuple) or not names or not all(isinstance(name, str) for name in names):
-        return None
-    return None if all(name == str(index) for index, name in enumerate(names)) else tuple(names)
+    """List class names in order; None where each is but its number."""
+    words = names_of(names)
+    return None if words == tuple(map(str, range(len(words or ())))) else words
 
 
 def _image_size(said: object) -> tuple[int, int] | None:

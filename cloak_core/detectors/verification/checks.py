@@ -13,10 +13,8 @@ from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import max_person_score
-from cloak_core.detectors.verification.comparing import AGREES, Apart, apart, gradient_error, gradient_of
+from cloak_core.detectors.verification.comparing import AGREES, BATCH, Apart, apart, gradient_error, gradient_of
 
-BATCH = 4
-"""Images at a time, where several are asked about at once."""
 ROUNDING = 1e-6
 """Scores may be beyond [0, 1] by so much."""
 Images = Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"]

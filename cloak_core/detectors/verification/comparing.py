@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detections
+from cloak_core.scene.backdrops.procedural import draw_scene
 
+BATCH = 4
+"""Images at a time, where several are asked about at once."""
 SCORES, BOXES_PX = 1e-4, 0.05
 """The largest differences that count as none."""
 FAINT = 0.01
@@ -20,6 +24,13 @@ FAINT = 0.01
 
 NAMED = 0.5
 """Of exclusive classes only one has a higher score: from here on its number must agree."""
+
+
+@lru_cache(4)
+def sample_images(size: tuple[int, int]) -> Float[Tensor, "B 3 H W"]:
+    """Draw a batch of procedural scenes, always the same ones."""
+    scenes = [draw_scene(np.random.default_rng([7, i]), *size) for i in range(BATCH)]
+    return torch.from_numpy(np.stack(scenes)).permute(0, 3, 1, 2).float() / 255
 
 
 class Apart(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -15,9 +14,9 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector, state_hash
 from cloak_core.detectors.resizing import fit
 from cloak_core.detectors.verification import checks
-from cloak_core.detectors.verification.checks import BATCH, Finding, Images, Subject
+from cloak_core.detectors.verification.checks import Finding, Images, Subject
+from cloak_core.detectors.verification.comparing import BATCH, sample_images
 from cloak_core.files.errors import first_line
-from cloak_core.scene.backdrops.procedural import draw_scene
 
 SIDE = 416
 """Of images for detectors that take any size."""
@@ -48,7 +47,7 @@ def verify(detector: Detector, images: Images | None = None, original: Detector 
     the checks that failed, "images": how many, "checks": {NAME: {"passed", "words"}}}; None where there is nothing to
     compare with or to differentiate. What the detector raises fails the check that met it, and ends them.
     """
-    images = usual_images(natural_size(detector)) if images is None else images
+    images = sample_images(natural_size(detector)) if images is None else images
     images = torch.cat([images] * -(-BATCH // len(images)))[: max(BATCH, len(images))]
     subject = Subject(detector, images, original or original_of(detector))
     before = state_hash(detector)
@@ -86,12 +85,6 @@ def natural_size(detector: Detector) -> tuple[int, int]:
     """Give (height, width) of the images that it takes without resizing them, as far as it says."""
     size = detector.source.get("input_size")
     return tuple(size) if size else (SIDE, SIDE)
-
-
-def usual_images(size: tuple[int, int], count: int = BATCH) -> Float[Tensor, "B 3 H W"]:
-    """Draw procedural scenes, always the same ones."""
-    scenes = [draw_scene(np.random.default_rng([7, i]), *size) for i in range(count)]
-    return torch.from_numpy(np.stack(scenes)).permute(0, 3, 1, 2).float() / 255
 
 
 def framed(picture: Float[Tensor, "3 H W"], size: tuple[int, int]) -> Float[Tensor, "3 h w"]:
