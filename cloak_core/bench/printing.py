@@ -22,7 +22,7 @@ from cloak_core.output.calibration.chart import write_chart
 from cloak_core.output.calibration.fitting import profile_of
 from cloak_core.scene.color_difference import mean_difference
 from cloak_core.scene.meshes.mesh_file import to_linear, to_srgb
-from cloak_core.scene.pictures import read_picture
+from cloak_core.scene.pictures import perspective, read_picture
 
 OVERPRINTS = np.array([
     [238, 234, 226], [232, 205, 40], [196, 40, 105], [188, 44, 50],
@@ -77,7 +77,7 @@ def photograph(chart: Path, seed: int, turns: int = 0) -> bytes:
     frame = (width + 2 * margin, height + 2 * margin)
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) + margin
     corners = corners + random.uniform(-0.35, 0.35, (4, 2)) * margin
-    back = _perspective(corners, np.array([[0, 0], [width, 0], [width, height], [0, height]], float))
+    back = perspective(corners, np.array([[0, 0], [width, 0], [width, height], [0, height]], float)).tolist()
     planes = [
         Image.fromarray(light[..., k].astype(np.float32)).transform(
             frame, Image.Transform.PERSPECTIVE, back, Image.Resampling.BILINEAR, fillcolor=0.18
@@ -94,15 +94,6 @@ def photograph(chart: Path, seed: int, turns: int = 0) -> bytes:
     file = io.BytesIO()
     picture.save(file, "JPEG", quality=92, exif=exif)
     return file.getvalue()
-
-
-def _perspective(start: np.ndarray, end: np.ndarray) -> list[float]:
-    """Fit Pillow's eight numbers: from the places of the new picture to those of the old one."""
-    rows, values = [], []
-    for (x, y), (u, v) in zip(start, end, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        values += [u, v]
-    return np.linalg.solve(np.array(rows), np.array(values)).tolist()
 
 
 @dataclass(frozen=True)

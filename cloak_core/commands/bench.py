@@ -44,7 +44,19 @@ def _figure(value: object) -> str:
 
 
 @dataclass(kw_only=True)
-class Views(Bench):
+class Timed(Bench):
+    """A command whose figures are medians of times."""
+
+    threads: int = 2
+    """Threads torch may use."""
+    repeats: int = 20
+    """Timed repetitions behind each median."""
+    device: str = "cpu"
+    """Torch device."""
+
+
+@dataclass(kw_only=True)
+class Views(Timed):
     """Time visibility, a new view and a cached render, per view."""
 
     example = "--scene scene"
@@ -53,12 +65,6 @@ class Views(Bench):
     """Scene folder or .npz."""
     samples: Literal[1, 4, 16, 64, "area"] | None = None
     """Samples per pixel, or coverage by area: this alone is timed (default: 1, and all of them in short)."""
-    threads: int = 2
-    """Threads torch may use."""
-    repeats: int = 20
-    """Timed repetitions behind each median."""
-    device: str = "cpu"
-    """Torch device."""
 
     def run(self) -> dict:
         from cloak_core.bench.views import run_bench_views
@@ -67,7 +73,7 @@ class Views(Bench):
 
 
 @dataclass(kw_only=True)
-class Step(Bench):
+class Step(Timed):
     """Time a training step beside its floor, the detector alone on a ready batch."""
 
     example = "--detector builtin"
@@ -84,12 +90,6 @@ class Step(Bench):
     """Camera distance in metres; LOW:HIGH builds a fresh view for every image."""
     samples: Literal[1, 4, 16, 64] | None = None
     """Samples per pixel; None takes what training would."""
-    threads: int = 2
-    """Threads torch may use."""
-    repeats: int = 20
-    """Timed repetitions behind each median."""
-    device: str = "cpu"
-    """Torch device."""
     out: Path | None = None
     """Markdown file to write the table to."""
 
@@ -184,7 +184,7 @@ class Jobs(Command):
 
 
 @dataclass(kw_only=True)
-class Detectors(Bench):
+class Detectors(Timed):
     """Time detectors as Cloak runs them beside the same models used naively."""
 
     example = "--detector builtin"
@@ -193,12 +193,7 @@ class Detectors(Bench):
     """Detectors to time (default: builtin)."""
     batch: int = 4
     """Images at once."""
-    threads: int = 2
-    """Threads torch may use."""
     repeats: int = 9
-    """Timed repetitions behind each median."""
-    device: str = "cpu"
-    """Torch device."""
     out: Path | None = None
     """New Markdown file for the table."""
     options: Annotated[OmitArgPrefixes[DetectorOptions], arg(name="detectors")] = field(default_factory=DetectorOptions)

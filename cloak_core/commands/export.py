@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from rich.progress import Progress
 from tyro.conf import Positional
 
 from cloak_core.attack.settings.values import Angles
-from cloak_core.commands.base import err, out
+from cloak_core.commands.base import out
 from cloak_core.commands.options import Computing
+from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
@@ -59,10 +59,8 @@ class Coco(Computing):
 
         self.prepare()
         renderer = self._renderer()
-        with Progress(console=err, disable=not err.is_terminal) as progress:
-            task = progress.add_task("rendering", total=None)
-            told = lambda done, total: progress.update(task, completed=done, total=total)
-            return export_coco(renderer, self.out, self.format, told)
+        with counted("rendering") as tell:
+            return export_coco(renderer, self.out, self.format, tell)
 
     def _renderer(self) -> BodyRenderer:
         from cloak_core.evaluation.cloaked import open_cloaked

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import err, out, share, warn
+from cloak_core.commands.base import out, share, warn
 from cloak_core.commands.options import Detecting
+from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.files.errors import InputError
 
@@ -53,8 +53,7 @@ class Judge(Detecting):
             raise InputError("--detector: none given")
         from cloak_core.evaluation.photographs.judge import judge
 
-        with Progress(console=err, disable=not err.is_terminal) as progress:
-            task = progress.add_task("looking", total=None)
+        with counted("looking") as tell:
             return judge(
                 self.directory,
                 self.by_spec(self.detector),
@@ -62,7 +61,7 @@ class Judge(Detecting):
                 table=self.pictures,
                 boxes=self.boxes,
                 out=self.out or self.directory / "judge",
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+                on_progress=tell,
             )
 
     def show(self, result: dict) -> None:

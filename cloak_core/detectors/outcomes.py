@@ -102,19 +102,13 @@ def share_within_mask(boxes: Float[Tensor, "B N 4"], masks: Bool[Tensor, "B H W"
     return torch.where(own > 0, covered.clamp(min=0) / own.clamp(min=1), 0.0).to(boxes.dtype)
 
 
-def on_body(
-    detections: Detections,
-    bodies: Float[Tensor, "B 4"],
-    iou: float = IOU,
-    within: float = WITHIN,
-    masks: Bool[Tensor, "B H W"] | None = None,
-) -> OnBody:
+def on_body(detections: Detections, bodies: Float[Tensor, "B 4"], iou: float = IOU, within: float = WITHIN) -> OnBody:
     """Find the best person score and the best other class on each image's true body.
 
     A person counts where `found_as_person` says so; another class where its box overlaps the body's with at least
     `iou`. At threshold t the outcome is "person" where `person` > t, else "renamed" where `other` > t, else "gone".
     """
-    is_person = found_as_person(detections.boxes, bodies, iou, within, masks)
+    is_person = found_as_person(detections.boxes, bodies, iou, within)
     person, _ = _best(torch.where(is_person, detections.scores, 0.0))
     if detections.other is None:
         return OnBody(person, None, None)
@@ -125,9 +119,7 @@ def on_body(
     return OnBody(person, other, number)
 
 
-def as_anything(
-    detections: Detections, bodies: Float[Tensor, "B 4"], iou: float = NEAR, within: float = WITHIN
-) -> Detections:
+def as_anything(detections: Detections, bodies: Float[Tensor, "B 4"]) -> Detections:
     """Turn every class on the body into a person, for what is to hide from all of them.
 
     Scores become the larger of the person's and the best other class's, where the box is on the body
@@ -136,7 +128,7 @@ def as_anything(
     """
     if detections.other is None:
         return detections
-    on = found_as_person(detections.boxes.detach(), bodies, iou, within)
+    on = found_as_person(detections.boxes.detach(), bodies, NEAR)
     scores = torch.maximum(detections.scores, torch.where(on, detections.other, 0.0))
     is_person = None if detections.is_person is None else detections.is_person | on
     return detections._replace(scores=scores, is_person=is_person)

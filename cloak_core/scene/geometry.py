@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.meshes.polygons import next_corner, polygon_loops
@@ -62,31 +64,6 @@ def face_centres(bodies: Bodies, pose: int = 0) -> Float[np.ndarray, "faces 3"]:
     return sum_by_face(bodies, centroid * weight[:, None]) / np.maximum(sum_by_face(bodies, weight), 1e-300)[:, None]
 
 
-def is_closed(triangles: Integer[np.ndarray, "triangles 3"]) -> bool:
-    """Tell whether triangles form closed, oriented surfaces: every edge is walked once in each direction.
-
-    Such surfaces may drop their back faces, provided that they face outwards (`is_outward`). No triangles: False.
-    """
-    if not len(triangles):
-        return False
-    starts = triangles.astype(np.int64)
-    ends = np.roll(starts, -1, axis=1)
-    base = int(triangles.max()) + 1
-    forward = np.sort((starts * base + ends).ravel())
-    backward = np.sort((ends * base + starts).ravel())
-    once = bool((np.diff(forward) > 0).all())
-    return once and np.array_equal(forward, backward) and not bool((starts == ends).any())
-
-
-def is_outward(bodies: Bodies) -> Bool[np.ndarray, " poses"]:
-    """Tell per pose whether each connected surface of closed bodies encloses a positive volume (normals outwards)."""
-    part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
-    outward = np.zeros(bodies.pose_count, bool)
-    for pose in range(bodies.pose_count):
-        outward[pose] = bool((_volumes(bodies, pose, part)[np.unique(part)] > 0).all())
-    return outward
-
-
 def outward_parts(bodies: Bodies) -> Bool[np.ndarray, "poses triangles"]:
     """Tell per pose which triangles belong to closed surfaces that face outwards: nobody outside sees their backs."""
     part = connected_parts(bodies.triangles, bodies.vertex_count)[bodies.triangles[:, 0]]
@@ -115,16 +92,10 @@ def _volumes(bodies: Bodies, pose: int, part: Integer[np.ndarray, " triangles"])
 
 
 def connected_parts(faces: Integer[np.ndarray, "faces corners"], vertex_count: int) -> Integer[np.ndarray, " vertices"]:
-    """Label each vertex by the lowest vertex that it is joined to by faces."""
-    label = np.arange(vertex_count)
-    while True:
-        lowest = label.copy()
-        np.minimum.at(lowest, faces, label[faces].min(axis=1, keepdims=True))
-        # Following the labels as pointers halves the way each round.
-        lowest = lowest[lowest]
-        if np.array_equal(lowest, label):
-            return label
-        label = lowest
+    """Number the connected part of each vertex, from 0: faces join their corners."""
+    ends = np.repeat(faces[:, 0], faces.shape[1]), faces.reshape(-1)
+    joined = csr_matrix((np.ones(faces.size, bool), ends), shape=(vertex_count, vertex_count))
+    return connected_components(joined, directed=False)[1]
 
 
 def inner_edges(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.reading import read_bytes
@@ -46,6 +46,17 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
         raise InputError(f"{path}: not a readable picture (none of {', '.join(FORMATS)})") from None
     except (OSError, ValueError, SyntaxError, EOFError, struct.error, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: not a readable picture ({first_line(error)})") from None
+
+
+def perspective(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, " 8"]:
+    """Solve for the projective map of four points to four others: Pillow's eight coefficients, the ninth is 1.
+
+    LinAlgError: three of them lie on a line.
+    """
+    rows = []
+    for (x, y), (u, v) in zip(start, end, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
+    return np.linalg.solve(np.array(rows), end.reshape(-1))
 
 
 def read_picture(

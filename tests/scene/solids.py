@@ -36,3 +36,19 @@ def sphere(columns: int, rows: int) -> Bodies:
     faces += [[at(r, c), at(r + 1, c), at(r + 1, c + 1), at(r, c + 1)] for r in range(rows) for c in range(columns)]
     faces += [[last, at(rows, c + 1), at(rows, c)] for c in range(columns)]
     return polygons(vertices, faces)
+
+
+def is_closed(triangles: np.ndarray) -> bool:
+    """Whether triangles form closed, oriented surfaces: every edge is walked once in each direction.
+
+    No triangles: False.
+    """
+    if not len(triangles):
+        return False
+    starts = triangles.astype(np.int64)
+    ends = np.roll(starts, -1, axis=1)
+    base = int(triangles.max()) + 1
+    forward = np.sort((starts * base + ends).ravel())
+    backward = np.sort((ends * base + starts).ravel())
+    once = bool((np.diff(forward) > 0).all())
+    return once and np.array_equal(forward, backward) and not bool((starts == ends).any())

@@ -7,12 +7,10 @@ from cloak_core.scene.geometry import (
     face_centres,
     face_normals,
     inner_edges,
-    is_closed,
-    is_outward,
     outward_parts,
 )
 from cloak_core.scene.people.samples import sample_bodies
-from tests.scene.solids import CUBE, cube, polygons, sphere
+from tests.scene.solids import CUBE, cube, is_closed, polygons, sphere
 
 
 def test_areas_normals_and_centres_of_a_cube() -> None:
@@ -38,10 +36,10 @@ def test_a_face_without_area_has_no_normal_but_a_centre() -> None:
 def test_closed_and_outward() -> None:
     body = cube()
     assert is_closed(body.triangles)
-    assert is_outward(body).all()
+    assert outward_parts(body).all()
     inside_out = Bodies(body.vertices, body.triangles[:, ::-1])
     assert is_closed(inside_out.triangles)
-    assert not is_outward(inside_out).any()
+    assert not outward_parts(inside_out).any()
 
 
 def test_one_of_two_surfaces_inside_out_is_found() -> None:
@@ -51,7 +49,7 @@ def test_one_of_two_surfaces_inside_out_is_found() -> None:
         np.concatenate([body.triangles, body.triangles[:, ::-1] + 8]),
     )
     assert is_closed(two.triangles)
-    assert not is_outward(two).any()
+    assert not outward_parts(two).all()
 
 
 @pytest.mark.parametrize("damage", ["hole", "flip", "double", "needle"])

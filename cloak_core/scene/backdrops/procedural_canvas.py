@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageEnhance
 
+from cloak_core.scene.pictures import perspective
+
 Number = float | int
 Span = tuple[Number, Number]
 NEAR = 0.3
@@ -42,8 +44,9 @@ class Canvas:
         if shrink > 1:
             tile = tile.reduce(shrink)
         source = np.array([(0, 0), (tile.width, 0), (tile.width, tile.height), (0, tile.height)], np.float64)
-        coefficients = _homography(target - low, source)
-        if coefficients is None:
+        try:
+            coefficients = perspective(target - low, source).tolist()
+        except np.linalg.LinAlgError:  # a degenerate quad
             return
         warped = tile.transform(size, Image.Transform.PERSPECTIVE, coefficients, Image.Resampling.BILINEAR)
         mask = Image.new("L", size)
@@ -114,14 +117,3 @@ class Canvas:
 
 def _lit(tile: Image.Image, light: Number) -> Image.Image:
     return tile if light == 1.0 else ImageEnhance.Brightness(tile).enhance(light)
-
-
-def _homography(target: Float[np.ndarray, "4 2"], source: Float[np.ndarray, "4 2"]) -> list[float] | None:
-    """Solve for Pillow's eight coefficients from target to source pixels; None for a degenerate quad."""
-    rows = []
-    for (x, y), (u, v) in zip(target, source, strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-    try:
-        return np.linalg.solve(np.array(rows), source.reshape(-1)).tolist()
-    except np.linalg.LinAlgError:
-        return None

@@ -26,17 +26,6 @@ def patch_of_face(bodies: Bodies, logo: Logo, size: float) -> Int64[np.ndarray, 
     return _merged(_joined(logo.edges[inside], len(logo)), face_areas(bodies)[logo.face_ids], logo, np.pi / 4 * size**2)
 
 
-def patch_widths(patch: Int64[np.ndarray, " L"], areas: Float[np.ndarray, " L"]) -> Float[np.ndarray, " P"]:
-    """Compute the diameter of the disc that has each patch's area, metres."""
-    return np.sqrt(np.bincount(patch, areas) * 4 / np.pi)
-
-
-def patches_of_color(colors: Float[np.ndarray, "L 3"], logo: Logo) -> Int64[np.ndarray, " L"]:
-    """Find patches as the eye sees them: faces of one colour that edges join."""
-    same = (colors[logo.edges[:, 0]] == colors[logo.edges[:, 1]]).all(axis=1)
-    return _joined(logo.edges[same], len(logo))
-
-
 def _joined(edges: np.ndarray, count: int) -> Int64[np.ndarray, " L"]:
     """Number each piece that these edges join."""
     return connected_components(_matrix(edges, np.ones(len(edges)), count), directed=False)[1].astype(np.int64)

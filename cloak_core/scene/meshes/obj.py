@@ -7,7 +7,7 @@ what a face list consists of; so the lines are read here.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -30,32 +30,38 @@ class Material:
     picture: str = ""
 
 
+@dataclass
 class ObjLines:
-    """Collects what the lines of one file say."""
+    """What the lines of one file say."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.vertices: list[list[float]] = []
-        self.colored = False
-        self.uv: list[list[float]] = []
-        self.loop_total: list[int] = []
-        self.loop: list[int] = []
-        self.loop_uv: list[int] = []
-        self.materials: dict[str, Material] = {}
-        self.face_material: list[str] = []
-        self.material = ""
+    path: Path
+    vertices: list[list[float]] = field(default_factory=list)
+    colored: bool = False
+    uv: list[list[float]] = field(default_factory=list)
+    loop_total: list[int] = field(default_factory=list)
+    loop: list[int] = field(default_factory=list)
+    loop_uv: list[int] = field(default_factory=list)
+    materials: dict[str, Material] = field(default_factory=dict)
+    face_material: list[str] = field(default_factory=list)
+    material: str = ""
 
-    def vertex(self, words: list[str]) -> None:
-        numbers = [float(word) for word in words]
-        if len(numbers) < 3:
-            raise ValueError("a vertex has three coordinates")
-        # Six numbers are a position and a colour, as Blender and MeshLab write them; four a homogeneous position.
-        self.colored |= len(numbers) >= 6
-        self.vertices.append(numbers[:3] + (numbers[3:6] if len(numbers) >= 6 else []))
-
-    def texture_coordinate(self, words: list[str]) -> None:
-        numbers = [float(word) for word in words[:2]]
-        self.uv.append([*numbers, 0.0][:2])
+    def read(self, kind: str, words: list[str]) -> None:
+        """Take over a line. ValueError: it says too little, or no numbers."""
+        if kind == "v":
+            if len(words) < 3:
+                raise ValueError("a vertex has three coordinates")
+            # Six numbers are a position and a colour, as Blender and MeshLab write them; four a homogeneous position.
+            numbers = [float(word) for word in words]
+            self.colored |= len(numbers) >= 6
+            self.vertices.append(numbers[:3] + (numbers[3:6] if len(numbers) >= 6 else []))
+        elif kind == "vt":
+            self.uv.append([*(float(word) for word in words[:2]), 0.0][:2])
+        elif kind == "f":
+            self.face(words)
+        elif kind == "usemtl":
+            self.material = " ".join(words)
+        elif kind == "mtllib":
+            self.materials |= read_mtl(self.path, " ".join(words))
 
     def face(self, words: list[str]) -> None:
         if len(words) < 3:
@@ -67,12 +73,6 @@ class ObjLines:
             self.loop_uv.append(resolve(uv, len(self.uv)) if uv else -1)
         self.loop_total.append(len(words))
         self.face_material.append(self.material)
-
-    def use_material(self, words: list[str]) -> None:
-        self.material = " ".join(words)
-
-    def library(self, words: list[str]) -> None:
-        self.materials |= read_mtl(self.path, " ".join(words))
 
 
 def resolve(word: str, count: int) -> int:
@@ -92,24 +92,16 @@ def read_obj(path: Path) -> MeshFile:
     folder or below is a warning.
     """
     lines = ObjLines(path)
-    handlers = {
-        "v": lines.vertex,
-        "vt": lines.texture_coordinate,
-        "f": lines.face,
-        "usemtl": lines.use_material,
-        "mtllib": lines.library,
-    }
     text = read_text(path, MAX_FILE_BYTES, errors="replace")
     joined = text.replace("\\\r\n", " ").replace("\\\n", " ")
     for number, line in enumerate(joined.split("\n"), start=1):
-        words = line.partition("#")[0].split()
-        if words and words[0] in handlers:
-            try:
-                handlers[words[0]](words[1:])
-            except (ValueError, OverflowError) as error:
-                if isinstance(error, InputError):
-                    raise
-                raise InputError(f"{path}: line {number}: {error}") from None
+        kind, *words = line.partition("#")[0].split() or [""]
+        try:
+            lines.read(kind, words)
+        except InputError:
+            raise
+        except (ValueError, OverflowError) as error:
+            raise InputError(f"{path}: line {number}: {error}") from None
     return mesh_of(lines)
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from cloak_core.files.errors import InputError
 from cloak_core.scene.blender import outside as through_blender
-from cloak_core.scene.geometry import is_closed
 from cloak_core.scene.meshes.importing import import_bodies
+from tests.scene.solids import is_closed
 
 MAKE = """
 import bpy, os, sys

@@ -11,10 +11,10 @@ from PIL import Image
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.scene.geometry import face_centres, is_closed
+from cloak_core.scene.geometry import face_centres
 from cloak_core.scene.meshes.importing import import_bodies
 from cloak_core.scene.people.samples import sample_bodies
-from tests.scene.solids import CUBE, CUBE_FACES, cube, sphere
+from tests.scene.solids import CUBE, CUBE_FACES, cube, is_closed, sphere
 
 TRIANGLES = cube().triangles
 

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.scene.geometry import face_areas, face_centres, is_closed
+from cloak_core.scene.geometry import face_areas, face_centres
 from cloak_core.scene.meshes.subdivision import subdivide
 from cloak_core.scene.people.samples import sample_bodies
-from tests.scene.solids import CUBE, CUBE_FACES, cube, polygons, sphere
+from tests.scene.solids import CUBE, CUBE_FACES, cube, is_closed, polygons, sphere
 
 
 def test_counts_of_the_papers_mesh() -> None:

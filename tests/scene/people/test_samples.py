@@ -3,9 +3,10 @@ import pytest
 
 from cloak_core.exchange.scenes import read_scene, write_scene
 from cloak_core.files.errors import InputError
-from cloak_core.scene.geometry import face_areas, is_closed, is_outward
+from cloak_core.scene.geometry import face_areas, outward_parts
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.people.samples import DATA, sample_bodies
+from tests.scene.solids import is_closed
 
 
 def test_the_splits_share_a_topology_and_no_body() -> None:
@@ -20,7 +21,7 @@ def test_the_splits_share_a_topology_and_no_body() -> None:
 def test_bodies_are_closed_outward_and_stand_on_the_ground() -> None:
     bodies = sample_bodies()
     assert is_closed(bodies.triangles)
-    assert is_outward(bodies).all()
+    assert outward_parts(bodies).all()
     low, high = bodies.vertices[..., 1].min(axis=1), bodies.vertices[..., 1].max(axis=1)
     assert np.abs(low).max() < 1e-4
     assert 1.45 < (high - low).min() and (high - low).max() < 1.95
