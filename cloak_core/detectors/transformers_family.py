@@ -14,16 +14,16 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from cloak_core.detectors.classes import person_index
+from cloak_core.detectors.decoding import Decoded, corners, in_pixels
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
-from cloak_core.detectors.outcomes import best_other
+from cloak_core.detectors.pixels import IMAGENET
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
+from cloak_core.detectors.resizing import Placement
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
-
-IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,8 @@ class TransformersDetector(Detector):
             output = self.model(pixel_values=self.preprocessing(images))
         logits, boxes = at_least_float32(output.logits), at_least_float32(output.pred_boxes)
         probability = logits.softmax(dim=-1) if logits.shape[-1] == self.labels + 1 else logits.sigmoid()
-        half = boxes[..., 2:] / 2
-        corners = torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
-        pixels = torch.tensor([images.shape[3], images.shape[2]] * 2, device=boxes.device, dtype=boxes.dtype)
-        other = best_other(probability[..., : self.labels], self.person)
-        return Detections(
-            boxes=corners * pixels, scores=probability[..., self.person], other=other.scores, other_class=other.number
-        )
+        found = Decoded(in_pixels(corners(boxes), images.shape[2:]), probability[..., : self.labels])
+        return found.of_person(self.person, Placement())
 
 
 def load_transformers(request: Request) -> TransformersDetector:

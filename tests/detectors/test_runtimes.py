@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.loading import load_detector
-from cloak_core.detectors.onnx_family.layouts import Decoded
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.runtimes import tflite_file
 from cloak_core.detectors.runtimes.layouts import (

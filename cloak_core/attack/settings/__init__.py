@@ -91,6 +91,22 @@ COMPONENTS: dict[str, type] = {
     entry.name: entry.default_factory for entry in dataclasses.fields(TrainSettings) if entry.name != "preset"
 }
 """Of `TrainSettings`, by the name of the field."""
+_MANY_DETECTORS: dict[str, object] = {
+    "batch": 4,
+    "angles": "0..360",
+    "elevation": "0:30",
+    "distance": "1.4:6",
+    "contrast": "0.8:1.2",
+    "brightness": "-0.1:0.1",
+    "crop": 0.15,
+    "pad": 0.3,
+    "loss": "margin",
+    "ensemble": "adaptive",
+    "detectors_per_step": 1,
+    "optimizer": "adam",
+    "schedule": "cosine",
+}
+"""Shared by the presets for detectors that training never sees: bodies all around, near and far, and changed images."""
 PRESETS: dict[str, dict[str, object]] = {
     "paper": {},
     "reference": {
@@ -113,50 +129,26 @@ PRESETS: dict[str, dict[str, object]] = {
         "lr": 0.05,
         "schedule": "cosine",
     },
-    "transfer": {
+    "transfer": _MANY_DETECTORS
+    | {
         "steps": 1500,
-        "batch": 4,
-        "angles": "0..360",
-        "elevation": "0:30",
-        "distance": "1.4:6",
-        "contrast": "0.8:1.2",
-        "brightness": "-0.1:0.1",
         "cutout": 0.3,
-        "crop": 0.15,
-        "pad": 0.3,
-        "loss": "margin",
-        "ensemble": "adaptive",
-        "detectors_per_step": 1,
         "smooth": 8,
         "initial": "animal",
-        "optimizer": "adam",
         "lr": 0.05,
-        "schedule": "cosine",
     },
-    "photographs": {
+    "photographs": _MANY_DETECTORS
+    | {
         "steps": 900,
-        "batch": 4,
-        "angles": "0..360",
-        "elevation": "0:30",
-        "distance": "1.4:6",
-        "contrast": "0.8:1.2",
-        "brightness": "-0.1:0.1",
         "noise": 0.05,
-        "crop": 0.15,
-        "pad": 0.3,
         "people_share": 1.0,
-        "loss": "margin",
-        "ensemble": "adaptive",
-        "detectors_per_step": 1,
         "pattern": "tile",
         "tile_cm": 25.0,
         "feature_cm": 0.5,
         "gamut": "sigmoid",
         "octaves": 5,
         "initial": "random",
-        "optimizer": "adam",
         "lr": 0.12,
-        "schedule": "cosine",
     },
 }
 """What each preset changes of the defaults. The reference's learning rate is its 1e-2 / sqrt(batch) at batch 8."""

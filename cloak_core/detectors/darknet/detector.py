@@ -10,7 +10,7 @@ from cloak_core.detectors.classes import names_beside, person_index
 from cloak_core.detectors.darknet.cfg import read_cfg
 from cloak_core.detectors.darknet.network import Network
 from cloak_core.detectors.darknet.weights import check_size, read_weights
-from cloak_core.detectors.outcomes import best_other
+from cloak_core.detectors.decoding import Decoded, in_pixels
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.resizing import fit
 from cloak_core.detectors.specs import Request
@@ -41,16 +41,7 @@ class DarknetDetector(Detector):
         maps = self.network(inputs.contiguous(memory_format=self.memory_format))
         parts = [head.decode(raw, size) for head, raw in zip(self.network.heads, maps, strict=True)]
         boxes, objectness, classes = (torch.cat(group, dim=1) for group in zip(*parts, strict=True))
-        pixels = boxes * torch.tensor([size[1], size[0]] * 2, device=boxes.device, dtype=boxes.dtype)
-        person, other = classes[..., self.person], best_other(classes, self.person)
-        return Detections(
-            boxes=placement.restore(pixels),
-            scores=objectness * person,
-            objectness=objectness,
-            is_person=person >= classes.amax(dim=-1),
-            other=None if other.scores is None else objectness * other.scores,
-            other_class=other.number,
-        )
+        return Decoded(in_pixels(boxes, size), classes, objectness).of_person(self.person, placement)
 
 
 def load_darknet(request: Request) -> DarknetDetector:

@@ -5,43 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.detectors.outcomes import best_other
+from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
 from cloak_core.detectors.pixels import IMAGENET, PixelFormat
-from cloak_core.detectors.protocol import Detections
-from cloak_core.detectors.resizing import YOLO_GREY, Placement
+from cloak_core.detectors.resizing import YOLO_GREY
 
 YOLO_STRIDES = ((8, 16, 32), (8, 16, 32, 64), (16, 32), (4, 8, 16, 32))
 """Of the grids that dense heads are made of, in the order they are laid out."""
 COCO_CLASSES = 80
 Size = tuple[int, int]
-
-
-class Decoded(NamedTuple):
-    """Of B images: N boxes and what they show; all differentiable."""
-
-    boxes: Float[Tensor, "B N 4"]
-    """xyxy, pixels of the network's input."""
-    classes: Float[Tensor, "B N K"]
-    """Probabilities of the classes, times objectness only where the layout has folded it in."""
-    objectness: Float[Tensor, "B N"] | None = None
-
-    def of_person(self, person: int, placement: Placement, first: int = 0) -> Detections:
-        """Give the boxes in the images' pixels, the person's score and the best other's; see `best_other`."""
-        scores, other = self.classes[..., person], best_other(self.classes, person, first)
-        likeliest, best = None, other.scores
-        if self.objectness is not None:
-            likeliest = scores >= self.classes.amax(dim=-1)
-            scores = scores * self.objectness
-            best = None if best is None else best * self.objectness
-        boxes = placement.restore(self.boxes)
-        return Detections(boxes, scores, self.objectness, likeliest, other=best, other_class=other.number)
 
 
 Decode = Callable[[Sequence[Tensor], Size], Decoded]
@@ -92,13 +69,13 @@ def yolox(outputs: Sequence[Tensor], size: Size) -> Decoded:
 def detr(outputs: Sequence[Tensor], size: Size) -> Decoded:
     """Decode logits [B, Q, K + 1] (the last is "no object") and boxes [B, Q, 4], centre and size as fractions."""
     logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
-    return Decoded(corners(boxes * _pixels(size, boxes)), logits.softmax(dim=-1)[..., :-1])
+    return Decoded(corners(in_pixels(boxes, size)), logits.softmax(dim=-1)[..., :-1])
 
 
 def rtdetr(outputs: Sequence[Tensor], size: Size) -> Decoded:
     """Decode logits [B, Q, K] of independent classes and boxes [B, Q, 4], centre and size as fractions."""
     logits, boxes = outputs[:2] if outputs[1].shape[-1] == 4 else outputs[1::-1]
-    return Decoded(corners(boxes * _pixels(size, boxes)), logits.sigmoid())
+    return Decoded(corners(in_pixels(boxes, size)), logits.sigmoid())
 
 
 def end2end(outputs: Sequence[Tensor], size: Size) -> Decoded:
@@ -152,10 +129,9 @@ def fastestdet(outputs: Sequence[Tensor], size: Size) -> Decoded:
     grid = outputs[0]
     height, width = grid.shape[2:]
     rows = grid.flatten(2).transpose(1, 2)
-    index = torch.arange(height * width, device=grid.device)
-    cell = torch.stack([index % width, index // width], dim=-1).to(grid.dtype)
+    cell = cell_places(height, width).flatten(0, 1).to(grid)
     centre = (rows[..., 1:3].tanh() + cell) / torch.tensor([width, height], device=grid.device, dtype=grid.dtype)
-    boxes = torch.cat([centre, rows[..., 3:5].sigmoid()], dim=-1) * _pixels(size, grid)
+    boxes = in_pixels(torch.cat([centre, rows[..., 3:5].sigmoid()], dim=-1), size)
     tiny = torch.finfo(grid.dtype).tiny  # the power's slope at 0 is infinite
     score = rows[..., :1].clamp(min=tiny) ** 0.6 * rows[..., 5:].clamp(min=tiny) ** 0.4
     return Decoded(corners(boxes), score)
@@ -184,7 +160,7 @@ class BoxesScores:
 
     def __call__(self, outputs: Sequence[Tensor], size: Size) -> Decoded:
         boxes, scores = self._split(outputs)
-        boxes = boxes * _pixels(size, boxes) if self.fractions else boxes
+        boxes = in_pixels(boxes, size) if self.fractions else boxes
         scores = scores.softmax(dim=-1) if self.logits else scores
         return Decoded(boxes if self.corners else corners(boxes), scores[..., 1:] if self.exclusive else scores)
 
@@ -221,8 +197,7 @@ class RawYolo:
 
     def _decode(self, head: Tensor, anchors: tuple, size: Size) -> Float[Tensor, "B N C"]:
         height, width = head.shape[2:4]
-        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-        cell = torch.stack([x, y], dim=-1).to(head)
+        cell = cell_places(height, width).to(head)
         stride = torch.tensor([size[1] / width, size[0] / height]).to(head)
         anchor = torch.tensor(anchors).to(head).view(1, -1, 1, 1, 2)
         place, rest = head[..., :2].sigmoid(), head[..., 4:].sigmoid()
@@ -260,12 +235,6 @@ LAYOUTS: dict[str, Layout] = {
 }
 
 
-def corners(boxes: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """Convert centre and size to corners."""
-    half = boxes[..., 2:] / 2
-    return torch.cat([boxes[..., :2] - half, boxes[..., :2] + half], dim=-1)
-
-
 def cells(size: Size, strides: Sequence[int]) -> int:
     """Count the cells of the grids of these strides together on an input (height, width)."""
     return sum(math.ceil(size[0] / s) * math.ceil(size[1] / s) for s in strides)
@@ -281,14 +250,9 @@ def _grid(size: Size, strides: Sequence[int], like: Tensor) -> tuple[Float[Tenso
     places, steps = [], []
     for stride in strides:
         height, width = math.ceil(size[0] / stride), math.ceil(size[1] / stride)
-        y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-        places.append(torch.stack([x, y], dim=-1).reshape(-1, 2))
+        places.append(cell_places(height, width).flatten(0, 1))
         steps.append(torch.full((height * width, 1), stride))
     return torch.cat(places).to(like), torch.cat(steps).to(like)
-
-
-def _pixels(size: Size, like: Tensor) -> Tensor:
-    return torch.tensor([size[1], size[0]] * 2, dtype=like.dtype, device=like.device)
 
 
 def _parted(rows: Float[Tensor, "B N C"]) -> tuple[Tensor, Tensor]:

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.detectors.onnx_family.layouts import Decoded
+from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.verification.comparing import AGREES, BOXES_PX, SCORES, gradient_error
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.errors import InputError

@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decoded, Layout, Size, corners
+from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
+from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Layout, Size
 from cloak_core.detectors.pixels import PixelFormat
 
 OPEN_MODEL_ZOO = PixelFormat(bgr=True, range=255.0)
@@ -52,7 +53,7 @@ class SsdHead:
         else:
             boxes = priors + offsets
         kept = [number for number in range(self.classes) if number != self.background]
-        return Decoded(boxes * boxes.new_tensor([size[1], size[0]] * 2), scores[..., kept])
+        return Decoded(in_pixels(boxes, size), scores[..., kept])
 
 
 def detection_rows(outputs: Sequence[Tensor], size: Size) -> Decoded:
@@ -60,8 +61,7 @@ def detection_rows(outputs: Sequence[Tensor], size: Size) -> Decoded:
     rows = outputs[0].flatten(1, 2) if outputs[0].dim() == 4 else outputs[0]
     # Whatever stands behind the end is left over from another image.
     there = (rows[..., 0] >= 0).cummin(dim=1).values
-    boxes = rows[..., 3:7] * rows.new_tensor([size[1], size[0]] * 2)
-    return Decoded(boxes, _one_hot(rows[..., 1] - 1, rows[..., 2] * there))
+    return Decoded(in_pixels(rows[..., 3:7], size), _one_hot(rows[..., 1] - 1, rows[..., 2] * there))
 
 
 def boxes_labels(outputs: Sequence[Tensor], size: Size) -> Decoded:
@@ -78,8 +78,7 @@ def tflite_ssd(outputs: Sequence[Tensor], size: Size) -> Decoded:
     """
     boxes, classes, scores, count = outputs[:4]
     there = torch.arange(scores.shape[1]) < count.reshape(-1, 1)
-    places = boxes[..., [1, 0, 3, 2]] * boxes.new_tensor([size[1], size[0]] * 2)
-    return Decoded(places, _one_hot(classes, scores * there))
+    return Decoded(in_pixels(boxes[..., [1, 0, 3, 2]], size), _one_hot(classes, scores * there))
 
 
 def mediapipe_pose(outputs: Sequence[Tensor], size: Size) -> Decoded:
@@ -101,9 +100,8 @@ def _pose_anchors(size: Size) -> Float[Tensor, "N 2"]:
     """Compute the centres of MediaPipe's anchors, pixels: layers of one stride stand cell by cell."""
     found = []
     for stride in dict.fromkeys(POSE_STRIDES):
-        y, x = torch.meshgrid(torch.arange(size[0] // stride), torch.arange(size[1] // stride), indexing="ij")
-        cells = (torch.stack([x, y], dim=-1).view(-1, 2) + 0.5) * stride
-        found.append(cells.repeat_interleave(2 * POSE_STRIDES.count(stride), dim=0))
+        middles = (cell_places(size[0] // stride, size[1] // stride).view(-1, 2) + 0.5) * stride
+        found.append(middles.repeat_interleave(2 * POSE_STRIDES.count(stride), dim=0))
     return torch.cat(found)
 
 

@@ -9,11 +9,12 @@ import torch
 from torch import Tensor
 
 from cloak_core.detectors.classes import COCO_IDS, names_beside
+from cloak_core.detectors.decoding import Decoded, in_pixels
 from cloak_core.detectors.described import read_description
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.detector import OnnxDetector, chosen_person
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier
-from cloak_core.detectors.onnx_family.layouts import Decode, Decoded, Layout, Size
+from cloak_core.detectors.onnx_family.layouts import Decode, Layout, Size
 from cloak_core.detectors.onnx_family.networks import BlackBox
 from cloak_core.detectors.runtimes import openvino_file, tflite_file
 from cloak_core.detectors.runtimes.layouts import AFTER_SUPPRESSION, RUNTIME_LAYOUTS, runtime_layout
@@ -107,7 +108,7 @@ def _in_fractions(decode: Decode) -> Decode:
 
     def scaled(outputs: list[Tensor], size: Size) -> Decoded:
         found = decode(outputs, size)
-        return found._replace(boxes=found.boxes * found.boxes.new_tensor([size[1], size[0]] * 2))
+        return found._replace(boxes=in_pixels(found.boxes, size))
 
     return scaled
 

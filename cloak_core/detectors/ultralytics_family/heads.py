@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.onnx_family.layouts import Decoded, corners
+from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
 from cloak_core.detectors.protocol import at_least_float32
 
 Maps = list[tuple[Tensor, Tensor]]
@@ -103,8 +103,7 @@ def queries(raw: tuple, inputs: Float[Tensor, "B 3 H W"]) -> Decoded:
     raw: boxes [1, B, Q, 4] (centre and size as fractions of the input), logits [1, B, Q, K] and more.
     """
     boxes, logits = (at_least_float32(part[-1]) for part in raw[:2])
-    pixels = torch.tensor([inputs.shape[3], inputs.shape[2]] * 2, dtype=boxes.dtype, device=boxes.device)
-    return Decoded(corners(boxes) * pixels, logits.sigmoid())
+    return Decoded(in_pixels(corners(boxes), inputs.shape[2:]), logits.sigmoid())
 
 
 def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
@@ -114,10 +113,7 @@ def rows(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n C"]:
 
 def _cells(x: Float[Tensor, "B C h w"]) -> Float[Tensor, "h w 2"]:
     """Compute column and row of every cell of a feature map."""
-    at_least = torch.promote_types(x.dtype, torch.float32)
-    down, across = (torch.arange(n, device=x.device, dtype=at_least) for n in x.shape[-2:])
-    rows, columns = torch.meshgrid(down, across, indexing="ij")
-    return torch.stack([columns, rows], dim=-1)
+    return cell_places(*x.shape[-2:]).to(x.device, torch.promote_types(x.dtype, torch.float32))
 
 
 def distances(box: Float[Tensor, "B C h w"]) -> Float[Tensor, "B n 4"]:
