@@ -33,8 +33,7 @@ from cloak_core.zoo.entry import run_path
 
 if TYPE_CHECKING:
     from cloak_core.evaluation.measure import OnProgress
-    from cloak_core.evaluation.settings import FilmSettings
-    from cloak_core.evaluation.wearing.settings import WearSettings
+    from cloak_core.evaluation.settings import FilmSettings, WearSettings
     from cloak_core.render.photographs.fitting import Fit
 
 T = TypeVar("T")
@@ -182,8 +181,8 @@ def _on_people(
     settings: EvaluateSettings,
     on_progress: OnProgress | None,
 ) -> dict:
-    from cloak_core.evaluation.wearing.evaluating import evaluate_on_people
-    from cloak_core.evaluation.wearing.settings import WearSettings
+    from cloak_core.evaluation.settings import WearSettings
+    from cloak_core.evaluation.wearing.wearing import evaluate_on_people
 
     chosen = WearSettings(size=settings.size, threshold=settings.threshold, bare=settings.bare, batch=settings.batch)
     people = people if isinstance(people, People) else load_people(people)
@@ -243,7 +242,7 @@ def wear(
     Returns what `cloak wear --json` prints: for each detector success of every colours and control with intervals over
     people and photographs, how many people, who was left out and why. InputError names what cannot be read or worn.
     """
-    from cloak_core.evaluation.wearing.settings import WearSettings
+    from cloak_core.evaluation.settings import WearSettings
     from cloak_core.evaluation.wearing.wearing import wear_and_judge
 
     settings = _either(settings, changes, WearSettings)

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import out, require_new, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.files.errors import InputError
 
 

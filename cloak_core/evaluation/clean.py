@@ -24,10 +24,10 @@ from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import batches, measure
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, Indices, render_images
 from cloak_core.evaluation.results import NOBODY
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.trials import make_trials
-from cloak_core.evaluation.wearing.judging import PeopleRenderer
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fits import fit_people

@@ -28,12 +28,11 @@ from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
-from cloak_core.evaluation.settings import EvaluateSettings
+from cloak_core.evaluation.settings import EvaluateSettings, WearSettings
 from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
 from cloak_core.evaluation.trained_run import clocked, cpu_seconds, read_history
 from cloak_core.evaluation.wearing.clothes import LogoClothes
-from cloak_core.evaluation.wearing.judging import PeopleRenderer
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError, Stopped

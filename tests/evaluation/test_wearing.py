@@ -14,9 +14,9 @@ from PIL import Image
 from cloak_core.detectors.protocol import Detections
 from cloak_core.evaluation.measure import measure
 from cloak_core.evaluation.renderer import EvaluationRenderer
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.wearing.clothes import clothes_position, controls, read_clothes
-from cloak_core.evaluation.wearing.judging import OwnPhotograph, PeopleRenderer, dress, paint
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.wearing.renderer import PeopleRenderer, dress, paint
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.render.photographs.fits import fit_people
@@ -124,9 +124,9 @@ def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):
 
 def test_own_clothes_come_back_from_the_faces_much_as_they_were(people):
     fit = fit_people(people)[0]
-    grey, _, own = controls()
+    photograph, grey, _, own = controls()
     photo = torch.from_numpy(fit.person.image).permute(2, 0, 1) / 255
-    image, other, as_is = (paint(*dress(fit, worn, 0, SMALL)) for worn in (own, grey, OwnPhotograph()))
+    image, other, as_is = (paint(*dress(fit, worn, 0, SMALL)) for worn in (own, grey, photograph))
     assert (image - as_is).abs().mean() < 0.2 * (other - as_is).abs().mean()
     assert photo.min() >= 0
 

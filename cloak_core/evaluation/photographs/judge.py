@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from cloak_core.evaluation.evaluate import check_folder
 from cloak_core.evaluation.measure import OnProgress, image_scores, kept_frozen
 from cloak_core.evaluation.photographs.listing import WITH, WITHOUT, Subject, list_subjects
 from cloak_core.evaluation.photographs.page import Picture, write_report
+from cloak_core.evaluation.report.page import jpeg_uri
 from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.evaluation.statistics_photographs import clean_scores, find_partners, summarize_photographs
 from cloak_core.files.errors import InputError
@@ -102,7 +102,7 @@ def look(
             _log.warning("%s; skipped", error)
         for picture, found in seen:
             rows += [row | {"picture": len(pictures)} for row in found]
-            pictures.append(picture if len(pictures) < MOST_THUMBNAILS else replace(picture, thumbnail=b""))
+            pictures.append(picture if len(pictures) < MOST_THUMBNAILS else replace(picture, thumbnail=""))
         if on_progress:
             on_progress(done + 1, len(by_file))
     if not any(row["garment"] in (WITH, WITHOUT) for row in rows):
@@ -165,11 +165,10 @@ def _reduced(picture: Image.Image, longest: int) -> tuple[np.ndarray, float]:
     return np.array(picture), scale
 
 
-def _thumbnail(image: np.ndarray) -> bytes:
-    data, small = io.BytesIO(), Image.fromarray(image)
+def _thumbnail(image: np.ndarray) -> str:
+    small = Image.fromarray(image)
     small.thumbnail((THUMBNAIL, THUMBNAIL))
-    small.save(data, "JPEG", quality=88)
-    return data.getvalue()
+    return jpeg_uri(small, quality=88)
 
 
 def _table_text(rows: pd.DataFrame) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,8 +33,8 @@ class Picture:
     """Of the file's pixels."""
     boxes: dict[str, list[list[float]]]
     """By detector: x1, y1, x2, y2, score above the lower of both thresholds, best first, pixels as shown."""
-    thumbnail: bytes
-    """JPEG; empty where there are too many."""
+    thumbnail: str
+    """A data: address; empty where there are too many."""
 
 
 def write_report(path: Path, name: str, summary: dict, rows: pd.DataFrame, pictures: Sequence[Picture]) -> Path:
@@ -99,7 +98,6 @@ def _shot(subject: pd.Series, pictures: Sequence[Picture], scores: list[tuple[st
     """Prepare a subject's picture with all boxes, and what each detector makes of the subject."""
     picture = pictures[subject["picture"]]
     scale = min(1.0, 480 / max(picture.width, picture.height))
-    data = base64.b64encode(picture.thumbnail).decode()
     told = subject["box"] and page.box(0, [scale * picture.scale * x for x in subject["box"]], 0.0)
     metres = "" if np.isnan(subject["distance"]) else f"{subject['distance']:g} m"
     boxes = [
@@ -108,7 +106,7 @@ def _shot(subject: pd.Series, pictures: Sequence[Picture], scores: list[tuple[st
         for box in found
     ]
     return {
-        "image": f"data:image/jpeg;base64,{data}" if data else "",
+        "image": picture.thumbnail,
         "width": round(picture.width * scale),
         "height": round(picture.height * scale),
         "told": told,

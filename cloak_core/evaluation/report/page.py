@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from PIL import Image
 
 from cloak_core.evaluation.report import words
 from cloak_core.evaluation.report.style import inline_svg, style
@@ -59,6 +61,17 @@ def data_uri(path: Path) -> str:
     """Read a picture file as a data: address. InputError where it is missing or larger than `MAX_PICTURE`."""
     data = read_bytes(path, MAX_PICTURE)
     kind = {".jpg": "jpeg", ".png": "png", ".gif": "gif"}.get(path.suffix, "png")
+    return _encoded(data, kind)
+
+
+def jpeg_uri(picture: Image.Image, quality: int) -> str:
+    """Encode a picture as JPEG in a data: address."""
+    data = io.BytesIO()
+    picture.save(data, "JPEG", quality=quality)
+    return _encoded(data.getvalue(), "jpeg")
+
+
+def _encoded(data: bytes, kind: str) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy import sparse
 
+from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
@@ -41,6 +42,18 @@ class Clothes(Protocol):
     def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
         """Shares [P, L] of the fit's pixels, and colours [L, 3]. number: the person's, for what is drawn at random."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class OwnPhotograph:
+    """The photograph as it is."""
+
+    name: str = CLOTHING
+
+    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+        """See `Clothes`: no face is laid anywhere."""
+        nothing = np.full(len(clothes_position()), -1)
+        return shares_of(fit, nothing, 1), np.zeros((1, 3), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,11 +172,11 @@ CONTROLS = ("grey", "random", "resampled")
 
 
 def controls() -> list[Clothes]:
-    """Grey, random colours, and the own clothes through the same resampling, each all over the clothes."""
+    """The photograph as it is; and all over the clothes grey, random colours, and the own clothes resampled alike."""
     position = clothes_position()
     count = int(position.max()) + 1
     grey = LogoClothes("grey", position, np.full((count, 3), 0.5, np.float32))
-    return [grey, RandomClothes("random", position, count), OwnClothes("resampled", position, count)]
+    return [OwnPhotograph(), grey, RandomClothes("random", position, count), OwnClothes("resampled", position, count)]
 
 
 def read_clothes(spec: str) -> Clothes:

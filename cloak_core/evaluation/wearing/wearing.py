@@ -1,24 +1,25 @@
-"""`cloak wear` as one call: dress people, judge them, write pictures and a table."""
+"""Dress people in photographs and judge them, for `cloak wear` and `cloak evaluate --people`."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.measure import OnProgress
+from cloak_core.evaluation.controls import CLOTHING, LOGO
+from cloak_core.evaluation.measure import OnImages, OnProgress, measure
+from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.results import NOBODY, Results
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.statistics import false_alarms, finite, operating_point, share, success_record
 from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, read_clothes
-from cloak_core.evaluation.wearing.judging import Shot, judge_people
-from cloak_core.evaluation.wearing.pictures import Album
-from cloak_core.evaluation.wearing.rating import Rating
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.wearing.pages import Album, Rating
+from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.render.photographs.fits import fit_people
@@ -65,6 +66,33 @@ def wear_and_judge(
     return result | {"out": str(out)}
 
 
+def evaluate_on_people(
+    run: Path,
+    config: dict,
+    people: People,
+    detectors: Mapping[str, Detector],
+    backgrounds: Backgrounds,
+    out: Path,
+    settings: WearSettings | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict:
+    """Judge a run's colours on people in photographs, beside controls, into the new folder `out`.
+
+    Returns what `cloak evaluate RUN --people --json` prints: contract C6's object with S for "logo" and the controls;
+    "unseen": whether training saw none of the photographs; "white_box": which detectors it was trained against.
+    """
+    if out.exists():
+        raise InputError(f"{out}: exists already (--out names another folder)")
+    clothes = replace(read_clothes(str(run)), name=LOGO)
+    trained = (config.get("people") or {}).get("photographs", [])
+    known = {record["spec"] for record in config["detectors"]}
+    more = {
+        "unseen": {"photographs": not np.isin(people.photographs, trained).any()},
+        "white_box": {spec: spec in known for spec in detectors},
+    }
+    return wear_and_judge([clothes], people, detectors, backgrounds, out, settings, on_progress, more)
+
+
 def _judged(
     clothes: Sequence[Clothes],
     people: People,
@@ -74,27 +102,22 @@ def _judged(
     on_progress: OnProgress | None,
     folder: Path | None,
 ) -> dict:
-    fits = fit_people(people)
-    names, pages = [person.name for person in people.people], []
+    """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
+    fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
+    renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
+    pages: list[Album | Rating] = []
     if folder is not None:
-        pages = [Album(folder, names)]
-        pages += (
-            [Rating(folder, names, [*(one.name for one in clothes), CLOTHING], settings.pairs)]
-            if settings.pairs
-            else []
-        )
-
-    def on_shot(shot: Shot) -> None:
-        for page in pages:
-            page.add(shot)
-
-    told = on_shot if pages else None
-    results = judge_people(fits, clothes, detectors, backgrounds, settings, on_progress, told)
+        pages.append(Album(folder, renderer.body_names, list(points.values())))
+    if settings.pairs:
+        compared = [*(one.name for one in clothes), CLOTHING]
+        pages.append(Rating(folder, renderer.body_names, compared, settings.pairs))
+    told = {"on_progress": on_progress, "on_images": _shown_on(pages) if pages else None}
+    bare = np.arange(min(settings.bare, len(backgrounds)))
+    results = measure(renderer, detectors, tuple(renderer.clothes), bare, batch=settings.batch, **told)
     for page in pages:
         page.write()
     if folder is not None:
         write_text(folder / "scores.csv", _table(results, people))
-    alarms = {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors}
     return {
         "detectors": {
             spec: {name: _record(results, spec, name, settings.threshold) for name in results.controls}
@@ -103,10 +126,22 @@ def _judged(
         "people": len(people),
         "photographs": len(people.photographs),
         "left_out": people.left_out,
-        "false_alarms": alarms,
-        "operating_points": {spec: detector.operating_point for spec, detector in detectors.items()},
+        "false_alarms": {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors},
+        "operating_points": points,
         "fit": {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in fits[0].quality},
     }
+
+
+def _shown_on(pages: Sequence[Album | Rating]) -> OnImages:
+    """Hand every judged image with its boxes to these pages."""
+
+    def show(control: str, people: np.ndarray, images: Tensor, boxes: pd.DataFrame) -> None:
+        for person, image in zip(people.tolist(), images, strict=True):
+            mine = boxes[(boxes["image"] == person).to_numpy()]
+            for page in pages:
+                page.add(control, person, to_pil(image), mine)
+
+    return show
 
 
 def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
@@ -123,12 +158,8 @@ def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
 
 
 def _table(results: Results, people: People) -> str:
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(("detector", "clothes", "photograph", "person", "seen_from", "score", "other", "other_name"))
-    shown = results.images[(results.images["control"] != NOBODY).to_numpy()]
-    for row in shown.itertuples():
-        other = ("", "") if np.isnan(row.other) else (f"{row.other:.4f}", row.other_name)
-        number = people.people[row.pose].number
-        rows.writerow((row.detector, row.control, row.photograph, number, row.seen_from, f"{row.score:.4f}", *other))
-    return text.getvalue()
+    """List every detector's score of every person in everything, as CSV."""
+    shown = results.images[(results.images["control"] != NOBODY).to_numpy()].rename(columns={"control": "clothes"})
+    shown = shown.assign(person=[people.people[pose].number for pose in shown["pose"]])
+    columns = ["detector", "clothes", "photograph", "person", "seen_from", "score", "other", "other_name"]
+    return shown[columns].to_csv(index=False, float_format="%.4f", lineterminator="\n")

@@ -1,9 +1,9 @@
-"""Render dressed people, and measure what each detector says of every person under every clothes and control."""
+"""Render people in photographs in whatever they are dressed in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -12,62 +12,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.outcomes import HERS, OnBody, on_body, only_hers
-from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.detectors.protocol import Detections
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.measure import OnProgress, measure
 from cloak_core.evaluation.renderer import Indices
-from cloak_core.evaluation.results import CORNERS, Results
-from cloak_core.evaluation.wearing.clothes import Clothes, clothes_position, controls
-from cloak_core.evaluation.wearing.settings import WearSettings
+from cloak_core.evaluation.settings import WearSettings
+from cloak_core.evaluation.wearing.clothes import Clothes, controls
 from cloak_core.render.compositing import compose
 from cloak_core.render.photographs.fitting import Fit
-from cloak_core.render.photographs.views import framing_of, person_mask, photograph_view, shares_of
+from cloak_core.render.photographs.views import framing_of, person_mask, photograph_view
 from cloak_core.render.types import BakedView
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.photographs.posing import seen_from
 from cloak_core.scene.photographs.rig import body_rig
-
-
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """One judged image."""
-
-    name: str
-    """Of the clothes."""
-    person: int
-    image: Float[Tensor, "3 H W"]
-    boxes: dict[str, np.ndarray]
-    """For each detector, the boxes [n, 5] that count as hers above its own threshold, best first."""
-
-
-def judge_people(
-    fits: Sequence[Fit],
-    clothes: Sequence[Clothes],
-    detectors: Mapping[str, Detector],
-    backgrounds: Backgrounds,
-    settings: WearSettings,
-    on_progress: OnProgress | None = None,
-    on_shot: Callable[[Shot], None] | None = None,
-) -> Results:
-    """Dress every fitted person in everything, and ask every detector; also about backgrounds without people.
-
-    The controls of the results are the clothes, then `CLOTHING` and the other controls. on_shot: takes every image as
-    it was judged.
-    """
-    renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
-
-    def show(control: str, people: np.ndarray, images: Tensor, boxes: pd.DataFrame) -> None:
-        for person, image in zip(people, images, strict=True):
-            mine = boxes[(boxes["image"] == person).to_numpy()]
-            found = {}
-            for d, (spec, detector) in enumerate(detectors.items()):
-                above = ((mine["detector"] == d) & (mine["score"] > detector.operating_point)).to_numpy()
-                found[spec] = mine.loc[above, [*CORNERS, "score"]].to_numpy()
-            on_shot(Shot(control, int(person), image.cpu(), found))
-
-    bare = np.arange(min(settings.bare, len(backgrounds)))
-    told = {"on_progress": on_progress, "on_images": None if on_shot is None else show}
-    return measure(renderer, detectors, tuple(renderer.clothes), bare, batch=settings.batch, **told)
 
 
 class PeopleRenderer:
@@ -82,7 +38,7 @@ class PeopleRenderer:
         device: torch.device | str = "cpu",
     ) -> None:
         self.fits, self.settings, self._backgrounds, self._device = fits, settings, backgrounds, device
-        self.clothes = {one.name: one for one in (*clothes, OwnPhotograph(), *controls())}
+        self.clothes = {one.name: one for one in (*clothes, *controls())}
         people, rig = [fit.person for fit in fits], body_rig()
         self.trials = pd.DataFrame(
             {
@@ -149,21 +105,7 @@ class PeopleRenderer:
         return {}
 
 
-@dataclass(frozen=True, eq=False)
-class OwnPhotograph:
-    """The photograph as it is."""
-
-    name: str = CLOTHING
-
-    def on(self, fit: Fit, number: int) -> tuple[object, np.ndarray]:
-        """See `Clothes`: no face is laid anywhere."""
-        nothing = np.full(len(clothes_position()), -1)
-        return shares_of(fit, nothing, 1), np.zeros((1, 3), np.float32)
-
-
-def dress(
-    fit: Fit, worn: Clothes | OwnPhotograph, number: int, settings: WearSettings
-) -> tuple[BakedView, Float[np.ndarray, "L 3"]]:
+def dress(fit: Fit, worn: Clothes, number: int, settings: WearSettings) -> tuple[BakedView, Float[np.ndarray, "L 3"]]:
     """Lay clothes on one person: the view, and the colours that it takes."""
     shares, colors = worn.on(fit, number)
     return photograph_view(fit, shares, framing_of(fit, settings.context, settings.size)), colors
