@@ -140,8 +140,8 @@ class Assess(Splitting, Detecting, Sharing):
         return cards
 
     def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:
+        from cloak_core.evaluation.settings import StoreOptions
         from cloak_core.evaluation.store import RunStore
-        from cloak_core.evaluation.store_options import StoreOptions
 
         options = StoreOptions(
             out=self.out,

@@ -114,8 +114,8 @@ class Transfer(Splitting, Detecting, Sharing):
         ]
 
     def _matrix(self) -> Matrix:
+        from cloak_core.evaluation.settings import StoreOptions
         from cloak_core.evaluation.store import RunStore
-        from cloak_core.evaluation.store_options import StoreOptions
         from cloak_core.evaluation.transfer.matrix import Matrix
         from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, PHOTOGRAPHS, families
 

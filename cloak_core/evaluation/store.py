@@ -28,8 +28,7 @@ from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
-from cloak_core.evaluation.settings import EvaluateSettings, WearSettings
-from cloak_core.evaluation.store_options import QUICK_STEPS, StoreOptions
+from cloak_core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
 from cloak_core.evaluation.trained_run import clocked, cpu_seconds, read_history
 from cloak_core.evaluation.wearing.clothes import LogoClothes
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer

@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.report.charts import Lines
+from cloak_core.evaluation.report.charts import Lines, Rows, column, detector_names, group, select
 from cloak_core.evaluation.report.plots import heat_map
-from cloak_core.evaluation.report.rows import Rows, column, detector_names, group, select
 from cloak_core.evaluation.report.style import CYCLE, SERIES
 from cloak_core.evaluation.statistics import THRESHOLDS
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 
 from PIL import Image
 
-from cloak_core.evaluation.report.charts import Bars, Lines, Rings
-from cloak_core.evaluation.report.rows import Rows
+from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained
 from cloak_core.experiments.charts import Chart, Matrix, Thresholds

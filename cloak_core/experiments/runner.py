@@ -14,7 +14,7 @@ from cloak_core import __version__
 from cloak_core.attack.run_config import environment
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING
-from cloak_core.evaluation.report.rows import Rows
+from cloak_core.evaluation.report.charts import Rows
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore, Trained, training_times

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cloak_core.evaluation.report.rows import SPECS, Rows, detector_names
+from cloak_core.evaluation.report.charts import SPECS, Rows, detector_names
 from cloak_core.evaluation.report.words import interval, percent
 
 HEADS = {

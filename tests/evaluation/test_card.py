@@ -35,9 +35,9 @@ from cloak_core.evaluation.card.protocol import AREAS, DEFAULT, FULL, QUICK, Bud
 from cloak_core.evaluation.card.work import Work
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.report import page as page_module
+from cloak_core.evaluation.settings import StoreOptions
 from cloak_core.evaluation.statistics_card import stance_of
 from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.store_options import StoreOptions
 from cloak_core.files.errors import InputError
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import area_share

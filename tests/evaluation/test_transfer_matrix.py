@@ -10,8 +10,8 @@ from cloak_core.cli import load
 from cloak_core.commands import parsing
 from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit
+from cloak_core.evaluation.settings import StoreOptions
 from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.store_options import StoreOptions
 from cloak_core.evaluation.transfer.matrix import Matrix, gather, show, summary
 from cloak_core.evaluation.transfer.plan import (
     CIRCLE,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,22 +18,24 @@ from matplotlib.ticker import LogFormatter
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.report.rows import Rows, column, detector_names, group, select
 from cloak_core.evaluation.report.style import (
-    CYCLE,
-    DASHES,
     INK,
-    MARKERS,
     SERIES,
     WIDTH,
     azimuth_axis,
     legend_above,
+    look_of,
     new_figure,
     panel_title,
     percent_along_x,
     percent_axis,
 )
+from cloak_core.evaluation.report.words import short_names
 
+Rows = list[dict]
+"""Rows of a table: plain values by column."""
+SPECS = ("detector", "trained_on", "tested_on")
+"""Columns that hold detectors' specs."""
 AXES = {
     "angle": "azimuth (degrees)",
     "distance": "distance (m)",
@@ -54,6 +57,34 @@ MOST_MARKERS = 30
 """Points of a control's line that are marked."""
 
 
+def rated(record: Mapping, name: str = "success", bounds: str = "ci95") -> dict:
+    """Read a rate and its interval from a record, as columns of a row: success, low, high."""
+    low, high = record[bounds]
+    return {"success": record[name], "low": low, "high": high}
+
+
+def select(rows: Rows, **values: object) -> Rows:
+    """Select the rows with these values."""
+    return [row for row in rows if all(row.get(key) == value for key, value in values.items())]
+
+
+def group(rows: Rows, key: str) -> dict[Any, Rows]:
+    """Group rows by their value in a column, in order; all in one group where `key` is empty."""
+    if not key:
+        return {"": rows} if rows else {}
+    return {value: select(rows, **{key: value}) for value in dict.fromkeys(row[key] for row in rows)}
+
+
+def column(rows: Rows, key: str = "success") -> list:
+    """Select one column."""
+    return [row[key] for row in rows]
+
+
+def detector_names(rows: Rows) -> dict[str, str]:
+    """Name the detectors of these rows shortly, by spec."""
+    return short_names(str(row[key]) for row in rows for key in SPECS if row.get(key) is not None)
+
+
 def floats(rows: Rows, key: str = "success") -> Float[np.ndarray, " R"]:
     """Select one column of numbers; nan where there is none."""
     return np.array(column(rows, key), float)
@@ -63,14 +94,6 @@ def errors(rows: Rows, value: str = "success", low: str = "low", high: str = "hi
     """Compute how far the intervals reach below and above each rate."""
     middle = floats(rows, value)
     return np.clip([middle - floats(rows, low), floats(rows, high) - middle], 0, None)
-
-
-def look_of(k: int, value: object = None) -> dict:
-    """Look up colour, marker, dash and label of the logo or a control, or of the k-th of other series."""
-    if value in SERIES:
-        series = SERIES[value]
-        return {"color": series.color, "marker": series.marker, "ls": series.dash, "label": series.label}
-    return {"color": CYCLE[k % 7], "marker": MARKERS[k % 7], "ls": DASHES[k % 7]}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.card.leaderboard import name_of
 from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.report.charts import Bars, Lines, Rings
-from cloak_core.evaluation.report.rows import Rows, rated
+from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.evaluation.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.statistics import by_value, hidden_rate, rate_row, share

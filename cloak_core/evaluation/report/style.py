@@ -98,6 +98,14 @@ def new_figure(width: float = WIDTH, height: float = 2.9, columns: int = 1, **ax
     return figure, list(figure.subplots(1, columns, squeeze=False, **axes)[0])
 
 
+def look_of(k: int, value: object = None) -> dict:
+    """Look up colour, marker, dash and label of the logo or a control, or of the k-th of other series."""
+    if value in SERIES:
+        series = SERIES[value]
+        return {"color": series.color, "marker": series.marker, "ls": series.dash, "label": series.label}
+    return {"color": CYCLE[k % 7], "marker": MARKERS[k % 7], "ls": DASHES[k % 7]}
+
+
 def percent_axis(axis: object, label: str = "attack success") -> None:
     """Set up rates along y, from 0 to 100 %."""
     axis.set_ylim(-0.03, 1.03)

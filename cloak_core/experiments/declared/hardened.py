@@ -13,8 +13,7 @@ from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.negatives import pattern_scores
-from cloak_core.evaluation.report.charts import Lines
-from cloak_core.evaluation.report.rows import Rows, group
+from cloak_core.evaluation.report.charts import Lines, Rows, group
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore
 from cloak_core.exchange.bodies import Bodies
