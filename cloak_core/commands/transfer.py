@@ -19,7 +19,7 @@ from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.transfer.matrix import Matrix
+    from cloak_core.evaluation.transfer import Matrix
 
 
 @dataclass(kw_only=True)
@@ -79,8 +79,7 @@ class Transfer(Splitting, Detecting, Sharing):
     """Write table and heat map again from the cells in --out; train and judge nothing."""
 
     def run(self) -> dict:
-        from cloak_core.evaluation.transfer.matrix import gather
-        from cloak_core.evaluation.transfer.plan import ablation_names
+        from cloak_core.evaluation.transfer import ablation_names, gather
 
         asked, stopped = ablation_names(self.rungs), ""
         if not self.redraw:
@@ -116,8 +115,7 @@ class Transfer(Splitting, Detecting, Sharing):
     def _matrix(self) -> Matrix:
         from cloak_core.evaluation.settings import StoreOptions
         from cloak_core.evaluation.store import RunStore
-        from cloak_core.evaluation.transfer.matrix import Matrix
-        from cloak_core.evaluation.transfer.plan import CIRCLE, FRONT, PHOTOGRAPHS, families
+        from cloak_core.evaluation.transfer import CIRCLE, FRONT, PHOTOGRAPHS, Matrix, families
 
         started = time.monotonic()
         if self.circle and self.people:
@@ -169,7 +167,7 @@ class Transfer(Splitting, Detecting, Sharing):
         return load_logo(bodies, region=self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
-        from cloak_core.evaluation.transfer.matrix import by_ablation, show, summary
+        from cloak_core.evaluation.transfer import by_ablation, show, summary
 
         command = shlex.join(["cloak", *sys.argv[1:]])
         files = show(cells, self.out, self.out.name, command)

@@ -12,17 +12,20 @@ from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.settings import StoreOptions
 from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.transfer.matrix import Matrix, gather, show, summary
-from cloak_core.evaluation.transfer.plan import (
+from cloak_core.evaluation.transfer import (
     CIRCLE,
     FRONT,
     LADDER,
     PHOTOGRAPHS,
+    Matrix,
     ablation_names,
     ablation_settings,
     families,
     family_of,
+    gather,
     kinship,
+    show,
+    summary,
 )
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json

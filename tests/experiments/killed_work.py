@@ -18,7 +18,7 @@ from pathlib import Path
 from cloak_core.evaluation.card.assess import Assessment
 from cloak_core.evaluation.card.page import write_card
 from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.transfer.matrix import gather
+from cloak_core.evaluation.transfer import gather
 from cloak_core.experiments.runner import run_experiment
 from tests.evaluation import test_card as cards
 from tests.evaluation import test_transfer_matrix as matrices

@@ -1,4 +1,4 @@
-"""The plots of evaluations, trainings, judged photographs and robustness cards. Call them inside `style.style`."""
+"""The plots of evaluations, trainings, judged photographs, cards and matrices. Call them inside `style.style`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from cloak_core.evaluation.card.leaderboard import name_of
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.evaluation.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
+from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.statistics import by_value, hidden_rate, rate_row, share
+from cloak_core.evaluation.statistics_card import KINSHIPS, heat_values
 from cloak_core.evaluation.trained_run import History
 
 MOST_BODIES = 40
@@ -25,6 +27,8 @@ MOST_BARS = 20
 """Bodies and poses that are named."""
 HIDDEN, FOUND = "people hidden", "found in own clothing"
 WIDE = (1.5 * WIDTH, 3.2)
+MARKS = dict(zip(KINSHIPS, ("", " *"), strict=True))
+"""Beside the name of a judged detector, by its kinship."""
 BARS = Bars(y="name", rate=HIDDEN)
 
 
@@ -230,4 +234,26 @@ def heat_map(
     axis.set_xticks(range(shares.shape[1]), columns, rotation=40, ha="right", rotation_mode="anchor")
     axis.set_yticks(range(len(shares)), rows)
     axis.set_title("success in %")
+    return figure
+
+
+def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
+    """Plot success at 0.6 of every ablation by every judged detector, and below it the controls on the same images.
+
+    ladder: the cells of a leave-one-out matrix by ablation. A single ablation is also shown at the other thresholds.
+    The last column is the mean.
+    """
+    last, rows = {cell["judged"]: cell for own in ladder.values() for cell in own}, {}
+    kinds = {"": " at 0.6", "_own": " at its own", "_025": " at 0.25"} if len(ladder) == 1 else {"": ""}
+    for ablation, own in ladder.items():
+        for suffix, words in kinds.items():
+            found = {cell["judged"]: cell[f"success{suffix}"] for cell in own}
+            rows[ablation + words] = [found.get(name) for name in last]
+    for control in ("random", CLOTHING):
+        rows[SERIES[control].label] = [cell[control] for cell in last.values()]
+    columns = [*(short_name(name) + MARKS[cell["kin"]] for name, cell in last.items()), "mean"]
+    figure = heat_map(heat_values(rows), list(rows), columns, rule=len(rows) - 2)
+    (axis,) = figure.axes
+    axis.axvline(len(columns) - 1.5, color="white", lw=3)
+    axis.set_xlabel("judged by (left out of training)")
     return figure

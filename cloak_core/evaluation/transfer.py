@@ -7,33 +7,24 @@ is missing.
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Int64
-from matplotlib.figure import Figure
 
 from cloak_core.detectors.protocol import state_hash
-from cloak_core.evaluation.controls import CLOTHING, STANDARD
-from cloak_core.evaluation.report import plots
+from cloak_core.evaluation.controls import STANDARD
 from cloak_core.evaluation.report.page import write_page
-from cloak_core.evaluation.report.style import SERIES, save_figure, style
+from cloak_core.evaluation.report.plots import transfer_map
+from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.report.words import file_name, percent, short_name
-from cloak_core.evaluation.statistics_card import heat_values, transfer_means, transfer_record
+from cloak_core.evaluation.statistics_card import KINSHIPS, transfer_means, transfer_record
 from cloak_core.evaluation.store import RunStore, Trained, training_times
-from cloak_core.evaluation.transfer.plan import (
-    ALL,
-    CROSS_FAMILY,
-    SAME_FAMILY,
-    Cameras,
-    ablation_names,
-    ablation_settings,
-    kinship,
-)
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
@@ -41,6 +32,131 @@ from cloak_core.files.writing import remove_leftovers, write_json, written
 from cloak_core.scene.logos.logo import area_share
 
 FORMAT = "cloak transfer 1"
+
+
+# --- which detectors are of one family
+
+SAME_FAMILY, CROSS_FAMILY = KINSHIPS
+_FAMILIES = {
+    "yolo": "yolo",
+    "rtdetr": "detr",
+    "rt-detr": "detr",
+    "detr": "detr",
+    "d-fine": "detr",
+    "dfine": "detr",
+    "rcnn": "rcnn",
+    "d2go": "rcnn",
+}
+"""By what a name holds, the first that fits: all YOLOs are of one family, whoever made them."""
+
+
+def family_of(spec: str) -> str:
+    """Read a detector's family from its spec: darknet:yolov3.cfg:... -> "yolo", onnx:nanodet_m.onnx -> "nanodet"."""
+    name = short_name(spec).lower()
+    for part, family in _FAMILIES.items():
+        if part in name:
+            return family
+    last = name.split(" @")[0].rpartition(" ")[2]
+    return (re.match(r"[a-z]+", last) or re.match(r".*", last))[0]
+
+
+def families(specs: Iterable[str], told: Iterable[str] = ()) -> dict[str, str]:
+    """Find each detector's family by its spec; `told` are NAME=FAMILY, NAME a part of a spec.
+
+    InputError: not so spelled, or no spec has it.
+    """
+    found = {spec: family_of(spec) for spec in specs}
+    for words in told:
+        name, mark, family = words.rpartition("=")
+        meant = [spec for spec in found if name in spec]
+        if not (name and mark and family and meant):
+            raise InputError(f"--kin {words}: expected PART_OF_A_SPEC=FAMILY, of the detectors that are given")
+        found |= dict.fromkeys(meant, family)
+    return found
+
+
+def kinship(judged: str, surrogates: Iterable[str], family: Mapping[str, str]) -> str:
+    """Tell whether a surrogate is of the judged detector's family: `SAME_FAMILY` or `CROSS_FAMILY`."""
+    return SAME_FAMILY if family[judged] in {family[spec] for spec in surrogates} else CROSS_FAMILY
+
+
+# --- ablations: from preset `best` to the recipe, each technique alone, and one upon the other
+
+LADDER: dict[str, dict[str, object]] = {
+    "smooth": {"smooth": 8},
+    "animal": {"initial": "animal"},
+    "window": {"crop": 0.15, "pad": 0.3},
+    "adaptive": {"ensemble": "adaptive"},
+    "cutout": {"cutout": 0.3},
+    "quality": {"blur": 1.0, "jpeg": "50:95"},
+    "shake": {"shake": 0.3},
+    "depth": {"random_depth": 0.1},
+    "noise": {"activation_noise": 0.1},
+    "colour": {"tint": 0.2},
+    "background": {"background_mix": 0.3},
+    "sharpness": {"sharpness": 0.02, "ascent": "momentum"},
+    "mi": {"optimizer": "mi", "momentum": 0.9, "lr": 0.02},
+    "views": {"angles": "-20..20", "elevation": "0:20", "distance": "1.8:3.5"},
+}
+"""What each ablation changes of preset `best`, in order; up to `cutout` they are the recipe."""
+ALONE: dict[str, dict[str, object]] = {"score": {"loss": "score"}}
+"""Ablations that are no step of the ladder: steps back from `best`."""
+BASE, RECIPE, ALL = "best", "recipe", "ladder"
+
+
+def ablation_names(asked: Sequence[str]) -> tuple[str, ...]:
+    """List the ablations' names, `ladder` spelled out. InputError: no such ablation."""
+    whole = (BASE, *ALONE, *LADDER, *(f"+{name}" for name in list(LADDER)[1:]), RECIPE)
+    found = tuple(dict.fromkeys(name for one in asked for name in (whole if one == ALL else (one,))))
+    for name in found:
+        if name not in whole:
+            known = ", ".join((BASE, *ALONE, *LADDER, RECIPE, ALL))
+            raise InputError(f"--rungs: {name!r} is not one of {known}; +NAME is all up to NAME")
+    return found
+
+
+def ablation_settings(name: str, photographs: bool = False) -> dict[str, object]:
+    """Make the training settings of `best`, a technique alone upon it, +NAME (all up to it), or `recipe`.
+
+    photographs: whether training sees people in photographs, for whom the recipe is another.
+    """
+    if name == RECIPE:
+        return {"preset": "photographs" if photographs else "transfer"}
+    settings: dict[str, object] = {"preset": "best"}
+    if not name.startswith("+"):
+        return settings | (LADDER | ALONE).get(name, {})
+    steps = list(LADDER)
+    for step in steps[: steps.index(name[1:]) + 1]:
+        settings |= LADDER[step]
+    return settings
+
+
+# --- cameras
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Where cameras stand, in training and in the test."""
+
+    training: Mapping[str, object]
+    """Training settings by name."""
+    angles: tuple[float, ...]
+    """Test azimuths, degrees."""
+    test: Mapping[str, object]
+    """Further evaluation settings by name."""
+
+
+FRONT = Cameras({"angles": "-10:10:5", "elevation": 6, "distance": 2.2}, tuple(map(float, range(-10, 11, 4))), {})
+PHOTOGRAPHS = Cameras({}, (), {})
+"""Photographs stand where they were taken, and the recipe for them says where cameras of renders stand."""
+CIRCLE = Cameras(
+    {"angles": "0..360", "elevation": "0:30", "distance": "1.4:6"},
+    tuple(map(float, range(0, 360, 10))),
+    {"elevations": (0.0, 15.0, 30.0), "distances": (1.4, 2.2, 4.0, 6.0)},
+)
+
+
+# --- the matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,19 +256,17 @@ def summary(cells: Sequence[dict]) -> dict:
     return {"matrix": matrix} | transfer_means(pd.DataFrame(cells))
 
 
-MARKS = {SAME_FAMILY: "", CROSS_FAMILY: " *"}
-
-
 def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> list[Path]:
     """Write NAME.png, NAME.svg and NAME.md into the folder: the heat map, and tables for documentation."""
     folder.mkdir(parents=True, exist_ok=True)
+    ladder = by_ablation(cells)
     with style():
-        files = save_figure(heat_map(cells), folder / name)
+        files = save_figure(transfer_map(ladder), folder / name)
     values = {
         "name": name,
         "cells": cells,
         "seeds": max(len(cell["by_seed"]) for cell in cells),
-        "ladder": [(ablation, own, summary(own), _judges(own)) for ablation, own in by_ablation(cells).items()],
+        "ladder": [(ablation, own, summary(own), _judges(own)) for ablation, own in ladder.items()],
         "command": without_folders(command),
     }
     return [*files, write_page(folder / f"{name}.md", "transfer.md", values)]
@@ -169,25 +283,3 @@ def _judges(cells: Sequence[dict]) -> dict[tuple[str, ...], list[str]]:
     for cell in cells:
         found.setdefault(tuple(cell["surrogates"]), []).append(cell["judged"])
     return found
-
-
-def heat_map(cells: Sequence[dict]) -> Figure:
-    """Plot success at 0.6 of every ablation by every judged detector, and below it the controls on the same images.
-
-    A single ablation is also shown at the other thresholds. The last column is the mean.
-    """
-    judged, rows = list(dict.fromkeys(cell["judged"] for cell in cells)), {}
-    ladder, last = by_ablation(cells), {cell["judged"]: cell for cell in cells}
-    kinds = {"": " at 0.6", "_own": " at its own", "_025": " at 0.25"} if len(ladder) == 1 else {"": ""}
-    for ablation, own in ladder.items():
-        for suffix, words in kinds.items():
-            found = {cell["judged"]: cell[f"success{suffix}"] for cell in own}
-            rows[ablation + words] = [found.get(name) for name in judged]
-    for control in ("random", CLOTHING):
-        rows[SERIES[control].label] = [last[name][control] for name in judged]
-    columns = [*(short_name(name) + MARKS[last[name]["kin"]] for name in judged), "mean"]
-    figure = plots.heat_map(heat_values(rows), list(rows), columns, rule=len(rows) - 2)
-    (axis,) = figure.axes
-    axis.axvline(len(columns) - 1.5, color="white", lw=3)
-    axis.set_xlabel("judged by (left out of training)")
-    return figure

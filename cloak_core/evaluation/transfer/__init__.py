@@ -1,1 +1,0 @@
-"""Cloaks against detectors that training never saw: each judged detector's surrogates are all the others."""
