@@ -211,16 +211,16 @@ def _shifted(body: Float[Tensor, "4 H W"], right: int, down: int) -> Float[Tenso
     return moved
 
 
-def image_difference(ours: BodyRenderer, cycles: CyclesRenderer, control: str = LOGO) -> dict[str, float]:
-    """Compare the bodies' images, averaged over poses and angles, before mid-grey, in display colours [0, 1].
+def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, float]:
+    """Compare images of the cloaked bodies, averaged over poses and angles, before mid-grey, in display colours [0, 1].
 
     "rms": over pixels that either covers, all channels; "bias": mean of Cycles' minus ours; "inside": rms where both
     cover the pixel wholly, so that silhouettes do not count.
     """
     either, both = [], []
     for (pose, angle), trial in first_trials(ours.trials).items():
-        mine, covered = ours.before_grey(ours.views([trial])[0], trial, control)
-        frame = cycles.body(pose, angle, control)
+        mine, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
+        frame = cycles.body(pose, angle)
         theirs, alpha = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:]), frame[3].flatten()
         difference = (theirs - mine).flatten(1).double()
         either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())

@@ -55,7 +55,6 @@ def clustered_rate(
     seeds: Integer[np.ndarray, " N"] | None = None,
     *,
     resamples: int = RESAMPLES,
-    level: float = LEVEL,
     seed: int = 0,
 ) -> Rate:
     """Compute the share of `hits` with its interval over bodies, backgrounds and, where given, seeds (labels).
@@ -68,9 +67,9 @@ def clustered_rate(
     hit, count = cells(hits, [np.zeros(n, int) if seeds is None else seeds, bodies, backgrounds])
     value = float(hit.sum() / n)
     bounds = [
-        bootstrap_interval(hit, count, resamples, level, np.random.default_rng(seed)),
-        wilson(value, int((count.sum(0) > 0).sum()), level),
-        unseen_bodies(value, len(np.unique(bodies)), level),
+        bootstrap_interval(hit, count, resamples, LEVEL, np.random.default_rng(seed)),
+        wilson(value, int((count.sum(0) > 0).sum())),
+        unseen_bodies(value, len(np.unique(bodies))),
     ]
     low, high = min(low for low, _ in bounds), max(high for _, high in bounds)
     return Rate(value, float(low), float(high), n)

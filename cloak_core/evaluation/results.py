@@ -94,10 +94,10 @@ class Results:
         """The boxes by detector and control: an evaluation has millions, and asks for few of them many times."""
         return dict(list(self.boxes.groupby(["detector", "control"], observed=True)))
 
-    def scores(self, detector: str, control: str, column: str = "score", training: int = 0) -> np.ndarray:
+    def scores(self, detector: str, control: str, training: int = 0) -> np.ndarray:
         """Select one training's scores [N] of one detector under one control, in the order of images."""
         rows = self.rows(detector, control)
-        return rows.loc[rows["training"] == training, column].to_numpy()
+        return rows.loc[rows["training"] == training, "score"].to_numpy()
 
     @property
     def trials(self) -> pd.DataFrame:

@@ -82,9 +82,9 @@ def by_value(rows: pd.DataFrame, column: str) -> Iterator[tuple[object, pd.DataF
         yield value, rows[values == value]
 
 
-def by_training(rows: pd.DataFrame, threshold: float = THRESHOLD) -> list[float]:
+def by_training(rows: pd.DataFrame) -> list[float]:
     """Compute attack success of each repetition of the training."""
-    return [share(mine, threshold) for _, mine in by_value(rows, "training")]
+    return [share(mine) for _, mine in by_value(rows, "training")]
 
 
 # --- records: plain values, ready for JSON
@@ -184,14 +184,12 @@ def false_alarms(results: Results, spec: str, threshold: float = THRESHOLD) -> f
     return 1 - share(rows, threshold) if len(rows := results.rows(spec, NOBODY)) else math.nan
 
 
-def matched_threshold(
-    scores: Shaped[np.ndarray, " N"], reference: Shaped[np.ndarray, " M"], threshold: float = THRESHOLD
-) -> float:
-    """Find the threshold at which `scores` raise no more false alarms than `reference` does at `threshold`.
+def matched_threshold(scores: Shaped[np.ndarray, " N"], reference: Shaped[np.ndarray, " M"]) -> float:
+    """Find the threshold at which `scores` raise no more false alarms than `reference` does at 0.6.
 
     Both are best scores on pictures without people. Returns the lowest such threshold, at least 0.
     """
-    allowed = round(float((reference > threshold).mean()) * len(scores))
+    allowed = round(float((reference > THRESHOLD).mean()) * len(scores))
     ordered = np.sort(scores)[::-1]
     return float(ordered[allowed]) if allowed < len(scores) else 0.0
 

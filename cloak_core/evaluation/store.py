@@ -240,12 +240,11 @@ class RunStore:
 
         more: what else decides the images, by name.
         """
-        logo = make_logo(bodies, trained.logo.face_ids)
         record = {
             "settings": asdict(settings),
             "angles": angles,
             "bodies": bodies_record(bodies)["sha256"],
-            "logo": sha256_arrays(logo.face_ids, trained.colors),
+            "logo": sha256_arrays(trained.logo.face_ids, trained.colors),
             "detectors": [[spec, self._detector_records[spec]] for spec in specs],
             "operating_points": [self.split.detectors[spec].operating_point for spec in specs],
             "backgrounds": backgrounds_record(self.split.unseen_backgrounds),

@@ -17,7 +17,7 @@ from cloak_core import __version__
 from cloak_core.attack.run_config import environment
 from cloak_core.evaluation import statistics_card
 from cloak_core.evaluation.card import protocol
-from cloak_core.evaluation.card.pictures import keep_pictures
+from cloak_core.evaluation.card.page import keep_pictures
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
