@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.measure import batches
 from cloak_core.evaluation.renderer import EvaluationRenderer
-from cloak_core.evaluation.report.pictures import INK, PAPER, SOFT, font, to_pil
-from cloak_core.evaluation.report.style import FAINT, SERIES
+from cloak_core.evaluation.report.pictures import PAPER, SOFT, font, to_pil
+from cloak_core.evaluation.report.style import FAINT, INK, SERIES
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.settings import FilmSettings

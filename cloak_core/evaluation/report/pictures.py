@@ -29,8 +29,8 @@ BODIES = 3
 ANGLES = 5
 FAILURES = 6
 WORST = 10
-INK, SOFT, PAPER = (31, 35, 40), (89, 99, 110), (255, 255, 255)
-"""Colours of names, of what stands beside them, and of the ground."""
+SOFT, PAPER = "#59636e", "#ffffff"
+"""Colours of what stands beside names, and of the ground."""
 
 
 @torch.no_grad()

@@ -45,18 +45,6 @@ class Clothes(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class OwnPhotograph:
-    """The photograph as it is."""
-
-    name: str = CLOTHING
-
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
-        """See `Clothes`: no face is laid anywhere."""
-        nothing = np.full(len(clothes_position()), -1)
-        return shares_of(fit, nothing, 1), np.zeros((1, 3), np.float32)
-
-
-@dataclass(frozen=True, eq=False)
 class LogoClothes:
     """Colours of a logo's faces."""
 
@@ -175,8 +163,9 @@ def controls() -> list[Clothes]:
     """The photograph as it is; and all over the clothes grey, random colours, and the own clothes resampled alike."""
     position = clothes_position()
     count = int(position.max()) + 1
+    photograph = LogoClothes(CLOTHING, np.full_like(position, -1), np.zeros((1, 3), np.float32))  # no face anywhere
     grey = LogoClothes("grey", position, np.full((count, 3), 0.5, np.float32))
-    return [OwnPhotograph(), grey, RandomClothes("random", position, count), OwnClothes("resampled", position, count)]
+    return [photograph, grey, RandomClothes("random", position, count), OwnClothes("resampled", position, count)]
 
 
 def read_clothes(spec: str) -> Clothes:

@@ -16,7 +16,8 @@ from PIL import Image, ImageDraw
 
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.page import jpeg_uri, write_page
-from cloak_core.evaluation.report.pictures import INK, PAPER, font
+from cloak_core.evaluation.report.pictures import PAPER, font
+from cloak_core.evaluation.report.style import INK
 from cloak_core.evaluation.results import CORNERS
 from cloak_core.evaluation.wearing.clothes import CONTROLS
 from cloak_core.files.writing import write_text
