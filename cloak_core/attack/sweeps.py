@@ -37,7 +37,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json, read_toml
 from cloak_core.files.writing import write_json, write_text, written
-from cloak_core.jobs.job import Executor, InOrder, Job, Tell, hand_out
+from cloak_core.jobs.job import Executor, Job, Tell, hand_out
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.opening import load_scene
@@ -156,21 +156,16 @@ def _text(value: object) -> str:
 # --- running it ------------------------------------------------------------------------------------------------------
 
 
-class _Opened:
-    """What runs are made of, opened once in a process."""
-
-    def __init__(self) -> None:
-        self._scene, self._backgrounds, self._detector = map(cache, (load_scene, load_backgrounds, load_detector))
-
-    def open(self, run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
-        """Open bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
-        bodies = self._scene(run.scene)
-        logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
-        detectors = [self._detector(spec, device=run.settings.compute.device) for spec in run.detectors]
-        return bodies, logo, detectors, self._backgrounds(run.backgrounds)
+_scene, _backgrounds, _detector = map(cache, (load_scene, load_backgrounds, load_detector))
+"""Opened once in a process."""
 
 
-_opened = cache(_Opened)
+def open_run(run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
+    """Open bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
+    bodies = _scene(run.scene)
+    logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
+    detectors = [_detector(spec, device=run.settings.compute.device) for spec in run.detectors]
+    return bodies, logo, detectors, _backgrounds(run.backgrounds)
 
 
 def train_run(run: SweepRun, folder: Path, prepare: Prepare | None, on_event: OnEvent | None = None) -> dict:
@@ -179,7 +174,7 @@ def train_run(run: SweepRun, folder: Path, prepare: Prepare | None, on_event: On
         prepare(run.settings.compute)
     inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
     how = {"resume": True, "on_event": on_event, "inputs": inputs, "alone": True}
-    result = train(run.settings, *_opened().open(run), folder, **how)
+    result = train(run.settings, *open_run(run), folder, **how)
     if result.stopped and result.stopped != "time budget":  # which is a run's own
         return {"stopped": f"stopped in run {run.label}, at step {result.step}: {result.stopped}"}
     return result.record() | {"out": f"runs/{run.name}"} | _figures(folder)
@@ -207,7 +202,6 @@ class Sweep:
         run on a GPU. InputError before anything is trained: something in the grid cannot be opened, is not what runs
         that are done were made of, or somebody else is at this folder.
         """
-        executor = executor or InOrder()
         self._check_inputs()
         with written(self.out):
             for folder in ("runs", "results"):
@@ -217,7 +211,7 @@ class Sweep:
                 stack.enter_context(lock(self.out / ".lock"))
             except BlockingIOError:
                 raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
-            return self._hand_out(executor, tell, on_event if executor.is_here else None, prepare, gpus)
+            return self._hand_out(executor, tell, None if executor else on_event, prepare, gpus)
 
     def results(self) -> list[dict]:
         """Read what came of the runs that have ended, in the grid's order; those without an end are missing."""
@@ -234,7 +228,7 @@ class Sweep:
         return record
 
     def _hand_out(
-        self, executor: Executor, tell: Tell, on_event: OnEvent | None, prepare: Prepare | None, gpus: float
+        self, executor: Executor | None, tell: Tell, on_event: OnEvent | None, prepare: Prepare | None, gpus: float
     ) -> str:
         left = [run for run in self.runs if not self._is_done(run)]
         jobs = {self._job(run, on_event, prepare, gpus): run for run in left}
@@ -265,7 +259,7 @@ class Sweep:
             # Of a hundred thousand runs most differ in settings alone.
             inputs = (run.scene, run.logo, run.backgrounds, run.detectors, run.settings.compute.device)
             if inputs not in opened:
-                opened[inputs] = _opened().open(run)
+                opened[inputs] = open_run(run)
             config = self.out / "runs" / run.name / "config.json"
             if self._result_path(run).exists() and config.exists():
                 if inputs not in known:

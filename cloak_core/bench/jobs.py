@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from cloak_core.bench.records import table
@@ -12,7 +13,7 @@ from cloak_core.bench.views import machine
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_json
-from cloak_core.jobs.job import Executor, InOrder, Job
+from cloak_core.jobs.job import Job, Outcome, in_order
 
 FLEETS = ((1_000, 64), (100_000, 64), (100_000, 2_048))
 """Trainings, and cores that share them."""
@@ -35,16 +36,16 @@ def run_bench_jobs(
     """
     if count < 1 or train_seconds <= 0:
         raise InputError(f"count {count}, train-seconds {train_seconds}: at least 1 job that takes time")
-    found = {"in_order_ms": _per_job(InOrder(), count), "ray_ms": _by_ray(count) if ray else None}
+    found = {"in_order_ms": _per_job(in_order, count), "ray_ms": _by_ray(count) if ray else None}
     found |= {"results_ms": _results(count), "count": count, "files": files, "megabytes": megabytes}
     found |= {"train_seconds": train_seconds, "evaluate_seconds": evaluate_seconds}
     return found | {"plan": [_planned(found, *fleet) for fleet in FLEETS], "machine": machine()}
 
 
-def _per_job(executor: Executor, count: int) -> float:
+def _per_job(run: Callable[[Sequence[Job]], Iterator[Outcome]], count: int) -> float:
     jobs = [Job(str(number), nothing, {"number": number}, cores=0.01) for number in range(count)]
     started = time.perf_counter()
-    done = sum(1 for _ in executor.run(jobs))
+    done = sum(1 for _ in run(jobs))
     if done != count:
         raise RuntimeError(f"{done} of {count} jobs came back")
     return 1000 * (time.perf_counter() - started) / count
@@ -58,8 +59,8 @@ def _by_ray(count: int) -> float:
     cores = os.cpu_count() or 1
     ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
     try:
-        _per_job(RayCluster(LOCAL), 2 * cores)  # starts the workers
-        return _per_job(RayCluster(LOCAL), count)
+        _per_job(RayCluster(LOCAL).run, 2 * cores)  # starts the workers
+        return _per_job(RayCluster(LOCAL).run, count)
     finally:
         ray.shutdown()
 

@@ -26,30 +26,21 @@ class TrainingProgress:
     """Takes a run's events ("start" with the number of steps, then one "step" each) and shows how it goes."""
 
     def __init__(self, silent: bool = False) -> None:
-        self._bar: Progress | None = None
+        columns = (TextColumn("training"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[figures]}"))
+        times = (TimeElapsedColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, *times, console=err, disable=silent or not err.is_terminal)
+        self._task = self._bar.add_task("training", total=None, figures="")
         self._silent = silent
-        if err.is_terminal and not silent:
-            columns = [
-                TextColumn("training"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("{task.fields[figures]}"),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-            ]
-            self._bar = Progress(*columns, console=err)
-            self._task = self._bar.add_task("training", total=None, figures="")
         self._total: int | None = None
         self._said = -PLAIN_EVERY
         self._success: float | None = None
 
     def __enter__(self) -> TrainingProgress:
-        if self._bar:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
-        if self._bar:
+        if not self._bar.disable:  # rich would write an empty line all the same
             self._bar.stop()
 
     def __call__(self, event: dict) -> None:
@@ -69,9 +60,8 @@ class TrainingProgress:
         figures = f"loss {event['loss']:.3f}"
         if self._success is not None:
             figures += f"  success {self._success:.0%}"
-        if self._bar:
-            self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
-        elif time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total:
+        self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
+        if not err.is_terminal and (time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total):
             self._said = time.monotonic()
             err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s")
 

@@ -41,10 +41,7 @@ class Outcome:
 
 @runtime_checkable
 class Executor(Protocol):
-    """Does jobs."""
-
-    is_here: bool
-    """In this very process: work may call back what cannot be sent elsewhere."""
+    """Does jobs elsewhere."""
 
     def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
         """Yield the outcomes as they come, in any order. An InputError is an outcome; other exceptions are raised.
@@ -54,14 +51,10 @@ class Executor(Protocol):
         ...
 
 
-class InOrder:
-    """Does jobs in this process, one after the other."""
-
-    is_here = True
-
-    def run(self, jobs: Sequence[Job]) -> Iterator[Outcome]:
-        for job in jobs:
-            yield done(job)
+def in_order(jobs: Sequence[Job]) -> Iterator[Outcome]:
+    """Do jobs in this process, one after the other."""
+    for job in jobs:
+        yield done(job)
 
 
 def done(job: Job) -> Outcome:
@@ -74,14 +67,14 @@ def done(job: Job) -> Outcome:
     return Outcome(job, result, error, time.perf_counter() - started)
 
 
-def hand_out(executor: Executor, jobs: Sequence[Job], tell: Tell, unit: str) -> Iterator[Outcome]:
+def hand_out(executor: Executor | None, jobs: Sequence[Job], tell: Tell, unit: str) -> Iterator[Outcome]:
     """Yield the outcomes as they come, and tell after each how many `unit`s are done and how long the others will take.
 
-    Closing the iterator stops what is being done elsewhere, in order.
+    executor: who does them; None: this process, in order. Closing the iterator stops what is being done elsewhere.
     """
     started = time.perf_counter()
     # Closed at the end whatever happens: what is still trained elsewhere then ends in order.
-    with contextlib.closing(executor.run(jobs)) as outcomes:
+    with contextlib.closing(executor.run(jobs) if executor else in_order(jobs)) as outcomes:
         for count, outcome in enumerate(outcomes, 1):
             yield outcome
             words = f"failed: {outcome.error}" if outcome.error else f"{outcome.seconds:.0f} s"

@@ -32,8 +32,6 @@ ORDERLY_SECONDS = 120
 class RayCluster:
     """`address`: of a running cluster ("auto": this machine's, "HOST:6379", "ray://HOST:10001"), or "local"."""
 
-    is_here = False
-
     def __init__(self, address: str = LOCAL) -> None:
         """Name the cluster. InputError: Ray is not installed."""
         if importlib.util.find_spec("ray") is None:

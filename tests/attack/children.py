@@ -62,7 +62,7 @@ def tiny_runs(folder: Path) -> list[sweeps.SweepRun]:
     return sweeps.read_grid(grid)
 
 
-def tiny_material(self: object, run: object) -> tuple:
+def tiny_material(run: object) -> tuple:
     """In place of what a grid's names stand for."""
     bodies = box_bodies()
     return bodies, front_logo(bodies), [TinyDetector()], noise_backgrounds()

@@ -78,7 +78,7 @@ def test_bad_grids_are_refused_by_name(tmp_path, text, words):
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
     """Four tiny runs, on the fakes' material."""
-    monkeypatch.setattr(sweeps._Opened, "open", children.tiny_material)
+    monkeypatch.setattr(sweeps, "open_run", children.tiny_material)
     return children.tiny_runs(tmp_path)
 
 
@@ -107,13 +107,13 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
 
 def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, monkeypatch):
     Sweep(runs[:1], tmp_path / "out").run()
-    same = sweeps._Opened.open
+    same = sweeps.open_run
 
-    def edited(self, run):
-        bodies, *others = same(self, run)
+    def edited(run):
+        bodies, *others = same(run)
         return dataclasses.replace(bodies, face_colors=bodies.face_colors[::-1]), *others
 
-    monkeypatch.setattr(sweeps._Opened, "open", edited)
+    monkeypatch.setattr(sweeps, "open_run", edited)
     with pytest.raises(InputError, match=r"runs/lr=0.02,seed=0-\w+: was started with scene\.identity = "):
         Sweep(runs, tmp_path / "out").run()
 
@@ -136,13 +136,13 @@ def test_a_stopped_sweep_goes_on_where_it_was(tmp_path, runs):
 
 @pytest.mark.slow
 def test_a_failed_run_is_named_the_others_go_on_and_it_is_tried_again(tmp_path, runs, monkeypatch):
-    sound = sweeps._Opened.open
+    sound = sweeps.open_run
 
-    def broken(self, run):
-        bodies, logo, detectors, backgrounds = sound(self, run)
+    def broken(run):
+        bodies, logo, detectors, backgrounds = sound(run)
         return bodies, logo, [BrokenDetector(2)] if run is runs[1] else detectors, backgrounds
 
-    monkeypatch.setattr(sweeps._Opened, "open", broken)
+    monkeypatch.setattr(sweeps, "open_run", broken)
     sweep = Sweep(runs, tmp_path / "out")
     assert sweep.run() == ""
     record = sweep.write_results()

@@ -3,7 +3,7 @@
 import pytest
 
 from cloak_core.files.errors import InputError
-from cloak_core.jobs.job import InOrder, Job
+from cloak_core.jobs.job import Job, in_order
 from cloak_core.jobs.ray_cluster import RayCluster
 
 DONE = []
@@ -17,14 +17,14 @@ def square(number: int) -> int:
 
 
 def test_outcomes_come_in_order_and_bad_input_is_one_of_them():
-    outcomes = list(InOrder().run([Job(str(n), square, {"number": n}) for n in (3, -1, 2)]))
+    outcomes = list(in_order([Job(str(n), square, {"number": n}) for n in (3, -1, 2)]))
     assert [outcome.result for outcome in outcomes] == [9, None, 4]
     assert [outcome.error for outcome in outcomes] == ["", "-1: negative", ""]
 
 
 def test_who_stops_listening_stops_the_rest():
     DONE.clear()
-    outcomes = InOrder().run([Job(str(n), square, {"number": n}) for n in range(5)])
+    outcomes = in_order([Job(str(n), square, {"number": n}) for n in range(5)])
     assert next(outcomes).result == 0
     outcomes.close()
     assert DONE == [0]
@@ -32,7 +32,7 @@ def test_who_stops_listening_stops_the_rest():
 
 def test_a_defect_is_raised():
     with pytest.raises(TypeError):
-        list(InOrder().run([Job("none", square, {"number": None})]))
+        list(in_order([Job("none", square, {"number": None})]))
 
 
 def test_a_cluster_that_does_not_start_is_one_line(monkeypatch):
