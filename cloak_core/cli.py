@@ -54,7 +54,7 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Wear and print": {
         "print": "printing:Print",
-        "calibrate": "calibrate:Calibrate",
+        "calibrate": "printing:Calibrate",
     },
     "Developers": {
         "reproduce": "reproduce:Reproduce",

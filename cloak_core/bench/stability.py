@@ -13,9 +13,18 @@ from fractions import Fraction
 import numpy as np
 import torch
 
-from cloak_core.bench.fraction_oracle import visible_shares
 from cloak_core.bench.hostile_cases import HOSTILE
-from cloak_core.bench.oracle import Piece, covered, depth, exact_inverse_depth, hits, pieces, sample_positions, twin
+from cloak_core.bench.oracle import (
+    Piece,
+    covered,
+    depth,
+    exact_inverse_depth,
+    hits,
+    pieces,
+    sample_positions,
+    twin,
+    visible_shares,
+)
 from cloak_core.bench.stability_cases import CASES, Case
 from cloak_core.bench.stability_checks import CHECKS
 from cloak_core.bench.views import machine

@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cloak_core.bench.lighting import TwinLight
 from cloak_core.bench.oracle import screen_of
-from cloak_core.bench.reference import matrix_of
+from cloak_core.bench.reference import TwinLight, matrix_of
 from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError

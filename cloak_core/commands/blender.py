@@ -13,7 +13,7 @@ from cloak_core.attack.events import read_events
 from cloak_core.commands.base import Stopped
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.errors import InputError
-from cloak_core.scene.blender.executable import ADD_ON
+from cloak_core.scene.blender.outside import ADD_ON
 
 SCRIPT = ADD_ON / "train.py"
 LOOK_SECONDS = 0.3

@@ -15,7 +15,7 @@ from cloak_core.commands.options import Computing
 from cloak_core.commands.train import Train
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.writing import write_text
-from cloak_core.scene.blender.executable import find_bpy
+from cloak_core.scene.blender.outside import find_bpy
 
 REGION = "chest+thighs"
 ANGLES = "-10:10:5"

@@ -156,8 +156,7 @@ class Transfer(Splitting, Detecting, Sharing):
         )
 
     def _faces(self, bodies: object) -> object:
-        from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
-        from cloak_core.scene.logos.logo import load_logo
+        from cloak_core.scene.logos.logo import chest_thighs, load_logo, shirt_trousers
 
         known = {"shirt_trousers": shirt_trousers, "chest_thighs": chest_thighs}
         if self.logo in known:

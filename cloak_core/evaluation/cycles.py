@@ -30,7 +30,7 @@ from cloak_core.files.reading import MAX_TEXT_BYTES, read_json, read_text
 from cloak_core.files.writing import open_to_append, write_json, write_npz
 from cloak_core.render.normals import NormalOperator
 from cloak_core.render.types import BakedView
-from cloak_core.scene.blender.executable import ROOT, bpy_version, find_bpy
+from cloak_core.scene.blender.outside import ROOT, bpy_version, find_bpy
 from cloak_core.scene.pictures import read_picture
 
 SCRIPT = ROOT / "tools" / "cycles_frames.py"

@@ -12,8 +12,7 @@ from PIL import Image, ImageDraw
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_areas, face_centres
-from cloak_core.scene.logos.garments import chest_thighs
-from cloak_core.scene.logos.logo import area_share
+from cloak_core.scene.logos.logo import area_share, chest_thighs
 from cloak_core.scene.logos.stamping import project_mask, project_text, sized_stamp
 from cloak_core.scene.pictures import save_picture
 

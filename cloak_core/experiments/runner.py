@@ -25,8 +25,7 @@ from cloak_core.experiments.options import names
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import remove_all_leftovers, write_json, write_text
-from cloak_core.scene.logos.garments import chest_thighs
-from cloak_core.scene.logos.logo import area_share
+from cloak_core.scene.logos.logo import area_share, chest_thighs
 from cloak_core.scene.pictures import save_picture
 
 FORMAT = "cloak experiment 1"

@@ -10,7 +10,7 @@ from cloak_core.evaluation import store as store_module
 from cloak_core.evaluation.data_split import DataSplit, open_data_split
 from cloak_core.evaluation.store import RunStore
 from cloak_core.files.errors import InputError, Stopped
-from cloak_core.scene.logos.garments import chest_thighs
+from cloak_core.scene.logos.logo import chest_thighs
 from tests.evaluation.made_split import Glow, make_options, make_split
 
 RED, BLUE = "red:a.cfg", "blue:b.cfg"

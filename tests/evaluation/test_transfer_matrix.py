@@ -30,7 +30,7 @@ from cloak_core.evaluation.transfer import (
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
-from cloak_core.scene.logos.garments import chest_thighs
+from cloak_core.scene.logos.logo import chest_thighs
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.photographs.people import People, load_people
 from tests.evaluation.made_split import Glow

@@ -14,8 +14,7 @@ from cloak_core.cli import main
 from cloak_core.exchange.profiles import Profile, read_profile, write_profile
 from cloak_core.files.errors import InputError
 from cloak_core.output.calibration import chart, photograph
-from cloak_core.output.calibration.fitting import fit_profile, interpolation, profile_of
-from cloak_core.output.calibration.measured import from_lab, read_patches
+from cloak_core.output.calibration.fitting import fit_profile, from_lab, interpolation, profile_of, read_patches
 from cloak_core.scene.color_difference import de2000, lab, mean_difference
 from tests.schemas import validate
 

@@ -9,8 +9,7 @@ import pytest
 import torch
 from bodies_made import sphere
 
-from cloak_core.bench.fraction_oracle import visible_shares
-from cloak_core.bench.oracle import screen_of
+from cloak_core.bench.oracle import screen_of, visible_shares
 from cloak_core.bench.reference import matrix_of, reference
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.clipping import flatten

@@ -15,11 +15,17 @@ from cloak_core.detectors.decoding import Decoded
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.channels import order_channels
 from cloak_core.detectors.onnx_family.end_to_end import before_choice
-from cloak_core.detectors.onnx_family.graph import NotConvertible, node_that_mixes, to_torch
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier, what_it_may_be
 from cloak_core.detectors.onnx_family.layouts import LAYOUTS, Decode
 from cloak_core.detectors.onnx_family.model_file import ModelFile, read_model
-from cloak_core.detectors.onnx_family.networks import Converted, Session, as_input
+from cloak_core.detectors.onnx_family.networks import (
+    Converted,
+    NotConvertible,
+    Session,
+    as_input,
+    node_that_mixes,
+    to_torch,
+)
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
 from cloak_core.detectors.pixels import PixelFormat
 from cloak_core.detectors.protocol import Detections, Detector

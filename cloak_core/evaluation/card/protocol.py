@@ -9,8 +9,7 @@ from jaxtyping import Float, Int64
 
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_areas, face_centres
-from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
-from cloak_core.scene.logos.logo import front_faces
+from cloak_core.scene.logos.logo import chest_thighs, front_faces, shirt_trousers
 
 VERSION = "1"
 """Raise it whenever a card of the same detector would come out otherwise."""

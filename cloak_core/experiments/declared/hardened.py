@@ -19,7 +19,7 @@ from cloak_core.evaluation.store import RunStore
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
-from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
+from cloak_core.scene.logos.logo import chest_thighs, shirt_trousers
 
 LEAST_IMAGES = 300
 """Of each evaluation, so that a difference of two points in clean recall shows."""

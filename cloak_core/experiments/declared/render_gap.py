@@ -22,7 +22,7 @@ from cloak_core.evaluation.statistics import training_row
 from cloak_core.evaluation.store import CONTROLS
 from cloak_core.experiments.declaration import MULTI, Bars, Experiment, Numbers, RunStore
 from cloak_core.experiments.runner import threshold_rows
-from cloak_core.scene.logos.garments import chest_thighs
+from cloak_core.scene.logos.logo import chest_thighs
 
 NAMES = {"ours": "our renders", "matching": "Cycles, matching light", "studio": "Cycles, studio", "sky": "Cycles, sky"}
 

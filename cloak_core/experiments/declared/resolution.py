@@ -10,7 +10,7 @@ from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, L
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.logos.garments import chest_thighs
+from cloak_core.scene.logos.logo import chest_thighs
 from cloak_core.scene.meshes.subdivision import subdivide
 
 

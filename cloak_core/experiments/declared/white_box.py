@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cloak_core.evaluation.controls import STANDARD
 from cloak_core.experiments.declaration import MULTI, Bars, Cell, Cells, Experiment, RunStore
-from cloak_core.scene.logos.garments import chest_thighs, shirt_trousers
+from cloak_core.scene.logos.logo import chest_thighs, shirt_trousers
 
 IMAGES_PER_VIEW = 4
 """With four unseen bodies at 21 angles: 336 images."""

@@ -1,9 +1,15 @@
-"""Files that only Blender reads (Alembic, USD, FBX, .blend), through the user's Blender in a process of its own."""
+"""The user's Blender, in a process of its own: where it is, and files that only it reads (Alembic, USD, FBX, .blend).
+
+Cloak itself never imports it.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -11,9 +17,50 @@ import numpy as np
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import MAX_TEXT_BYTES, read_npz, read_text
-from cloak_core.scene.blender.executable import find_blender
 from cloak_core.scene.meshes.mesh_file import MeshFile, to_srgb
 from cloak_core.scene.meshes.pictures import with_pictures
+
+ROOT = Path(__file__).resolve().parents[3]
+ADD_ON = ROOT / "blender_addon"
+# The bpy package may wait for ever at a regular exit.
+PROBE = "import os, bpy; os._exit(0)"
+IN_BACKGROUND = ("-b", "--factory-startup", "-P")
+
+
+def find_blender() -> list[str] | None:
+    """Find a command that runs a script in Blender: $CLOAK_BLENDER, a Python with bpy, or `blender` on the path."""
+    named = os.environ.get("CLOAK_BLENDER")
+    if named and Path(named).name.startswith("blender"):
+        return [named, *IN_BACKGROUND]
+    python = find_bpy()
+    if python:
+        return [python]
+    blender = shutil.which("blender")
+    return [blender, *IN_BACKGROUND] if blender else None
+
+
+def find_bpy() -> str | None:
+    """Find a Python that has the bpy package, first the one that $CLOAK_BLENDER names; None where there is none."""
+    named = os.environ.get("CLOAK_BLENDER")
+    places = [named] if named and not Path(named).name.startswith("blender") else []
+    places += [sys.executable] if importlib.util.find_spec("bpy") else []
+    places += [str(place) for place in sorted(ROOT.glob(".venv-blender*/bin/python"))]
+    return next(filter(_has_bpy, places), None)
+
+
+def bpy_version(python: str) -> str:
+    """Read Blender's version in such a Python, such as "4.2.0"."""
+    script = "import os, bpy; print(bpy.app.version_string, flush=True); os._exit(0)"
+    said = subprocess.run([python, "-c", script], capture_output=True, text=True, timeout=60, check=True).stdout
+    return said.strip().splitlines()[-1]
+
+
+def _has_bpy(python: str) -> bool:
+    try:
+        return subprocess.run([python, "-c", PROBE], capture_output=True, timeout=60, check=False).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
 
 SUFFIXES = (".abc", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".blend")
 SCRIPT = Path(__file__).with_name("inside.py")

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from cloak_core.files.reading import read_npz
 from cloak_core.files.writing import write_npz
-from cloak_core.scene.blender.executable import find_blender
+from cloak_core.scene.blender.outside import find_blender
 from cloak_core.scene.cameras import Number
 from cloak_core.scene.people.skeleton import Arm, Leg, Pose, Skeleton, bone_transforms
 from tools.pretrain.clothing.gaits import CYCLES
