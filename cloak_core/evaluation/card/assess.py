@@ -18,6 +18,7 @@ from cloak_core.attack.run_config import environment
 from cloak_core.evaluation import statistics_card
 from cloak_core.evaluation.card import protocol
 from cloak_core.evaluation.card.page import keep_pictures
+from cloak_core.evaluation.card.words import untested_here
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
@@ -96,7 +97,7 @@ class Assessment:
                 card["patterns"] = [self._pattern(spec, share) for spec in self.patterns]
         with work.part("zoo") as share:
             card["black_box"] = self._black_box(share)
-        card["not_tested"] = self._not_tested(card["black_box"]["counted"])
+        card["not_tested"] = untested_here(card)
         pictures = keep_pictures(self.folder / "pictures", self.store, self.shown, card)
         write_json(self.folder / "pictures.json", pictures)
         card["shares"], card["seconds"] = work.shares, work.seconds
@@ -272,25 +273,6 @@ class Assessment:
     def _evaluated(self, part: str, trained: Sequence[Trained], angles: tuple[float, ...], settings: dict) -> Results:
         self.shown[part] = (trained[0], angles, settings)
         return self.store.evaluate(trained, angles, **settings)
-
-    def _not_tested(self, counted: int) -> list[str]:
-        """Say what this card cannot tell, for reasons of this detector or this call."""
-        said = []
-        if not self.white_box:
-            said.append(
-                "No white-box attack: the detector gives no gradients. An attacker who has its weights in another "
-                "form may do far better than the cloaks shown here."
-            )
-        elif self.detector.partial_gradient:
-            said.append(
-                f"The gradient that the attack follows is not all of the answer's: {self.detector.partial_gradient}."
-            )
-        if not counted:
-            why = (
-                "those there are were made against it" if self.entries else "the zoo holds none for this scene's bodies"
-            )
-            said.append(f"No cloak made against other detectors: {why}.")
-        return said
 
 
 def _fewer(count: int, share: float) -> int:

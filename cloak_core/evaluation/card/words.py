@@ -143,6 +143,23 @@ def lede(card: dict) -> str:
     )
 
 
+def untested_here(card: dict) -> list[str]:
+    """Say what this card cannot tell for reasons of this detector or this call; kept in the card."""
+    said = []
+    if not card["differentiable"]:
+        said.append(
+            "No white-box attack: the detector gives no gradients. An attacker who has its weights in another "
+            "form may do far better than the cloaks shown here."
+        )
+    elif card["partial_gradient"]:
+        said.append(f"The gradient that the attack follows is not all of the answer's: {card['partial_gradient']}.")
+    if not card["black_box"]["counted"]:
+        some = bool(card["black_box"]["zoo"])
+        why = "those there are were made against it" if some else "the zoo holds none for this scene's bodies"
+        said.append(f"No cloak made against other detectors: {why}.")
+    return said
+
+
 def not_tested(card: dict) -> list[str]:
     """List everything a reader must not take for tested: this card's own, then what no card tests."""
     said = list(card["not_tested"])
