@@ -108,11 +108,16 @@ def look(
     if not any(row["garment"] in (WITH, WITHOUT) for row in rows):
         worn = {one.file for one in subjects if one.garment in (WITH, WITHOUT)}
         raise InputError(f"{folder}: none of its {len(worn)} pictures with or without the cloak can be read")
-    table = pd.DataFrame(rows).astype({"distance": float, "score": np.float32, "other": np.float32})
+    return _compared(pd.DataFrame(rows), list(detectors)), pictures, skipped
+
+
+def _compared(rows: pd.DataFrame, detectors: Sequence[str]) -> pd.DataFrame:
+    """Add the score that each subject is compared with; put a detector's rows together."""
+    table = rows.astype({"distance": float, "score": np.float32, "other": np.float32})
     by_detector = [table[(table["detector"] == spec).to_numpy()].reset_index(drop=True) for spec in detectors]
     partners, garment = find_partners(by_detector[0]), by_detector[0]["garment"].to_numpy()
     compared = [one.assign(clean=clean_scores(one["score"].to_numpy(), garment, partners)) for one in by_detector]
-    return pd.concat(compared, ignore_index=True).astype({"clean": np.float32}), pictures, skipped
+    return pd.concat(compared, ignore_index=True).astype({"clean": np.float32})
 
 
 def _look_at(
