@@ -8,7 +8,7 @@ films, photographs and precision have of their own stands in `statistics_*.py`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -75,16 +75,9 @@ def conditional_rate(rows: pd.DataFrame, threshold: float = THRESHOLD, resamples
     return rate(seen, hidden(seen, threshold), resamples=resamples)
 
 
-def by_value(rows: pd.DataFrame, column: str) -> Iterator[tuple[object, pd.DataFrame]]:
-    """Yield every distinct value of a column, sorted, with its rows; rows in which it is absent are left out."""
-    values = rows[column].to_numpy()
-    for value in np.unique(values[rows[column].notna().to_numpy()]):
-        yield value, rows[values == value]
-
-
 def by_training(rows: pd.DataFrame) -> list[float]:
     """Compute attack success of each repetition of the training."""
-    return [share(mine) for _, mine in by_value(rows, "training")]
+    return [share(mine) for _, mine in rows.groupby("training")]
 
 
 # --- records: plain values, ready for JSON
@@ -102,11 +95,11 @@ def _detector_summary(results: Results, spec: str, threshold: float, resamples: 
     rows = {control: results.rows(spec, control) for control in results.controls}
     told = {control: record(mine) for control, mine in rows.items()}
     logo = rows[results.controls[0]]
-    told["by_angle"] = {f"{angle:g}": record(mine) for angle, mine in by_value(logo, "angle")}
-    told["by_body"] = {results.body_names[pose]: record(mine) for pose, mine in by_value(logo, "pose") if pose >= 0}
+    told["by_angle"] = {f"{angle:g}": record(mine) for angle, mine in logo.groupby("angle")}
+    told["by_body"] = {results.body_names[pose]: record(mine) for pose, mine in logo.groupby("pose") if pose >= 0}
     for column in ("distance", "elevation"):
         if logo[column].nunique() > 1:
-            told[f"by_{column}"] = {f"{value:g}": record(mine) for value, mine in by_value(logo, column)}
+            told[f"by_{column}"] = {f"{value:g}": record(mine) for value, mine in logo.groupby(column)}
     curves = {control: threshold_curve(mine) for control, mine in rows.items()}
     told["by_threshold"] = {
         f"{t:.1f}": {control: round(curve[k], 6) for control, curve in curves.items()} for k, t in enumerate(THRESHOLDS)
@@ -213,7 +206,7 @@ def training_row(results: Results, spec: str) -> dict:
         "success_iou": hidden_rate(rows, column="score_on").value,
         "conditional": conditional_rate(rows).value,
         # Unlike success it does not saturate at 0 or 100 %.
-        "mean_score": float(np.mean([mine["score"].to_numpy().mean() for _, mine in by_value(rows, "training")])),
+        "mean_score": float(np.mean([mine["score"].to_numpy().mean() for _, mine in rows.groupby("training")])),
         **others,
         "clean_detection": 1 - others[CLOTHING],
         "average_precision": average_precision(results, rows),

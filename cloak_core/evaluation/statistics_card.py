@@ -17,7 +17,6 @@ from cloak_core.evaluation.results import NOBODY, Results
 from cloak_core.evaluation.statistics import (
     THRESHOLDS,
     by_training,
-    by_value,
     digits,
     found_rate,
     hidden,
@@ -84,7 +83,7 @@ def precision_record(results: Results, rows: pd.DataFrame) -> dict:
 
 def by_angle_record(results: Results, spec: str) -> dict[str, dict]:
     """Compute success at both thresholds for each azimuth (degrees)."""
-    return {f"{angle:g}": success_rates(rows) for angle, rows in by_value(results.rows(spec, LOGO), "angle")}
+    return {f"{angle:g}": success_rates(rows) for angle, rows in results.rows(spec, LOGO).groupby("angle")}
 
 
 def clean_record(results: Results, spec: str) -> dict:
@@ -104,7 +103,7 @@ def recall_by(results: Results, spec: str) -> dict[str, dict[str, dict]]:
     rows = rows.assign(stance=[stance_of(name) for name in rows["body"]])
     label = lambda value: value if isinstance(value, str) else f"{value:g}"
     return {
-        way: {label(value): recall_rates(mine) for value, mine in by_value(rows, column)}
+        way: {label(value): recall_rates(mine) for value, mine in rows.groupby(column)}
         for way, column in RECALL_BY.items()
     }
 

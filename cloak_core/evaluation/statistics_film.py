@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from cloak_core.detectors.scoring import box_iou
 from cloak_core.evaluation.results import CORNERS, TRUE_BOX, Results
 from cloak_core.evaluation.settings import FilmSettings
-from cloak_core.evaluation.statistics import by_value, finite, hidden, operating_point, rate, rate_record, share
+from cloak_core.evaluation.statistics import finite, hidden, operating_point, rate, rate_record, share
 
 CLUSTERS = ("take", "background")
 """Frames of one take, and those before one background, succeed and fail together."""
@@ -77,7 +77,7 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
         "n": len(shown),
     }
     for suffix, at in (("", threshold), ("_own", own)):
-        takes = [(take, ~hidden(take, at) & in_picture(take)) for _, take in by_value(frames, "take")]
+        takes = [(take, ~hidden(take, at) & in_picture(take)) for _, take in frames.groupby("take")]
         run = float(np.median([longest_run(seen) for _, seen in takes]))
         told[f"longest_run{suffix}"] = int(run) if run.is_integer() else run
         first = [take["distance"].to_numpy()[seen][:1] for take, seen in takes]
@@ -90,7 +90,7 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
 
 def _tracks_record(results: Results, frames: pd.DataFrame, settings: FilmSettings) -> dict:
     """Count confirmed tracks, the takes with one, and the share of frames in which one has a box."""
-    takes = [take for _, take in by_value(frames, "take")]
+    takes = [take for _, take in frames.groupby("take")]
     by_take = [track(frame_boxes(results, take, operating_point(frames)), settings) for take in takes]
     tracked = sum(len(set().union(*(one.boxes for one in tracks))) for tracks in by_take)
     return {

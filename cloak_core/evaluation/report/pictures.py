@@ -21,7 +21,7 @@ from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.statistics import by_value, hidden, share
+from cloak_core.evaluation.statistics import hidden, share
 from cloak_core.evaluation.trials import complete
 from cloak_core.scene.pictures import save_picture
 
@@ -95,7 +95,7 @@ def worst_trials(rows: pd.DataFrame, threshold: float) -> list[tuple[int, float]
     The worst first, equals by their mean score.
     """
     found = []
-    for _, mine in by_value(rows, "pose"):
+    for _, mine in rows.groupby("pose"):
         score = mine["score"].to_numpy()
         found.append((share(mine, threshold), -float(score.mean()), int(mine["image"].to_numpy()[score.argmax()])))
     return [(trial, success) for success, _, trial in sorted(found)[:WORST] if success < 1]

@@ -16,7 +16,7 @@ from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows, rated
 from cloak_core.evaluation.report.style import CYCLE, SERIES, WIDTH, new_figure, percent_axis
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.statistics import by_value, hidden_rate, rate_row, share
+from cloak_core.evaluation.statistics import hidden_rate, rate_row, share
 from cloak_core.evaluation.statistics_card import KINSHIPS, heat_values
 from cloak_core.evaluation.trained_run import History
 
@@ -77,11 +77,11 @@ def success_by_threshold(results: Results, detector: str, threshold: float) -> F
 def _rows(results: Results, detector: str, column: str, threshold: float, intervals: Sequence[str] = (LOGO,)) -> Rows:
     """Make a row for each control and value of a column: success, with its interval where asked for."""
     return [
-        {"control": control, column: value.item()}
+        {"control": control, column: value}
         | (rate_row(hidden_rate(rows, threshold)) if control in intervals else {})
         | {"success": share(rows, threshold), "n": len(rows)}
         for control in results.controls
-        for value, rows in by_value(results.rows(detector, control), column)
+        for value, rows in results.rows(detector, control).groupby(column)
     ]
 
 
