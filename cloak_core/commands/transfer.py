@@ -166,13 +166,14 @@ class Transfer(Splitting, Detecting, Sharing):
         return load_logo(bodies, region=self.logo).face_ids
 
     def _shown(self, cells: list[dict], asked: tuple[str, ...]) -> dict:
-        from cloak_core.evaluation.transfer import by_ablation, show, summary
+        from cloak_core.evaluation.report.charts import group
+        from cloak_core.evaluation.transfer import show, summary
 
         command = shlex.join(["cloak", *sys.argv[1:]])
         files = show(cells, self.out, self.out.name, command)
         if self.publish is not None:
             files = show(cells, self.publish, self.out.name, command)
-        ladder = {name: summary(own) for name, own in by_ablation(cells).items()}
+        ladder = {name: summary(own) for name, own in group(cells, "rung").items()}
         last = next((ladder[name] for name in reversed(asked) if name in ladder), ladder[next(reversed(ladder))])
         return last | {"rungs": ladder, "files": [str(path) for path in files]}
 

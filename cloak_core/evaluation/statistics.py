@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Shaped
 
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.controls import CLOTHING, LOGO
@@ -257,8 +257,3 @@ def finite(value: float, places: int = 6) -> float | None:
 def digits(value: float | None) -> float | None:
     """Four digits, as tables show them."""
     return None if value is None else finite(float(value), 4)
-
-
-def mean(values: Float[np.ndarray, " N"] | Sequence[float]) -> float:
-    """Compute the mean; nan of nothing."""
-    return float(np.mean(values)) if len(values) else math.nan

@@ -21,7 +21,6 @@ from cloak_core.evaluation.statistics import (
     found_rate,
     hidden,
     hidden_rate,
-    mean,
     operating_point,
     outcome_record,
     rate,
@@ -137,17 +136,10 @@ def transfer_means(cells: pd.DataFrame) -> dict:
     """Average the cells of one matrix: mean and worst success at each threshold, and the mean by kinship."""
     record = {}
     for suffix in ("", "_own", "_025"):
-        values = cells[f"success{suffix}"].to_numpy(float)
-        record |= {f"mean{suffix}": digits(mean(values)), f"worst{suffix}": digits(values.min())}
-    of = {kin: cells.loc[cells["kin"] == kin, "success"].tolist() for kin in KINSHIPS}
-    return record | {f"mean_{kin}": digits(mean(values)) for kin, values in of.items()}
+        values = cells[f"success{suffix}"].astype(float)
+        record |= {f"mean{suffix}": digits(values.mean()), f"worst{suffix}": digits(values.min())}
+    return record | {f"mean_{kin}": digits(cells.loc[cells["kin"] == kin, "success"].mean()) for kin in KINSHIPS}
 
 
 KINSHIPS = ("sibling", "stranger")
 """What files and `--json` call a judged detector: one of the same family as a surrogate, or of none."""
-
-
-def heat_values(rows: dict[str, list[float | None]]) -> np.ndarray:
-    """Stack named rows of shares as floats [R, C + 1], nan where absent; the last column is each row's mean."""
-    shown = np.array([[np.nan if x is None else x for x in row] for row in rows.values()], float)
-    return np.column_stack([shown, [mean(row[~np.isnan(row)]) for row in shown]])

@@ -31,17 +31,16 @@ CLUSTERS = ("person", "place")
 
 
 def find_partners(subjects: pd.DataFrame) -> list[Int[np.ndarray, " _"]]:
-    """Find each subject's clean pictures: the same person in the pair, or else in the same scene and distance."""
-    by_pair: dict[tuple, list[int]] = {}
-    by_scene: dict[tuple, list[int]] = {}
-    columns = [subjects[name].tolist() for name in ("garment", "person", "pair", "scene", "distance")]
-    subject_of = [(*rest, None if math.isnan(distance) else distance) for *rest, distance in zip(*columns, strict=True)]
-    for i, (garment, person, pair, scene, distance) in enumerate(subject_of):
-        if garment == WITHOUT and pair:
-            by_pair.setdefault((pair, person), []).append(i)
-        if garment == WITHOUT and scene:
-            by_scene.setdefault((scene, person, distance), []).append(i)
-    found = (by_pair.get((p, who)) or by_scene.get((s, who, d), []) for _, who, p, s, d in subject_of)
+    """Find each subject's clean pictures: the same person in the pair, or else in the same scene and distance.
+
+    subjects: numbered from 0 by their index.
+    """
+    told = subjects.fillna({"distance": -1.0})
+    clean = told[told["garment"] == WITHOUT]
+    by_pair = clean[clean["pair"] != ""].groupby(["pair", "person"]).groups
+    by_scene = clean[clean["scene"] != ""].groupby(["scene", "person", "distance"]).groups
+    places = zip(*(told[name] for name in ("pair", "scene", "person", "distance")), strict=True)
+    found = (by_pair.get((pair, who), by_scene.get((scene, who, far), [])) for pair, scene, who, far in places)
     return [np.array(partners, int) for partners in found]
 
 
@@ -58,19 +57,17 @@ def clean_scores(
 
 def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int = RESAMPLES) -> dict:
     """Count contract C7's figures: of the first detector, and of every one in `detectors`."""
-    detectors = {
-        str(spec): _detector_summary(mine, threshold, resamples) for spec, mine in rows.groupby("detector", sort=False)
-    }
-    first = rows[(rows["detector"] == rows["detector"].iloc[0]).to_numpy()]
+    by_detector = {str(spec): mine for spec, mine in rows.groupby("detector", sort=False)}
+    detectors = {spec: _detector_summary(mine, threshold, resamples) for spec, mine in by_detector.items()}
+    first = next(iter(by_detector.values()))
     people = first[(first["garment"] != NOBODY).to_numpy()]
-    points = {str(spec): operating_point(mine) for spec, mine in rows.groupby("detector", sort=False)}
     told = next(iter(detectors.values()))
     return {
         **{key: told[key] for key in (WITH, WITHOUT, "controls")},
         "people": people["person"].nunique(),
         "scenes": people["place"].nunique(),
         "threshold": threshold,
-        "operating_points": points,
+        "operating_points": {spec: operating_point(mine) for spec, mine in by_detector.items()},
         "detectors": detectors,
         "warnings": warnings(people),
     }
@@ -79,8 +76,7 @@ def summarize_photographs(rows: pd.DataFrame, threshold: float, resamples: int =
 def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> dict:
     own = operating_point(rows)
     record = lambda mine: photograph_record(mine, (threshold, own), resamples)
-    garments = {name: rows[(rows["garment"] == name).to_numpy()] for name in dict.fromkeys(rows["garment"])}
-    garments = {WITH: rows[:0], WITHOUT: rows[:0]} | garments
+    garments = {WITH: rows[:0], WITHOUT: rows[:0]} | dict(list(rows.groupby("garment", sort=False)))
     empty = garments.pop(NOBODY, rows[:0])
     told = {name: record(mine) for name, mine in garments.items()}
     sides = {name: told.pop(name) for name in (WITH, WITHOUT)}
@@ -89,11 +85,13 @@ def _detector_summary(rows: pd.DataFrame, threshold: float, resamples: int) -> d
         groups["by_scene"] = rows["place"]
     if rows["distance"].notna().any():
         groups["by_distance"] = rows["distance"].map(lambda metres: "" if math.isnan(metres) else f"{metres:g}")
-    by = {}
+    people, by = rows[(rows["garment"] != NOBODY).to_numpy()], {}
     for name, labels in groups.items():
-        keys = sorted(set(labels[rows["garment"] != NOBODY]) - {""}, key=_numbers_first)
-        among = lambda side, key, labels=labels: garments[side][(labels[garments[side].index] == key).to_numpy()]
-        by[name] = {key: {side: record(among(side, key)) for side in (WITH, WITHOUT)} for key in keys}
+        parts = dict(list(people.groupby(labels[people.index])))
+        by[name] = {
+            key: {side: record(parts[key][parts[key]["garment"] == side]) for side in (WITH, WITHOUT)}
+            for key in sorted(parts.keys() - {""}, key=_numbers_first)
+        }
     alarms = {"false_alarms": finite(1 - share(empty, threshold)), "n_nobody": len(empty)}
     return sides | {"controls": told} | by | alarms
 

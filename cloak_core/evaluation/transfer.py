@@ -19,6 +19,7 @@ from jaxtyping import Int64
 
 from cloak_core.detectors.protocol import state_hash
 from cloak_core.evaluation.controls import STANDARD
+from cloak_core.evaluation.report.charts import group
 from cloak_core.evaluation.report.page import write_page
 from cloak_core.evaluation.report.plots import transfer_map
 from cloak_core.evaluation.report.style import save_figure, style
@@ -259,7 +260,7 @@ def summary(cells: Sequence[dict]) -> dict:
 def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> list[Path]:
     """Write NAME.png, NAME.svg and NAME.md into the folder: the heat map, and tables for documentation."""
     folder.mkdir(parents=True, exist_ok=True)
-    ladder = by_ablation(cells)
+    ladder = group(cells, "rung")
     with style():
         files = save_figure(transfer_map(ladder), folder / name)
     values = {
@@ -270,11 +271,6 @@ def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> l
         "command": without_folders(command),
     }
     return [*files, write_page(folder / f"{name}.md", "transfer.md", values)]
-
-
-def by_ablation(cells: Sequence[dict]) -> dict[str, list[dict]]:
-    """Group the cells by their ablation, in order."""
-    return {name: [c for c in cells if c["rung"] == name] for name in dict.fromkeys(c["rung"] for c in cells)}
 
 
 def _judges(cells: Sequence[dict]) -> dict[tuple[str, ...], list[str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,7 +18,7 @@ from cloak_core.evaluation.report.style import CYCLE, SERIES, WIDTH, new_figure,
 from cloak_core.evaluation.report.words import short_name
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.statistics import hidden_rate, rate_row, share
-from cloak_core.evaluation.statistics_card import KINSHIPS, heat_values
+from cloak_core.evaluation.statistics_card import KINSHIPS
 from cloak_core.evaluation.trained_run import History
 
 MOST_BODIES = 40
@@ -243,16 +244,19 @@ def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
     ladder: the cells of a leave-one-out matrix by ablation. A single ablation is also shown at the other thresholds.
     The last column is the mean.
     """
-    last, rows = {cell["judged"]: cell for own in ladder.values() for cell in own}, {}
+    last = {cell["judged"]: cell for own in ladder.values() for cell in own}
     kinds = {"": " at 0.6", "_own": " at its own", "_025": " at 0.25"} if len(ladder) == 1 else {"": ""}
-    for ablation, own in ladder.items():
-        for suffix, words in kinds.items():
-            found = {cell["judged"]: cell[f"success{suffix}"] for cell in own}
-            rows[ablation + words] = [found.get(name) for name in last]
+    rows = {
+        ablation + words: {cell["judged"]: cell[f"success{suffix}"] for cell in own}
+        for ablation, own in ladder.items()
+        for suffix, words in kinds.items()
+    }
     for control in ("random", CLOTHING):
-        rows[SERIES[control].label] = [cell[control] for cell in last.values()]
+        rows[SERIES[control].label] = {name: cell[control] for name, cell in last.items()}
+    shares = pd.DataFrame(rows, index=list(last), dtype=float).T
+    shares = shares.assign(mean=shares.mean(axis=1))
     columns = [*(short_name(name) + MARKS[cell["kin"]] for name, cell in last.items()), "mean"]
-    figure = heat_map(heat_values(rows), list(rows), columns, rule=len(rows) - 2)
+    figure = heat_map(shares.to_numpy(), list(rows), columns, rule=len(rows) - 2)
     (axis,) = figure.axes
     axis.axvline(len(columns) - 1.5, color="white", lw=3)
     axis.set_xlabel("judged by (left out of training)")
