@@ -23,8 +23,7 @@ from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_even
 from cloak_core.attack.held_out import HeldOut
 from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
-from cloak_core.attack.previews import save_preview
-from cloak_core.attack.run_folder import RunFolder
+from cloak_core.attack.run_folder import RunFolder, save_preview
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.attack.world import LostProcess, World

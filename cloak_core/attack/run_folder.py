@@ -6,15 +6,20 @@ snapshots/  report.html  cancel
 
 import contextlib
 import logging
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 from PIL import Image
+from torch import Tensor
 
 from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import changes_around, check_same
+from cloak_core.detectors.check import draw_boxes
+from cloak_core.detectors.protocol import Detections
+from cloak_core.detectors.scoring import person_boxes
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.exchange.face_lists import read_face_list, write_face_list
 from cloak_core.files.errors import InputError
@@ -133,3 +138,19 @@ def _remove_unfinished_files(run: RunFolder) -> None:
         for path in folder.glob(pattern):
             with contextlib.suppress(OSError):
                 path.unlink()
+
+
+MOST = 8
+"""Images on one sheet."""
+
+
+def save_preview(path: Path, images: Float[Tensor, "B 3 H W"], detections: Detections, threshold: float) -> None:
+    """Save a sheet of the first images, boxes drawn around persons above `threshold`; whole or not at all."""
+    count = min(len(images), MOST)
+    columns = math.ceil(math.sqrt(count))
+    height, width = images.shape[-2:]
+    sheet = Image.new("RGB", (columns * width, math.ceil(count / columns) * height))
+    boxes = person_boxes(Detections(detections.boxes[:count].detach(), detections.scores[:count].detach()), threshold)
+    for i in range(count):
+        sheet.paste(draw_boxes(images[i], boxes[i]), (i % columns * width, i // columns * height))
+    save_picture(path, sheet)

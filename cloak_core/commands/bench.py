@@ -11,8 +11,7 @@ from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from cloak_core.attack.settings.values import Range
 from cloak_core.commands.base import Command, err, load_scene, out, require_new
-from cloak_core.commands.compute import keep_freed_memory
-from cloak_core.commands.options import DetectorOptions
+from cloak_core.commands.options import DetectorOptions, keep_freed_memory
 from cloak_core.files.writing import write_text
 
 

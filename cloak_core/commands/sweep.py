@@ -9,7 +9,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from cloak_core.commands.base import Stopped, err, out
-from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.options import prepare_process
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError

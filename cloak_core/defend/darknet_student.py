@@ -16,7 +16,7 @@ from cloak_core.detectors.darknet.cfg import read_cfg_text
 from cloak_core.detectors.darknet.detector import DarknetDetector
 from cloak_core.detectors.darknet.layers import BatchNorm
 from cloak_core.detectors.darknet.weights import write_darknet
-from cloak_core.detectors.resizing import fit
+from cloak_core.detectors.pixels import fit
 from cloak_core.files.writing import write_text
 
 

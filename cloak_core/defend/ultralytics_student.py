@@ -12,7 +12,7 @@ from cloak_core.defend.answers import Answer, Reading, answer_distance
 from cloak_core.defend.distillation import distance
 from cloak_core.defend.student import Student
 from cloak_core.detectors.darknet.heads import Yolo
-from cloak_core.detectors.resizing import YOLO_GREY, fit
+from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.ultralytics_family.checkpoint import write_ultralytics
 from cloak_core.detectors.ultralytics_family.detector import UltralyticsDetector
 from cloak_core.detectors.ultralytics_family.heads import AnchorHead, DenseHead, Maps, distances, rows

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.commands.blender import follow, train_in_blender
+from cloak_core.commands.demo import follow, train_in_blender
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.scenes import write_scene

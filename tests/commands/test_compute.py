@@ -8,9 +8,9 @@ import torch
 
 from cloak_core.attack.settings.components import ComputeSettings
 from cloak_core.attack.training import train
-from cloak_core.commands.compute import prepare_process
 from cloak_core.commands.demo import Demo
 from cloak_core.commands.evaluate import Evaluate
+from cloak_core.commands.options import prepare_process
 from cloak_core.commands.train import Train
 from cloak_core.evaluation.trained_run import kept_back
 from cloak_core.exchange.scenes import write_scene

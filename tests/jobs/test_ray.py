@@ -14,7 +14,7 @@ from ray.cluster_utils import Cluster
 
 from cloak_core.attack.events import read_events
 from cloak_core.attack.sweeps import Sweep, read_grid
-from cloak_core.commands.compute import prepare_process
+from cloak_core.commands.options import prepare_process
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError

@@ -9,7 +9,7 @@ from cloak_core.detectors.check import check_image, read_image
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.onnx_family.model_file import read_model
 from cloak_core.detectors.onnx_family.networks import Session
-from cloak_core.detectors.resizing import fit
+from cloak_core.detectors.pixels import fit
 
 pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
 pytestmark = pytest.mark.slow

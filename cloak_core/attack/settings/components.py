@@ -18,7 +18,7 @@ from cloak_core.scene.cameras import Camera
 class ComputeSettings:
     """Where to compute."""
 
-    # A command prepares its process by them (`commands.compute`); functions leave the process as it is.
+    # A command prepares its process by them (`commands.options`); functions leave the process as it is.
 
     device: str = "cpu"
     """Torch device: cpu, cuda, cuda:1."""

@@ -27,9 +27,8 @@ from cloak_core.detectors.onnx_family.networks import (
     to_torch,
 )
 from cloak_core.detectors.onnx_family.parity import Parity, compare, remembered, takes_batches
-from cloak_core.detectors.pixels import PixelFormat
+from cloak_core.detectors.pixels import YOLO_GREY, PixelFormat, fit
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.resizing import YOLO_GREY, fit
 from cloak_core.detectors.specs import Request
 from cloak_core.detectors.verification.comparing import sample_images
 from cloak_core.files.errors import InputError, first_line

@@ -12,8 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.detectors.decoding import Decoded, cell_places, corners, in_pixels
-from cloak_core.detectors.pixels import IMAGENET, PixelFormat
-from cloak_core.detectors.resizing import YOLO_GREY
+from cloak_core.detectors.pixels import IMAGENET, YOLO_GREY, PixelFormat
 
 YOLO_STRIDES = ((8, 16, 32), (8, 16, 32, 64), (16, 32), (4, 8, 16, 32))
 """Of the grids that dense heads are made of, in the order they are laid out."""

@@ -10,8 +10,8 @@ from torchvision.models.detection.ssd import SSD
 from torchvision.ops import clip_boxes_to_image
 
 from cloak_core.detectors.outcomes import best_other
+from cloak_core.detectors.pixels import Placement
 from cloak_core.detectors.protocol import Detections, at_least_float32
-from cloak_core.detectors.resizing import Placement
 from cloak_core.detectors.torchvision_family.base import TorchvisionDetector
 
 CANDIDATES = 1000

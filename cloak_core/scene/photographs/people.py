@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -108,9 +109,18 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     disordered: list[str] = []
     for entry in listed:
         annotations = of_image.get(entry.get("id"), [])
-        if annotations:
-            _read_photograph(entry, annotations, folders, licences, path, found, left_out, disordered)
-    _refuse_other_order(disordered, len(found))
+        licence = licences.get(entry.get("license"), "")
+        for what, person in _annotated(entry, annotations, folders, licence, path):
+            if isinstance(person, Person):
+                found.append(person)
+            else:
+                left_out[person] += 1
+                disordered += [what] * (person == "not upright")
+    if len(disordered) > len(found):  # few people stand on their heads
+        raise InputError(
+            f"{disordered[0]}: keypoints of another order? shoulders, hips, knees and ankles do not follow each other "
+            f"downwards, in {len(disordered)} of {len(disordered) + len(found)} people"
+        )
     if not found:
         reasons = ", ".join(f"{reason} {count}" for reason, count in left_out.items()) or "no annotation"
         raise InputError(f"{spec}: nobody in it can be dressed ({reasons})")
@@ -124,17 +134,12 @@ def _table(record: dict, name: str, path: str) -> list[dict]:
     return table
 
 
-def _read_photograph(
-    entry: dict,
-    annotations: list[dict],
-    folders: list[Path],
-    licences: dict,
-    path: str,
-    found: list[Person],
-    left_out: Counter[str],
-    disordered: list[str],
-) -> None:
-    """Add the people of one photograph, or the reasons why they are left out."""
+def _annotated(
+    entry: dict, annotations: list[dict], folders: list[Path], licence: str, path: str
+) -> Iterator[tuple[str, Person | str]]:
+    """Yield what each annotation of a photograph is called, with its person, or the reason why she is left out."""
+    if not annotations:
+        return
     name = entry.get("file_name")
     if not isinstance(name, str) or not name:
         raise InputError(f"{path}: image {entry.get('id')} has no file_name")
@@ -150,14 +155,12 @@ def _read_photograph(
             mask = decode_mask(annotation["segmentation"], height, width, what)
         landmarks = read_landmarks(annotation, what)
         reason = why_left_out(annotation, mask, landmarks, box, (width, height))
-        if reason == "not upright":
-            disordered.append(what)
         if reason:
-            left_out[reason] += 1
+            yield what, reason
             continue
         others = tuple(b for i, b in enumerate(boxes) if i != number and not annotations[i].get("iscrowd"))
         whole = Person(name, int(annotation.get("id") or 0), image, mask, box, landmarks, others)
-        found.append(_cropped(whole, licences.get(entry.get("license"), "")))
+        yield what, _cropped(whole, licence)
 
 
 def _read_upright(name: str, entry: dict, folders: list[Path], what: str) -> UInt8[np.ndarray, "h w 3"]:
@@ -196,11 +199,7 @@ def _box(annotation: dict, width: int, height: int, what: str) -> Box:
 
 
 def why_left_out(
-    annotation: dict,
-    mask: np.ndarray | None,
-    landmarks: Landmarks | None,
-    box: Box,
-    size: tuple[int, int],
+    annotation: dict, mask: np.ndarray | None, landmarks: Landmarks | None, box: Box, size: tuple[int, int]
 ) -> str:
     """Say why a person cannot be dressed; "" where she can."""
     if annotation.get("iscrowd"):
@@ -228,15 +227,6 @@ def why_left_out(
     if mask[at[:, 1], at[:, 0]].mean() < 0.7:
         return "hidden"
     return "sitting" if _sits(landmarks) else ""
-
-
-def _refuse_other_order(disordered: list[str], dressed: int) -> None:
-    """`InputError` where most people's joints do not follow each other downwards: few people stand on their heads."""
-    if len(disordered) > dressed:
-        raise InputError(
-            f"{disordered[0]}: keypoints of another order? shoulders, hips, knees and ankles do not follow each other "
-            f"downwards, in {len(disordered)} of {len(disordered) + dressed} people"
-        )
 
 
 def _sits(landmarks: Landmarks) -> bool:
