@@ -143,7 +143,7 @@ class Ranks(Bench):
     """How often one and several take turns."""
 
     def run(self) -> dict:
-        from cloak_core.bench.ranks import run_bench_ranks
+        from cloak_core.bench.step import run_bench_ranks
 
         return run_bench_ranks(self.detector, **self.given("detector"))
 

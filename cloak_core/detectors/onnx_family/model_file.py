@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloak_core.detectors.described import Description, confidence_of, names_of, read_description
+from cloak_core.detectors.classes import Description, confidence_of, names_of, read_description
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import MAX_BYTES, read_bytes

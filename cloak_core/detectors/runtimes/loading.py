@@ -8,9 +8,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from cloak_core.detectors.classes import COCO_IDS, names_beside
+from cloak_core.detectors.classes import COCO_IDS, names_beside, read_description
 from cloak_core.detectors.decoding import Decoded, in_pixels
-from cloak_core.detectors.described import read_description
 from cloak_core.detectors.extras import require
 from cloak_core.detectors.onnx_family.detector import OnnxDetector, chosen_person
 from cloak_core.detectors.onnx_family.guessing import guess_layout, is_classifier

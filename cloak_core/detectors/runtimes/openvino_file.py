@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from cloak_core.detectors.described import confidence_of
+from cloak_core.detectors.classes import confidence_of
 from cloak_core.detectors.onnx_family.layouts import Layout
 from cloak_core.detectors.runtimes.layouts import OPEN_MODEL_ZOO, SsdHead
 from cloak_core.detectors.runtimes.model import RuntimeModel, image_size

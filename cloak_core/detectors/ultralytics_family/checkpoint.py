@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.described import names_of
+from cloak_core.detectors.classes import names_of
 from cloak_core.detectors.ultralytics_family.heads import DenseHead
 from cloak_core.detectors.ultralytics_family.library import library
 from cloak_core.files.errors import InputError, first_line
