@@ -17,7 +17,7 @@ from .files.errors import InputError
 from .poses.poses import PoseChoice
 from .result.judging import CloakJudging
 from .session import session
-from .trainer.command_lines import TrainRequest
+from .trainer.command_lines import options
 from .trainer.preferences import user_folder
 from .training.detectors import CloakDetector, existing, take_over, trained_against
 from .ui import props
@@ -196,15 +196,15 @@ def pose_choice(settings: CloakSettings) -> PoseChoice:
     return PoseChoice(settings.pose_source, settings.frame_start, settings.frame_end, settings.frame_step)
 
 
-def train_request(settings: CloakSettings) -> TrainRequest:
-    """Options for the trainer; raises `InputError` naming the field that is missing."""
+def train_options(settings: CloakSettings) -> list[str]:
+    """Options of `cloak train`; raises `InputError` naming the field that is missing."""
     if settings.angle_last < settings.angle_first:
         raise InputError(f"Angles {settings.angle_first} to {settings.angle_last}: the last lies before the first")
     backgrounds = absolute(settings.backgrounds)
     if backgrounds and not Path(backgrounds).is_dir():
         raise InputError(f"Backgrounds folder {backgrounds} does not exist")
-    return TrainRequest(
-        detectors=trained_against(settings),
+    return options(
+        trained_against(settings),
         backgrounds=backgrounds,
         angles=f"{settings.angle_first}:{settings.angle_last}:{settings.angle_step}",
         preset=settings.preset,

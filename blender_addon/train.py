@@ -37,28 +37,19 @@ from .blender.faces import import_face_list, logo_names
 from .body.objects import require_body, subdivide
 from .body.samples import add_from_scene
 from .exchange.scenes import read_scene
-from .files.errors import InputError
+from .files.errors import InputError, Stopped
+from .files.writing import written
 from .poses.export import export, read_export
 from .poses.poses import PoseChoice
 from .result import render_check
-from .trainer.command_lines import (
-    TrainRequest,
-    absolute_detector,
-    cloak_command,
-    differing_options,
-    sample_words,
-    train_command,
-)
+from .trainer import command_lines
+from .trainer.command_lines import cloak_command, sample_words
 from .trainer.jobs import Job, TrainingJob
 from .trainer.python import find_python
 from .training import runs
 
 PRINT_SECONDS = 2.0
 PREVIEW_SIZE, PREVIEW_SAMPLES, PREVIEW_AZIMUTH = 512, 16, 15.0
-
-
-class Stopped(Exception):
-    """The training was stopped before its last step, with a valid checkpoint."""
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -118,14 +109,15 @@ def choice_of(options: argparse.Namespace) -> PoseChoice:
     return PoseChoice("RANGE", first, last, step)
 
 
-def request_of(options: argparse.Namespace) -> TrainRequest:
+def train_options(given: argparse.Namespace) -> list[str]:
     """What goes on to the trainer; paths are made absolute, because it works in a folder of its own."""
-    config = options.config and str(Path(options.config).absolute())
-    backgrounds = options.backgrounds
-    if backgrounds and Path(backgrounds).is_dir():
-        backgrounds = str(Path(backgrounds).absolute())
-    detector = absolute_detector(options.detector)
-    return TrainRequest((detector,), backgrounds, options.angles, options.preset, options.steps, options.device, config)
+    backgrounds = Path(given.backgrounds)
+    return command_lines.options(
+        [command_lines.absolute_detector(given.detector)],
+        backgrounds=backgrounds.absolute() if given.backgrounds and backgrounds.is_dir() else given.backgrounds,
+        **{name: getattr(given, name) for name in ("angles", "preset", "steps", "device")},
+        config=given.config and Path(given.config).absolute(),
+    )
 
 
 def find_body(options: argparse.Namespace, python: str, folder: Path) -> bpy.types.Object:
@@ -180,10 +172,8 @@ def main(arguments: list[str]) -> None:
         raise InputError(f"--out {options.out}: exists already (continue it with --resume, or name another folder)")
     for path, name in ((options.save, "--save"), (options.preview, "--preview")):
         require_writable(path and path.absolute(), name)
-    try:
+    with written(f"--out {options.out}"):
         run.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {options.out}: {run.parent} cannot be made ({error.strerror})") from None
     require_writable(run, "--out")
     if options.blend is not None:
         if not options.blend.is_file():
@@ -198,23 +188,20 @@ def main(arguments: list[str]) -> None:
         if name not in bpy.data.objects:
             raise InputError(f"--leave-out {name}: no such object in the file")
         bpy.data.objects[name].cloak.left_out = True
-    request = request_of(options)
-    train(options, obj, logo, python, request, run)
+    train(options, obj, logo, python, run)
     obj.cloak.run = str(run)
     finish(options, obj, run)
 
 
-def train(
-    options: argparse.Namespace, obj: bpy.types.Object, logo: str, python: str, request: TrainRequest, run: Path
-) -> None:
+def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, python: str, run: Path) -> None:
     """Export and train, with progress on standard output."""
-    folder, words = runs.input_folder(run), request.options()
+    folder, words = runs.input_folder(run), train_options(options)
     words += ["--made-from", "sample:train"] if options.sample else []
     words += [f"--init={options.init.absolute()}"] if options.init else []
     if options.resume and folder.is_dir():
         done, begun = read_export(folder), runs.remembered_options(run)
         runs.require_same_topology(obj, done.topology)
-        kept = differing_options(begun, words)
+        kept = command_lines.differing_options(begun, words)
         if kept:
             say(f"--resume keeps what the run was started with: {kept}")
         words = begun
@@ -224,7 +211,7 @@ def train(
         done = export(bpy.context, obj, logo, choice_of(options), folder)
         runs.remember_options(run, words)
     say(f"exported {done.poses} poses, {done.faces} faces, logo '{done.logo}' of '{done.object}' to {folder}")
-    command = train_command(python, words, done.scene, done.face_list, run)
+    command = command_lines.train_command(python, words, done.scene, done.face_list, run)
     job = TrainingJob(command + (["--resume"] if options.resume else []), run, folder).start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: job.cancel())
@@ -244,8 +231,8 @@ def train(
 
 def finish(options: argparse.Namespace, obj: bpy.types.Object, run: Path) -> None:
     """Apply the colours, save the .blend file, render the preview."""
-    result = runs.import_colors(bpy.context, obj, run)
-    say(f"{len(result.face_ids)} faces of '{obj.name}' wear the trained colours")
+    count = runs.import_colors(bpy.context, obj, run)
+    say(f"{count} faces of '{obj.name}' wear the trained colours")
     if options.save:
         bpy.ops.wm.save_as_mainfile(filepath=str(options.save.absolute()), check_existing=False)
         say(f"saved {options.save}")

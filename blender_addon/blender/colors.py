@@ -11,17 +11,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..files.errors import InputError
 from ..ui.window import areas
-from .mesh_arrays import (
-    corner_counts,
-    corner_vertices,
-    current_mesh,
-    image_pixels,
-    mean_of_corners,
-    read,
-    write_attribute,
-)
+from . import mesh_arrays as arrays
+from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
 
 CLOAK = "Cloak"
 """Name of the colour attribute that holds the trained colours."""
@@ -60,8 +52,7 @@ def linear_to_srgb(values: np.ndarray) -> np.ndarray:
 def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> None:
     """Write one sRGB colour per face, [F, 3], into the corner colour attribute `name`, made where there is none."""
     mesh = obj.data
-    if obj.mode == "EDIT":
-        raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
+    arrays.require_object_mode(obj, "Leave Edit Mode (Tab) to see the colours on the model")
     attribute = mesh.color_attributes.get(name)
     if attribute is None or attribute.domain != "CORNER" or attribute.data_type != "FLOAT_COLOR":
         if mesh.attributes.get(name) is not None:
@@ -78,8 +69,8 @@ def read_face_colors(obj: bpy.types.Object, name: str) -> np.ndarray:
     with current_mesh(obj) as mesh:
         attribute = mesh.color_attributes[name]
         values = read(attribute.data, "color", 4)[:, :3]
-        values = values[corner_vertices(mesh)] if attribute.domain == "POINT" else values
-        return linear_to_srgb(mean_of_corners(corner_counts(mesh), values))
+        values = values[arrays.corner_vertices(mesh)] if attribute.domain == "POINT" else values
+        return linear_to_srgb(arrays.mean_of_corners(corner_counts(mesh), values))
 
 
 def show_attribute(context: bpy.types.Context, obj: bpy.types.Object, name: str | None) -> None:
@@ -113,39 +104,35 @@ def shows_heat(obj: bpy.types.Object) -> bool:
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def attribute_material(name: str, title: str = "") -> bpy.types.Material:
-    """The material called `title` (or as the attribute) whose base colour is the colour attribute `name`."""
-    material = bpy.data.materials.get(title or name)
-    if material is not None and material.library is None and _shows_attribute(material, name):
-        return material
-    material = bpy.data.materials.new(title or name)
-    nodes, links = nodes_of(material)
-    source = base_color_from(nodes, links, "ShaderNodeVertexColor")
-    source.layer_name = name
+def attribute_material(name: str, title: str, unlit: bool = False) -> bpy.types.Material:
+    """The material of this title that shows the colour attribute `name`: as matte cloth, or `unlit`."""
+    material = bpy.data.materials.get(title)
+    if material is None or material.library is not None or not _shows_attribute(material, name):
+        material, source = new_material(title, "ShaderNodeVertexColor", unlit)
+        source.layer_name = name
     return material
 
 
-def base_color_from(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, kind: str) -> bpy.types.Node:
-    """A new node that gives a matte material its base colour."""
+def new_material(title: str, kind: str, unlit: bool = False) -> tuple[bpy.types.Material, bpy.types.Node]:
+    """A new material, and its new node of this kind that gives it its colour."""
+    material = bpy.data.materials.new(title)
+    nodes, links = nodes_of(material)
     shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = 0.6
     source = nodes.new(kind)
     source.location = (shader.location.x - 320, shader.location.y)
     links.new(source.outputs["Color"], shader.inputs["Base Color"])
-    return source
+    if unlit:
+        emission, output = nodes.new("ShaderNodeEmission"), next(n for n in nodes if n.type == "OUTPUT_MATERIAL")
+        nodes.remove(shader)
+        links.new(source.outputs["Color"], emission.inputs["Color"])
+        links.new(emission.outputs[0], output.inputs["Surface"])
+    return material, source
 
 
 def cloak_material(look: str) -> bpy.types.Material:
-    """The material of a look: emission of the trained colours, or a matte cloth that light falls on."""
-    material = attribute_material(CLOAK, LOOKS[look])
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    if look == SEEN and not any(node.type == "EMISSION" for node in nodes):
-        source = next(node for node in nodes if node.bl_idname == "ShaderNodeVertexColor")
-        nodes.remove(next(node for node in nodes if node.type == "BSDF_PRINCIPLED"))
-        emission, output = nodes.new("ShaderNodeEmission"), next(n for n in nodes if n.type == "OUTPUT_MATERIAL")
-        links.new(source.outputs["Color"], emission.inputs["Color"])
-        links.new(emission.outputs[0], output.inputs["Surface"])
-    return material
+    """The material of a look: the trained colours as they are, or on a matte cloth that light falls on."""
+    return attribute_material(CLOAK, LOOKS[look], unlit=look == SEEN)
 
 
 def set_look(obj: bpy.types.Object, look: str) -> None:
@@ -212,9 +199,9 @@ def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None
 
 def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
     """[F] int32: material slot of each face; from the attribute, which is ten times as fast as from the polygons."""
-    attribute = mesh.attributes.get(SLOTS)
+    known = SLOTS in mesh.attributes
     return (
-        np.zeros(len(mesh.polygons), np.int32) if attribute is None else read(attribute.data, "value", dtype=np.int32)
+        read(mesh.attributes[SLOTS].data, "value", dtype=np.int32) if known else np.zeros(len(mesh.polygons), np.int32)
     )
 
 
@@ -289,25 +276,23 @@ def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | 
     width, height = image.size
     if not width or not height:
         return None
-    pixels = image_pixels(image)
+    pixels = arrays.image_pixels(image)
     pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    middle = np.nan_to_num(mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
+    middle = (
+        np.nan_to_num(arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
+    )
     x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
     y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
     texels = pixels[y, x]
     return linear_to_srgb(texels) if image.is_float else texels
 
 
-# --- heat map --------------------------------------------------------------------------------------------------------
-
-
 def heat_colors(heat: np.ndarray) -> np.ndarray:
     """[F] heat to [F, 3] sRGB: dark blue through magenta and orange to pale yellow; the hottest 1 % saturate."""
     top = float(np.quantile(heat, 0.99)) if heat.size else 0.0
     level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
-    return np.stack(
-        [np.interp(level, np.linspace(0, 1, len(channel)), channel) for channel in np.transpose(HEAT_STOPS)], -1
-    )
+    places = np.linspace(0, 1, len(HEAT_STOPS))
+    return np.stack([np.interp(level, places, channel) for channel in np.transpose(HEAT_STOPS)], -1)
 
 
 # --- view transform --------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ..exchange.bodies import topology_hash
+from ..files.errors import InputError
 
 _open: dict[int, bpy.types.Mesh] = {}
 """Copies of meshes in Edit Mode that are in use now, by their object's `session_uid`."""
@@ -70,6 +71,20 @@ def object_mode(obj: bpy.types.Object) -> Iterator[None]:
     finally:
         if editing:
             bpy.ops.object.mode_set(mode="EDIT")
+
+
+def require_object_mode(obj: bpy.types.Object, message: str) -> None:
+    """Raise `InputError` with this message while the object is in Edit Mode."""
+    if obj.mode == "EDIT":
+        raise InputError(message)
+
+
+def choose(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Make an object the active one, and the only one that is selected."""
+    for other in context.selected_objects:
+        other.select_set(False)
+    obj.select_set(True)
+    context.view_layer.objects.active = obj
 
 
 def face_count(obj: bpy.types.Object) -> int:

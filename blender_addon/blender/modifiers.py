@@ -15,8 +15,9 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
+from . import mesh_arrays as arrays
 from .faces import logo_names
-from .mesh_arrays import current_mesh, evaluated_mesh, face_count, object_mode, polygon_loops, read, write_attribute
+from .mesh_arrays import current_mesh, evaluated_mesh, read
 
 CARRIED = "cloak_carried_face"
 """Integer face attribute, for the time of an export: each own face's number, counted from 1."""
@@ -36,7 +37,7 @@ def keeps_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> bool:
     with current_mesh(obj) as mesh:
         if len(evaluated.polygons) != len(mesh.polygons) or len(evaluated.vertices) != len(mesh.vertices):
             return False
-        return all(map(np.array_equal, polygon_loops(evaluated), polygon_loops(mesh)))
+        return all(map(np.array_equal, arrays.polygon_loops(evaluated), arrays.polygon_loops(mesh)))
 
 
 def changes_faces(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> bool:
@@ -49,13 +50,13 @@ def changes_faces(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> bool:
 def numbered_faces(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """During the block the objects' own faces have numbers, which `carried_faces` reads off the evaluated mesh."""
     for obj in objects:
-        with object_mode(obj):
-            write_attribute(obj.data, CARRIED, "INT", np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32))
+        with arrays.object_mode(obj):
+            arrays.write_attribute(obj.data, CARRIED, "INT", np.arange(1, len(obj.data.polygons) + 1, dtype=np.int32))
     try:
         yield
     finally:
         for obj in objects:
-            with object_mode(obj):
+            with arrays.object_mode(obj):
                 obj.data.attributes.remove(obj.data.attributes[CARRIED])
                 obj.data.update_tag()
 
@@ -66,7 +67,7 @@ def carried_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> np.ndarra
     if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT" or not len(attribute.data):
         return None
     own = read(attribute.data, "value", dtype=np.int32) - 1
-    strange = (own < 0) | (own >= face_count(obj))
+    strange = (own < 0) | (own >= arrays.face_count(obj))
     return None if strange.all() else np.where(strange, -1, own)
 
 
@@ -126,8 +127,5 @@ def applied_copy(context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types
     for collection in obj.users_collection:
         collection.objects.link(copy)
     obj.hide_set(True)
-    for other in context.selected_objects:
-        other.select_set(False)
-    copy.select_set(True)
-    context.view_layer.objects.active = copy
+    arrays.choose(context, copy)
     return copy

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 from mathutils.geometry import closest_point_on_tri, intersect_ray_tri
 
@@ -65,17 +66,16 @@ class Surface:
         distance = np.array([(np.array(place) - start) @ ray for place in met if place is not None])
         return self.middle + start + np.sort(distance[distance > 0])[:, None] * ray
 
-    def face_at(self, place: np.ndarray) -> int:
-        """Find the visible face at a point, else the one with the nearest centre; -1 if there is none."""
-        point = (place - self.middle).astype(np.float32)
-        return self._face_at(point, self._squared_to(point))
-
-    def _squared_to(self, point: np.ndarray) -> np.ndarray:
-        """[P] squared distances of the shown faces' centres from a point relative to `middle`; infinite for others."""
-        offset = self.centers.T - point[:, None]
-        return np.where(self.shown, (offset * offset).sum(0), np.float32(np.inf))
+    def under(self, region: bpy.types.Region, view: bpy.types.RegionView3D, mouse: Vector) -> tuple[np.ndarray, Vector]:
+        """`hits` of the ray through a pixel of a viewport, and the ray's direction."""
+        direction = region_2d_to_vector_3d(region, view, mouse)
+        return self.hits(np.array(region_2d_to_origin_3d(region, view, mouse)), np.array(direction)), direction
 
     def _face_at(self, point: np.ndarray, squared: np.ndarray) -> int:
+        """The face at a point relative to `middle`, else the one with the nearest centre; -1 if there is none.
+
+        squared [P]: distances of the centres from the point, squared; infinite for hidden faces.
+        """
         near = np.flatnonzero(squared <= self.reach_squared)
         if len(near):
             triangles, face = self.triangles(near)
@@ -86,7 +86,8 @@ class Surface:
     def around(self, place: np.ndarray, radius: float) -> np.ndarray:
         """The faces whose centres lie within a radius of a place on the surface, and that look to its side; [n]."""
         point = (place - self.middle).astype(np.float32)
-        squared = self._squared_to(point)
+        offset = self.centers.T - point[:, None]
+        squared = np.where(self.shown, (offset * offset).sum(0), np.float32(np.inf))
         touched = self._face_at(point, squared)
         if touched < 0:
             return np.zeros(0, np.int64)

@@ -15,7 +15,7 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
-from ..blender.faces import logo_mask, logo_names
+from ..blender.faces import logo_mask
 from ..blender.mesh_arrays import box_of, to_world, topology
 from ..blender.surface import read_surface
 from ..files.errors import InputError
@@ -55,20 +55,11 @@ def worn_by(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 def wearable(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """List the worn objects, with the ones that the user left out."""
-    armature, box = armature_of(obj), box_of(obj)
-    children = set(obj.children_recursive)
-    return sorted(
-        (
-            o
-            for o in bpy.context.view_layer.objects
-            if o.type == "MESH"
-            and o != obj
-            and len(o.data.polygons)
-            and o.visible_get()
-            and (o in children or (armature is not None and armature_of(o) == armature) or _lies_on(o, obj, box))
-        ),
-        key=lambda o: o.name,
-    )
+    armature, box, children = armature_of(obj), box_of(obj), set(obj.children_recursive)
+    is_tied = lambda o: o in children or (armature is not None and armature_of(o) == armature)
+    others = (o for o in bpy.context.view_layer.objects if o.type == "MESH" and o != obj and len(o.data.polygons))
+    worn = (o for o in others if o.visible_get() and (is_tied(o) or _lies_on(o, obj, box)))
+    return sorted(worn, key=lambda o: o.name)
 
 
 def _lies_on(other: bpy.types.Object, obj: bpy.types.Object, box: np.ndarray) -> bool:
@@ -81,11 +72,6 @@ def _lies_on(other: bpy.types.Object, obj: bpy.types.Object, box: np.ndarray) ->
         return False
     shared = np.minimum(high, box[1] + 0.05 * extent) - np.maximum(low, box[0] - 0.05 * extent)
     return bool((shared > 0).all() and np.prod(shared / np.maximum(size, 1e-9)) > BESIDE)
-
-
-def also_wearing(obj: bpy.types.Object, logo: str) -> list[bpy.types.Object]:
-    """Clothing that has a logo of this name too."""
-    return [worn for worn in worn_by(obj) if logo in logo_names(worn.data)]
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:

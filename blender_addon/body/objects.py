@@ -120,17 +120,12 @@ def _split(bm: bmesh.types.BMesh, keep_quads: bool, show: Callable[[float], None
         bmesh.ops.triangulate(bm, faces=[f for f in bm.faces if len(f.verts) > 3])
     show(0.9)
     if hidden:
-        _hide_again(bm)
+        layer = bm.faces.layers.int["cloak_hidden"]
+        for face, flag in [(face, face[layer]) for face in bm.faces]:
+            if face.hide != flag:
+                face.hide_set(flag)
+        bm.faces.layers.int.remove(layer)
     bm.verts.layers.int.remove(bm.verts.layers.int["cloak_corner"])
-
-
-def _hide_again(bm: bmesh.types.BMesh) -> None:
-    layer = bm.faces.layers.int["cloak_hidden"]
-    flags = [face[layer] for face in bm.faces]
-    for face, flag in zip(bm.faces, flags, strict=True):
-        if face.hide != flag:
-            face.hide_set(flag)
-    bm.faces.layers.int.remove(layer)
 
 
 def _split_ngons(bm: bmesh.types.BMesh, keep_quads: bool) -> None:
@@ -150,15 +145,11 @@ def _average(bm: bmesh.types.BMesh, vert: bmesh.types.BMVert, ring: list[bmesh.t
     for layer in bm.verts.layers.shape.values():
         vert[layer] = sum((v[layer] for v in ring[1:]), ring[0][layer].copy()) / len(ring)
     deform = bm.verts.layers.deform.active
-    if deform is None:
-        return
-    weights: dict[int, float] = {}
-    for v in ring:
-        for group, weight in v[deform].items():
-            weights[group] = weights.get(group, 0.0) + weight / len(ring)
-    vert[deform].clear()
-    for group, weight in weights.items():
-        vert[deform][group] = weight
+    if deform is not None:
+        groups = {group for v in ring for group in v[deform].keys()}  # noqa: SIM118
+        vert[deform].clear()
+        for group in groups:
+            vert[deform][group] = sum(v[deform].get(group, 0.0) for v in ring) / len(ring)
 
 
 def blender_axes(vertices: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..blender.faces import active_logo, logo_names, write_faces
+from ..blender.mesh_arrays import require_object_mode
 from ..blender.modifiers import applied_copy
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
@@ -43,8 +44,7 @@ class CLOAK_OT_apply_copy(BodyOperator, label="Apply a Copy"):
 modifiers stay; shape keys end in their present mix"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        if obj.mode == "EDIT":
-            raise InputError("Leave Edit Mode (Tab) to apply modifiers")
+        require_object_mode(obj, "Leave Edit Mode (Tab) to apply modifiers")
         copy = applied_copy(context, obj)
         return f"'{copy.name}': {len(copy.data.polygons):,} faces; '{obj.name}' is hidden"
 

@@ -7,7 +7,7 @@ import bpy
 
 from ..trainer.preferences import PACKAGE, preferences, trainer_reason
 from ..translations import said
-from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
+from ..ui.panel_parts import CloakPanel, figure, wrapped
 from .garments import wearable
 from .objects import active_body, body_reason
 
@@ -23,13 +23,8 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         reason = body_reason(context)
         if reason:
             wrapped(self.layout, context, reason)
-        column = settings_column(self.layout)
-        column.enabled = not reason
-        if not reason:
-            obj = active_body(context)
-            count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
-            column.label(text=f"{obj.name}: {said(count)}", icon="MESH_DATA")
-            self._worn(obj)
+        else:
+            self._body(active_body(context))
         row = self.layout.row(align=True)
         splits = row.row(align=True)
         splits.enabled = not reason
@@ -41,14 +36,15 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
         self.progress(context, "Sample body")
         self._trainer(context)
 
-    def _worn(self, obj: bpy.types.Object) -> None:
-        """Draw the worn objects, each with its visibility switch."""
+    def _body(self, obj: bpy.types.Object) -> None:
+        """Draw the body and what it wears, each piece with its visibility switch."""
+        count = f"{len(obj.data.polygons):,} faces" if obj.mode != "EDIT" else "In Edit Mode"
+        self.layout.label(text=f"{obj.name}: {said(count)}", icon="MESH_DATA")
         for worn in wearable(obj)[:MOST_WORN]:
             row = self.layout.row(align=True)
             row.label(text=worn.name, icon="MATCLOTH")
-            row.prop(
-                worn.cloak, "left_out", text="", icon="HIDE_ON" if worn.cloak.left_out else "HIDE_OFF", toggle=True
-            )
+            icon = "HIDE_ON" if worn.cloak.left_out else "HIDE_OFF"
+            row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
 
     def _trainer(self, context: bpy.types.Context) -> None:
         """Draw which trainer is used, or how to get one."""

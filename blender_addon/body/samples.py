@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.mesh_arrays import box_of
+from ..blender.mesh_arrays import box_of, choose
 from ..exchange.bodies import Bodies
 from ..files.errors import InputError
 from .objects import blender_axes
@@ -31,10 +31,8 @@ def add_people(context: bpy.types.Context, bodies: Bodies, clothed: bool, name: 
         worn = add_from_scene(context, part_of(bodies, garment))
         worn.name = worn.data.name = garment.capitalize()
         worn.parent = obj
-        worn.select_set(False)
     obj.name = obj.data.name = name
-    obj.select_set(True)
-    context.view_layer.objects.active = obj
+    choose(context, obj)
     stand_clear(context, obj)
     return obj
 
@@ -76,9 +74,6 @@ def stand_clear(context: bpy.types.Context, obj: bpy.types.Object) -> None:
     obj.location.x += low[0] - start
 
 
-# --- bodies from a scene package -------------------------------------------------------------------------------------
-
-
 def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Object:
     """A new mesh object from a scene package: poses as shape keys over the frames 1..P, regions as logos.
 
@@ -100,15 +95,12 @@ def add_from_scene(context: bpy.types.Context, bodies: Bodies) -> bpy.types.Obje
     context.collection.objects.link(obj)
     for number, outfit in enumerate(bodies.face_colors, 1):
         colors.write_face_colors(obj, colors.OUTFIT if number == 1 else f"{colors.OUTFIT} {number}", outfit)
-    mesh.materials.append(colors.attribute_material(colors.OUTFIT))
+    mesh.materials.append(colors.attribute_material(colors.OUTFIT, colors.OUTFIT))
     colors.show_attribute(context, obj, colors.OUTFIT)
     if bodies.pose_count > 1:
         _key_poses(context.scene, obj, poses, bodies.names)
     if context.mode == "OBJECT":
-        for other in context.selected_objects:
-            other.select_set(False)
-        obj.select_set(True)
-        context.view_layer.objects.active = obj
+        choose(context, obj)
     return obj
 
 

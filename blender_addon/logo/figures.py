@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..blender.mesh_arrays import (
-    current_mesh,
-    hidden_faces,
-    mesh_triangles,
-    to_world,
-    triangle_areas,
-    vertex_points,
-)
+from ..blender.mesh_arrays import current_mesh, hidden_faces, mesh_triangles, to_world, triangle_areas, vertex_points
 from ..blender.occlusion import depth_buffer
 
 PIXELS = 320

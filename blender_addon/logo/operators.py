@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -14,17 +15,17 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..blender import colors, faces
 from ..blender.blend_paths import first_free
 from ..blender.colors import HEAT
+from ..blender.faces import read_selection
 from ..blender.mesh_arrays import current_mesh, read, topology, write_attribute
 from ..body.garments import is_dressed
-from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, require_upright
+from ..body.objects import active_body, logo_reason, object_of, of_the_body, refusal, upright_reason
 from ..exchange.face_lists import write_face_list
 from ..exchange.heat import hottest_faces
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
 from ..files.reading import read_npy
 from ..poses.export import export_bodies
-from ..properties import pose_choice, train_request
-from ..trainer.command_lines import TrainRequest, detector_options
+from ..properties import pose_choice, train_options
 from ..trainer.jobs import Job, run_cloak
 from ..trainer.preferences import user_folder
 from ..ui import props
@@ -33,7 +34,7 @@ from ..ui.operator import BodyOperator, CloakOperator, push_undo
 
 def selected_faces(obj: bpy.types.Object) -> np.ndarray:
     """Mask of the selected faces; `InputError` when there are none."""
-    mask = faces.read_selection(obj)
+    mask = read_selection(obj)
     if not mask.any():
         raise InputError("No faces selected: select some in Edit Mode (hidden faces do not count)")
     return mask
@@ -53,8 +54,9 @@ def take(obj: bpy.types.Object, mask: np.ndarray, name: str, add: bool = False) 
 class LogoOperator(BodyOperator):
     """Base of operators that give the active logo other faces: `faces_from(obj, mask) -> mask`."""
 
-    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        raise NotImplementedError
+    def __init_subclass__(cls, faces_from: Callable[[bpy.types.Object, np.ndarray], np.ndarray], **about: str) -> None:
+        super().__init_subclass__(needs=logo_reason, **about)
+        cls.faces_from = staticmethod(faces_from)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         name = faces.active_logo(obj)
@@ -74,18 +76,28 @@ class CLOAK_OT_logo_new(BodyOperator, label="New from Selection"):
         return f"Logo '{take(obj, mask, self.name)}': {int(mask.sum()):,} faces"
 
 
-class CLOAK_OT_logo_assign(LogoOperator, label="Assign", needs=logo_reason):
+class CLOAK_OT_logo_assign(LogoOperator, label="Assign", faces_from=lambda obj, mask: mask | selected_faces(obj)):
     """Add the selected faces to the active logo"""
 
-    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        return mask | selected_faces(obj)
 
-
-class CLOAK_OT_logo_unassign(LogoOperator, label="Remove", needs=logo_reason):
+class CLOAK_OT_logo_unassign(LogoOperator, label="Remove", faces_from=lambda obj, mask: mask & ~read_selection(obj)):
     """Take the selected faces out of the active logo"""
 
-    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        return mask & ~faces.read_selection(obj)
+
+def smaller(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
+    """The faces of a mask that touch none outside of it; `InputError` when none would be left."""
+    kept = ~faces.grow(obj, ~mask)
+    if not kept.any():
+        raise InputError("The logo is too small to shrink: nothing would be left")
+    return kept
+
+
+class CLOAK_OT_logo_grow(LogoOperator, label="Grow", faces_from=faces.grow):
+    """Extend the active logo by the faces around it"""
+
+
+class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", faces_from=smaller):
+    """Take the outermost faces off the active logo"""
 
 
 class CLOAK_OT_logo_select(BodyOperator, label="Select", needs=logo_reason):
@@ -129,23 +141,6 @@ class CLOAK_OT_logo_mirror(BodyOperator, label="Mirror", needs=logo_reason):
         return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
 
 
-class CLOAK_OT_logo_grow(LogoOperator, label="Grow", needs=logo_reason):
-    """Extend the active logo by the faces around it"""
-
-    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        return faces.grow(obj, mask)
-
-
-class CLOAK_OT_logo_shrink(LogoOperator, label="Shrink", needs=logo_reason):
-    """Take the outermost faces off the active logo"""
-
-    def faces_from(self, obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
-        smaller = ~faces.grow(obj, ~mask)  # drops faces that touch one outside the logo
-        if not smaller.any():
-            raise InputError("The logo is too small to shrink: nothing would be left")
-        return smaller
-
-
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
@@ -175,10 +170,9 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List")
         return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"
 
 
-@of_the_body
-def heatmap_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+def heatmap_reason(context: bpy.types.Context) -> str:
     """Why the detector cannot be asked which faces it looks at."""
-    return refusal(require_upright, obj) or refusal(train_request, context.scene.cloak)
+    return upright_reason(context) or refusal(train_options, context.scene.cloak)
 
 
 @of_the_body
@@ -206,7 +200,7 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", needs=heatmap_reason):
             bpy.ops.object.mode_set(mode="OBJECT")
         folder = first_free(user_folder("heatmap"), "heat")
         write_scene(folder / "scene", export_bodies(context, obj, pose_choice(settings)))
-        words = heatmap_words(train_request(settings), folder)
+        words = heatmap_words(train_options(settings), folder)
         uid, expected = obj.session_uid, topology(obj)
 
         def show(job: Job) -> str:
@@ -221,10 +215,11 @@ class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", needs=heatmap_reason):
         return "Measuring which faces move the detector" + run_cloak("Heatmap", words, folder, "heatmap", show, True)
 
 
-def heatmap_words(request: TrainRequest, folder: Path) -> list[object]:
-    """`cloak logo heatmap` of the first detector, from `scene` to `heat.npy` in a folder."""
-    options = detector_options(request.detectors[:1]) + request.options("backgrounds", "angles", "device")
-    return ["logo", "heatmap", "--scene", folder / "scene", *options, "--out", folder / "heat.npy"]
+def heatmap_words(options: list[str], folder: Path) -> list[object]:
+    """`cloak logo heatmap` of the first detector of a training, from `scene` to `heat.npy` in a folder."""
+    detector = next(word for word in options if word.startswith("--detector="))
+    others = [word for word in options if word.startswith(("--backgrounds=", "--angles=", "--device="))]
+    return ["logo", "heatmap", "--scene", folder / "scene", detector, *others, "--out", folder / "heat.npy"]
 
 
 def show_heat(context: bpy.types.Context, obj: bpy.types.Object, heat: np.ndarray) -> None:

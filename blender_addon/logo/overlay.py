@@ -43,12 +43,17 @@ _Key = tuple[str, int, object]
 """What a kept value was computed from: the logo, its object, and whatever else may change the value."""
 
 
+def _active(obj: bpy.types.Object) -> str:
+    """Name of the active logo; "" for none."""
+    return faces.active_logo(obj) if faces.logo_names(obj.data) else ""
+
+
 def _key(obj: bpy.types.Object) -> _Key | None:
-    if not faces.logo_names(obj.data):
+    if not _active(obj):
         return None
     turn = tuple(value for row in obj.matrix_world.to_3x3() for value in row)  # a place changes nothing
     others = session.mesh_changes, obj.mode, turn, tuple(o.name for o in worn_by(obj))
-    return faces.active_logo(obj), obj.session_uid, others
+    return _active(obj), obj.session_uid, others
 
 
 class _Kept:
@@ -120,8 +125,7 @@ def _catch_up() -> float | None:
 
 def _parts(obj: bpy.types.Object, mask: np.ndarray) -> list[tuple[bpy.types.Object, np.ndarray]]:
     """The body and what the camera sees on it, each with its faces of the active logo."""
-    key = _key(obj)
-    return [(obj, mask), *((o, logo_mask(o, key[0])) for o in worn_by(obj) if key is not None)]
+    return [(obj, mask), *((o, logo_mask(o, _active(obj))) for o in worn_by(obj))]
 
 
 def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
@@ -131,12 +135,9 @@ def worn_stats(obj: bpy.types.Object, mask: np.ndarray) -> LogoStats:
 
 def worn_tint(obj: bpy.types.Object, mask: np.ndarray) -> np.ndarray:
     """`tint_triangles` of the body and of its clothing, in the body's space."""
-    back, key = np.array(obj.matrix_world.inverted_safe()), _key(obj)
-    found = [
-        arrays.to_world(tint_triangles(o, on_it, key[0] if key else ""), back @ np.array(o.matrix_world))
-        for o, on_it in _parts(obj, mask)
-        if on_it.any()
-    ]
+    back, logo = np.array(obj.matrix_world.inverted_safe()), _active(obj)
+    wearing = [(o, on_it) for o, on_it in _parts(obj, mask) if on_it.any()]
+    found = [arrays.to_world(tint_triangles(o, on_it, logo), back @ np.array(o.matrix_world)) for o, on_it in wearing]
     return np.concatenate([np.zeros((0, 3)), *found])
 
 
@@ -171,10 +172,10 @@ def _shown_mesh(obj: bpy.types.Object, mask: np.ndarray, logo: str = "") -> tupl
 
     Where modifiers make other faces: the logo as its attribute arrives there, else on the rest shape.
     """
-    mesh, key = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data, _key(obj)
+    mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     if len(mesh.polygons) == len(mask):
         return mesh, mask
-    attribute = mesh.attributes.get(logo or (key[0] if key else ""))
+    attribute = mesh.attributes.get(logo or _active(obj))
     if attribute is None or attribute.domain != "FACE":
         return obj.data, mask
     return mesh, arrays.read(attribute.data, "value", dtype=bool)
@@ -185,18 +186,14 @@ _stats, _tint, _outline = _Kept(worn_stats), _Kept(worn_tint), _Kept(outline_edg
 
 def _draw() -> None:
     """Viewport callback."""
-    obj = bpy.context.object
-    if obj is None or obj.type != "MESH" or not bpy.context.scene.cloak.tint or not obj.visible_get():
+    obj, overlays = bpy.context.object, bpy.context.space_data.overlay.show_overlays
+    if not overlays or not bpy.context.scene.cloak.tint or obj is None or obj.type != "MESH" or not obj.visible_get():
         return
-    if not bpy.context.space_data.overlay.show_overlays or not obj.data.polygons:
-        return
-    key = _key(obj)
-    if key is None:
-        return
+    key = _key(obj) if obj.data.polygons else None
     shown = _shown_colors(obj)
-    if shown == colors.HEATMAP:
+    if key is not None and shown == colors.HEATMAP:
         _outline.draw(obj, key, "LINES", OUTLINE)
-    elif shown != colors.CLOAK:
+    elif key is not None and shown != colors.CLOAK:
         _tint.draw(obj, key, "TRIS", TINT)
 
 

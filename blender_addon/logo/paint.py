@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 from bpy.props import CollectionProperty
-from bpy_extras.view3d_utils import region_2d_to_location_3d, region_2d_to_origin_3d, region_2d_to_vector_3d
+from bpy_extras.view3d_utils import region_2d_to_location_3d
 from mathutils import Vector
 
 from ..blender import faces
@@ -92,8 +92,12 @@ touches; with X-Ray on, also those behind, all through the body"""
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type in MOVES:
-            self._move(context, Vector((event.mouse_region_x, event.mouse_region_y)))
+        if event.type in MOVES:  # dabs all along the way, so that a quick mouse leaves no gaps
+            way = Vector((event.mouse_region_x, event.mouse_region_y)) - self._last
+            spacing = max(1.0, SPACING * self._pixels)
+            for _ in range(int(way.length / spacing)):
+                self._last = self._last + way.normalized() * spacing
+                self._touch(context, self._last)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             return self._finish(context)
         elif event.type in {"ESC", "RIGHTMOUSE"}:
@@ -109,18 +113,10 @@ touches; with X-Ray on, also those behind, all through the body"""
             return {"CANCELLED"}
         return self.attempt(self._write, self._obj, self._surface, np.flatnonzero(self._painted))
 
-    def _move(self, context: bpy.types.Context, mouse: Vector) -> None:
-        """Dabs all along the way from the last one, so that a quick mouse leaves no gaps."""
-        way, spacing = mouse - self._last, max(1.0, SPACING * self._pixels)
-        for _ in range(int(way.length / spacing)):
-            self._last = self._last + way.normalized() * spacing
-            self._touch(context, self._last)
-
     def _touch(self, context: bpy.types.Context, mouse: Vector) -> None:
         """One dab, where the mouse points; with X-Ray, one at each place that its ray meets."""
         view = (context.region, context.region_data)
-        origin, direction = region_2d_to_origin_3d(*view, mouse), region_2d_to_vector_3d(*view, mouse)
-        hits = self._surface.hits(np.array(origin), np.array(direction))
+        hits, _ = self._surface.under(*view, mouse)
         shading = context.space_data.shading
         through = shading.show_xray_wireframe if shading.type == "WIREFRAME" else shading.show_xray
         for place in map(Vector, hits if through else hits[:1]):

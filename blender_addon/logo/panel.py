@@ -83,7 +83,8 @@ class CLOAK_PT_regions(CloakPanel, label="Take, Change, Export", inside="logo"):
     """Logos of what belongs together already, and what changes a logo as a whole"""
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.body_column(context)
+        column = settings_column(self.layout)
+        column.enabled = not body_reason(context)
         row = column.row(align=True)
         row.operator_menu_enum("cloak.logo_from_material", "slot", text="Material")
         row.operator_menu_enum("cloak.logo_from_group", "group", text="Group")
@@ -101,7 +102,8 @@ class CLOAK_PT_stamp(CloakPanel, label="Stamp", inside="logo"):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.cloak
-        column = self.body_column(context)
+        column = settings_column(self.layout)
+        column.enabled = not body_reason(context)
         box = column.column(align=True)
         box.row(align=True).prop(settings, "stamp_kind", expand=True)
         if settings.stamp_kind == "TEXT":

@@ -4,14 +4,14 @@ seam islands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import bpy
 import numpy as np
 from bpy.props import EnumProperty
 
 from ..blender import colors
-from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, face_count, polygon_loops, read
+from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, polygon_loops, read
 from ..body.objects import ORIGINAL_FACE
 from ..files.errors import InputError
 from ..ui import props
@@ -39,29 +39,29 @@ def _menu(find: Callable[[bpy.types.Object], Items]) -> Callable[[object, bpy.ty
     return items
 
 
-def _numbered(names: Iterable[str]) -> Items:
+def materials(obj: bpy.types.Object) -> Items:
+    """The object's material slots."""
+    names = [slot.name or f"Slot {index + 1}" for index, slot in enumerate(obj.material_slots)]
     return [(str(index), name, f"Faces of {name}") for index, name in enumerate(names)]
 
 
-def _material_title(obj: bpy.types.Object, slot: int) -> str:
-    return obj.material_slots[slot].name or f"Slot {slot + 1}"
+def groups(obj: bpy.types.Object) -> Items:
+    """The object's vertex groups."""
+    return [(str(index), group.name, f"Faces of {group.name}") for index, group in enumerate(obj.vertex_groups)]
 
 
-def _materials(obj: bpy.types.Object) -> Items:
-    return _numbered(_material_title(obj, slot) for slot in range(len(obj.material_slots)))
+def face_sets(obj: bpy.types.Object) -> Items:
+    """Values of the mesh's integer face attributes, such as sculpting's face sets; the first MAX_SETS of each.
 
-
-def _groups(obj: bpy.types.Object) -> Items:
-    return _numbered(group.name for group in obj.vertex_groups)
-
-
-def _face_sets(obj: bpy.types.Object) -> Items:
-    sets = face_sets(obj)
-    return [(f"{value} {name}", _set_title(name, value), f"Faces whose '{name}' is {value}") for name, value in sets]
-
-
-def _set_title(name: str, value: int) -> str:
-    return f"Face Set {value}" if name == ".sculpt_face_set" else f"{name} {value}"
+    They took the place of face maps, which Blender 4 no longer has.
+    """
+    found: Items = []
+    with current_mesh(obj) as mesh:
+        for name in [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]:
+            title = "Face Set" if name == ".sculpt_face_set" else name
+            values = np.unique(_integers(mesh, name))[:MAX_SETS].tolist()
+            found += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
+    return found
 
 
 class PickOperator(BodyOperator):
@@ -76,8 +76,7 @@ class PickOperator(BodyOperator):
         with current_mesh(obj) as mesh:
             mask, name = self.pick(obj, mesh)
             if not mask.any():
-                count = f"{face_count(obj):,}"
-                raise InputError(f"'{name}' of '{obj.name}' has no faces: choose another (of {count} faces)")
+                raise InputError(f"'{name}' of '{obj.name}' has no faces: choose another (of {len(mask):,} faces)")
             name = take(obj, mask, name, self.add)
         return f"Logo '{name}': {int(mask.sum()):,} faces taken"
 
@@ -87,7 +86,7 @@ class CLOAK_OT_logo_from_material(PickOperator, label="From Material"):
 
     bl_property = "slot"
 
-    slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(_materials))
+    slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(materials))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -95,7 +94,7 @@ class CLOAK_OT_logo_from_material(PickOperator, label="From Material"):
 
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         slot = int(self.slot)  # faces under the cloak count for the material they had before
-        return colors.own_material_slots(obj, mesh) == slot, _material_title(obj, slot)
+        return colors.own_material_slots(obj, mesh) == slot, materials(obj)[slot][1]
 
 
 class CLOAK_OT_logo_from_group(PickOperator, label="From Vertex Group"):
@@ -103,7 +102,7 @@ class CLOAK_OT_logo_from_group(PickOperator, label="From Vertex Group"):
 
     bl_property = "group"
 
-    group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(_groups))
+    group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(groups))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -119,7 +118,7 @@ class CLOAK_OT_logo_from_face_set(PickOperator, label="From Face Set"):
 
     bl_property = "face_set"
 
-    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(_face_sets))
+    face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(face_sets))
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -130,7 +129,8 @@ class CLOAK_OT_logo_from_face_set(PickOperator, label="From Face Set"):
 
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         value, _, name = self.face_set.partition(" ")
-        return _integers(mesh, name) == int(value), _set_title(name, int(value))
+        title = next(title for key, title, _ in face_sets(obj) if key == self.face_set)
+        return _integers(mesh, name) == int(value), title
 
 
 class CLOAK_OT_logo_from_island(PickOperator, label="From Seam Island"):
@@ -156,17 +156,6 @@ def is_face_set(attribute: bpy.types.Attribute) -> bool:
     """Whether a mesh attribute sorts faces by whole numbers, and is not kept by Blender or Cloak for themselves."""
     whole = attribute.data_type in ("INT", "INT8")
     return whole and attribute.domain == "FACE" and attribute.name not in NOT_SETS
-
-
-def face_sets(obj: bpy.types.Object) -> list[tuple[str, int]]:
-    """Names and values of the mesh's integer face attributes, such as sculpting's face sets; the first MAX_SETS each.
-
-    They took the place of face maps, which Blender 4 no longer has.
-    """
-    with current_mesh(obj) as mesh:
-        names = [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]
-        values = {name: np.unique(_integers(mesh, name)) for name in names}
-    return [(name, int(value)) for name, found in values.items() for value in found[:MAX_SETS]]
 
 
 def _integers(mesh: bpy.types.Mesh, name: str) -> np.ndarray:

@@ -9,7 +9,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy.props import FloatVectorProperty
-from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
 from mathutils import Vector
 
 from ..blender.faces import face_areas
@@ -28,8 +27,11 @@ from .stamp import Placed, Projection, front_projection, laid, view_projection
 PAPER_SHARE = 0.044
 """Of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces."""
 HALVINGS = 7
-STEP = 1.08
-"""Factor of the size for one click of the mouse wheel."""
+SIZES = {
+    **dict.fromkeys(("WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"), 1.08),
+    **dict.fromkeys(("WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"), 1 / 1.08),
+}
+"""Factor of the size for a click of the mouse wheel, or a key."""
 HELP = "Move: place   Wheel, + -: size   R: rotate with the mouse   Click, Enter: stamp   Right click, Esc: cancel"
 
 
@@ -71,7 +73,12 @@ class CLOAK_OT_logo_stamp(StampOperator, label="Stamp"):
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         settings = self.lay(context, obj)
         if settings.stamp_from == "VIEW":
-            projection = _from_view(context, settings.stamp_size, self._placed.aspect)
+            area = context.area if context.area and context.area.type == "VIEW_3D" else None
+            area = area or next((area for _, area in areas("VIEW_3D")), None)
+            if area is None or area.spaces.active.region_3d is None:
+                raise InputError("No 3D viewport to stamp from: choose From > Front")
+            view = (main_region(area), area.spaces.active.region_3d)
+            projection = view_projection(*view, settings.stamp_size, self._placed.aspect)
         else:
             place = (settings.stamp_size, settings.stamp_center, settings.stamp_offset)
             projection = front_projection(obj, *place, self._placed.aspect)
@@ -170,11 +177,8 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         pressed = event.value == "PRESS"
         if event.type in MOVES:
             self._follow(event)
-        elif event.type in {"WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"} and pressed:
-            self.height *= STEP
-            self._show()
-        elif event.type in {"WHEELDOWNMOUSE", "NUMPAD_MINUS", "MINUS"} and pressed:
-            self.height /= STEP
+        elif event.type in SIZES and pressed:
+            self.height *= SIZES[event.type]
             self._show()
         elif event.type == "R" and pressed:
             self._turning = None if self._turning else (event.mouse_x, self.angle)
@@ -191,10 +195,9 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         if self._turning:
             self.angle = self._turning[1] - (event.mouse_x - self._turning[0]) * math.radians(0.5)
         else:
-            mouse = (event.mouse_x - self._region.x, event.mouse_y - self._region.y)
-            view = (self._region, self._area.spaces.active.region_3d, mouse)
-            origin, direction = region_2d_to_origin_3d(*view), region_2d_to_vector_3d(*view)
-            hits = self._placed.surface.hits(np.array(origin), np.array(direction))
+            mouse = Vector((event.mouse_x - self._region.x, event.mouse_y - self._region.y))
+            view = (self._region, self._area.spaces.active.region_3d)
+            hits, direction = self._placed.surface.under(*view, mouse)
             if len(hits):
                 self.place, self.direction = Vector(hits[0]), direction
         self._show()
@@ -208,11 +211,3 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         self._area.header_text_set(None)
         self._area.tag_redraw()
         return self.attempt(self.write, self._projection(), self.add) if stamps else {"CANCELLED"}
-
-
-def _from_view(context: bpy.types.Context, size: float, aspect: float) -> Projection:
-    area = context.area if context.area and context.area.type == "VIEW_3D" else None
-    area = area or next((area for _, area in areas("VIEW_3D")), None)
-    if area is None or area.spaces.active.region_3d is None:
-        raise InputError("No 3D viewport to stamp from: choose From > Front")
-    return view_projection(main_region(area), area.spaces.active.region_3d, size, aspect)

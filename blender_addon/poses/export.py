@@ -16,17 +16,10 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.faces import logo_mask, require_logo
+from ..blender.faces import logo_mask, logo_names, require_logo
 from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, to_world, topology, vertex_points
-from ..blender.modifiers import (
-    carried_faces,
-    changes_faces,
-    keeps_faces,
-    lost_reason,
-    modifiers_reason,
-    numbered_faces,
-)
-from ..body.garments import Garment, also_wearing, worn_by
+from ..blender.modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, modifiers_reason, numbered_faces
+from ..body.garments import Garment, worn_by
 from ..body.objects import active_body, body_reason, refusal, require_body, require_upright, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.face_lists import write_face_list
@@ -37,15 +30,7 @@ from ..files.reading import read_json
 from ..files.writing import new_folder, write_json
 from ..properties import pose_choice
 from ..ui.window import progress_cursor
-from .poses import (
-    PoseChoice,
-    first_frame,
-    list_poses,
-    require_faces,
-    require_own_animation,
-    require_size,
-    visit,
-)
+from .poses import PoseChoice, first_frame, list_poses, require_faces, require_own_animation, require_size, visit
 
 RECORD = "export.json"
 
@@ -84,7 +69,8 @@ def export_summary(context: bpy.types.Context) -> str:
     obj, settings = active_body(context), context.scene.cloak
     poses = len(list_poses(obj, pose_choice(settings)))
     text = f"{poses} pose{'s' * (poses != 1)} of {len(obj.data.polygons):,} faces"
-    worn, too = worn_by(obj), also_wearing(obj, obj.cloak.logo)
+    worn = worn_by(obj)
+    too = [o for o in worn if obj.cloak.logo in logo_names(o.data)]
     if worn:
         text += f", with {', '.join(o.name for o in worn)}"
     if too:
@@ -267,9 +253,10 @@ def read_export(folder: Path) -> Export:
     try:
         words = {key: str(record[key]) for key in ("object", "logo", "topology")}
         counts = {key: int(record[key]) for key in ("poses", "faces")}
+        worn = [
+            (str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in record.get("garments", [])
+        ]
         objects = [str(name) for name in record.get("objects", [])]
-        worn = record.get("garments", [])
-        garments = [Garment(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in worn]
-        return Export(folder, **words, **counts, objects=objects, garments=garments)
+        return Export(folder, **words, **counts, objects=objects, garments=[Garment(*g) for g in worn])
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / RECORD}: not the record of an export") from None

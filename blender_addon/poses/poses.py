@@ -232,36 +232,31 @@ def require_own_animation(objects: Iterable[bpy.types.Object], choice: PoseChoic
     """Raise `InputError` for poses of several actions if an object is simulated: its cache holds one animation."""
     if choice.source != "ACTIONS":
         return
-    for obj in objects:
-        for modifier in obj.modifiers:
-            if _is_simulated(modifier):
-                raise InputError(
-                    f"'{obj.name}' is simulated ({modifier.name}), in the scene's own animation alone: "
-                    "choose Frame Range instead of every action"
-                )
+    for obj, modifier in simulations(objects):
+        raise InputError(
+            f"'{obj.name}' is simulated ({modifier.name}), in the scene's own animation alone: "
+            "choose Frame Range instead of every action"
+        )
 
 
 def first_frame(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> int | None:
     """The frame from which on every frame has to be played; None where nothing is simulated, or all of it is baked."""
-    frames = [
-        modifier.point_cache.frame_start if modifier.type in _CACHED else scene.frame_start
-        for obj in objects
-        for modifier in obj.modifiers
-        if _is_simulated(modifier) and not (modifier.type in _CACHED and modifier.point_cache.is_baked)
-    ]
+    caches = [getattr(modifier, "point_cache", None) for _, modifier in simulations(objects)]  # nodes have none
+    frames = [cache.frame_start if cache else scene.frame_start for cache in caches if not (cache and cache.is_baked)]
     return min(frames, default=None)
 
 
-def _is_simulated(modifier: bpy.types.Modifier) -> bool:
-    if not modifier.show_viewport:
-        return False
-    return modifier.type in _CACHED or (modifier.type == "NODES" and _has_simulation(modifier.node_group))
+def simulations(objects: Iterable[bpy.types.Object]) -> Iterator[tuple[bpy.types.Object, bpy.types.Modifier]]:
+    """The simulated ones among objects, each with the modifier that does it."""
+    for obj in objects:
+        for modifier in (modifier for modifier in obj.modifiers if modifier.show_viewport):
+            if modifier.type in _CACHED or (modifier.type == "NODES" and _has_simulation(modifier.node_group)):
+                yield obj, modifier
 
 
 def _has_simulation(tree: bpy.types.NodeTree | None) -> bool:
     if tree is None:
         return False
     groups = (node.node_tree for node in tree.nodes if node.bl_idname == "GeometryNodeGroup")
-    return any(node.bl_idname == "GeometryNodeSimulationOutput" for node in tree.nodes) or any(
-        map(_has_simulation, groups)
-    )
+    simulates = any(node.bl_idname == "GeometryNodeSimulationOutput" for node in tree.nodes)
+    return simulates or any(map(_has_simulation, groups))

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ..blender import colors
-from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, triangle_corners
+from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_object_mode, triangle_corners
 from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
 
@@ -44,8 +44,7 @@ class Baked:
 def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambda fraction: None) -> Baked:
     """An image of what the body wears; makes the map `OWN_MAP` where the body has none, or one with too little room."""
     mesh = obj.data
-    if obj.mode == "EDIT":
-        raise InputError("Leave Edit Mode (Tab) to bake the cloak")
+    require_object_mode(obj, "Leave Edit Mode (Tab) to bake the cloak")
     if colors.CLOAK not in mesh.color_attributes:
         raise InputError(f"'{obj.name}' wears no trained colours: press Load Colours first")
     wanted, before = colors.read_face_colors(obj, colors.CLOAK), None
@@ -121,11 +120,10 @@ def make_own_map(mesh: bpy.types.Mesh, size: int) -> str:
 
 def squares(count: int, size: int, wanted: np.ndarray) -> np.ndarray:
     """[S, S, 4]: each face's colour in its square."""
-    side = squares_along(count, size)
+    side, pixels = squares_along(count, size), np.ones((size, size, 4), np.float32)
     row, column = np.minimum(np.mgrid[:size, :size] // (size // side), side - 1)
-    return np.concatenate([wanted[np.minimum(row * side + column, count - 1)], np.ones((size, size, 1))], -1).astype(
-        np.float32
-    )
+    pixels[..., :3] = wanted[np.minimum(row * side + column, count - 1)]
+    return pixels
 
 
 def rasterize(places: np.ndarray, triangle_face: np.ndarray, size: int) -> np.ndarray:
@@ -151,14 +149,12 @@ def _spread(pixels: np.ndarray) -> np.ndarray:
 
 def baked_material(image: bpy.types.Image, uv_map: str) -> bpy.types.Material:
     """A material that shows the image on a UV map, marked as an asset, so that the asset browser offers it."""
-    material = bpy.data.materials.new(image.name)
-    nodes, links = colors.nodes_of(material)
-    texture = colors.base_color_from(nodes, links, "ShaderNodeTexImage")
+    material, texture = colors.new_material(image.name, "ShaderNodeTexImage")
     texture.image = image
-    places = nodes.new("ShaderNodeUVMap")
+    places = material.node_tree.nodes.new("ShaderNodeUVMap")
     places.uv_map = uv_map
     places.location = (texture.location.x - 200, texture.location.y - 200)
-    links.new(places.outputs["UV"], texture.inputs["Vector"])
+    material.node_tree.links.new(places.outputs["UV"], texture.inputs["Vector"])
     material.asset_mark()
     material.asset_data.description = "Trained colours on the texture coordinates of the body they were trained on"
     if not bpy.app.background:

@@ -10,6 +10,7 @@ from pathlib import Path
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..trainer.command_lines import SAMPLES
+from ..trainer.progress import finite
 
 SUMMARY = Path("evaluation", "summary.json")
 CONTROLS = {"logo": "Cloak", "clothing": "Own clothing", "grey": "Grey", "random": "Random"}
@@ -53,7 +54,6 @@ class Judged:
     rates: dict[str, tuple[Rate, Rate]]
     """By control: at the threshold, and at the detector's own point."""
     sectors: tuple[Sector, ...]
-    """In the order of the azimuths."""
 
 
 @dataclass(frozen=True)
@@ -107,23 +107,18 @@ def _judged(spec: str, told: dict, summary: dict) -> Judged:
     known = [name for name in CONTROLS if isinstance(told.get(name), dict)]
     rates = {name: (_rate(told[name], ""), _rate(told[name], "_own")) for name in known}
     sectors = []
-    for azimuth, record in ((float(name), record) for name, record in told.get("by_angle", {}).items()):
-        cloak, images = _number(record.get("success")), int(record.get("n") or 0)
+    for name, record in told.get("by_angle", {}).items():
+        azimuth, cloak, images = float(name), finite(record.get("success")), int(record.get("n") or 0)
         if cloak is not None and images:
             found = record.get("n_conditional")  # images in which the body was found in its own clothing
             clothing = 1 - found / images if isinstance(found, int) else None
             sectors.append(Sector(azimuth, cloak, clothing, images))
-    sectors.sort(key=lambda sector: sector.azimuth)
     return Judged(spec, summary.get("operating_points", {}).get(spec), rates, tuple(sectors))
 
 
 def _rate(record: dict, suffix: str) -> Rate:
     low, high = record.get(f"ci95{suffix}") or (None, None)
-    return Rate(_number(record.get(f"success{suffix}")), _number(low), _number(high))
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    return Rate(finite(record.get(f"success{suffix}")), finite(low), finite(high))
 
 
 def kept_back(run: Path) -> bool:

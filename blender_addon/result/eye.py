@@ -8,20 +8,21 @@ over the viewport only where they belong to what it shows.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
 
 from ..blender.blend_paths import absolute
 from ..blender.mesh_arrays import evaluated_mesh, to_world, topology, vertex_points
 from ..body.garments import worn_by
-from ..body.objects import object_of, refusal
+from ..body.objects import object_of
 from ..files.errors import InputError
+from ..files.identity import sha256_arrays
 from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.onlooker import Onlooker, Seen
@@ -71,10 +72,13 @@ class Eye:
 
     def tick(self, context: bpy.types.Context) -> None:
         """Take what has been answered and ask what is new. Raises `InputError` when there is nothing to look at."""
-        if refusal(judges, context.scene.cloak) == "" and judges(context.scene.cloak) != self.specs:
+        specs = self.specs
+        with suppress(InputError):  # while a name is being typed the last detectors go on
+            specs = judges(context.scene.cloak)
+        if specs != self.specs:
             self._onlooker.stop()
-            self.specs, self.seen, self._asked = judges(context.scene.cloak), None, None
-            self._onlooker = self._start(self.specs)
+            self.specs, self.seen, self._asked = specs, None, None
+            self._onlooker = self._start(specs)
         failure = self._onlooker.failure()
         if failure:
             raise InputError(failure)
@@ -117,10 +121,10 @@ class Eye:
         run = run_of(obj)
         key = (session.mesh_changes, obj.cloak.run, run is not None and (run / "logo.npy").is_file())
         if self._fitting[0] != key:
-            fits = False
+            self._fitting = key, None
             with suppress(InputError):
-                fits = run is not None and trained_faces(run)[1] == topology(obj)
-            self._fitting = key, run if fits else None
+                if run is not None and trained_faces(run)[1] == topology(obj):
+                    self._fitting = key, run
         return self._fitting[1]
 
     def _looks_from(self, context: bpy.types.Context, obj: bpy.types.Object) -> Viewpoint:
@@ -153,12 +157,11 @@ class Eye:
 
 def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) -> str:
     """A hash of where the objects' evaluated vertices are."""
-    graph, known = context.evaluated_depsgraph_get(), hashlib.sha256()
+    graph, known = context.evaluated_depsgraph_get(), []
     for obj in objects:
         with evaluated_mesh(obj, graph) as (mesh, matrix):
-            known.update(to_world(vertex_points(mesh), matrix).tobytes())
-            known.update(str(len(mesh.polygons)).encode())
-    return known.hexdigest()
+            known += [to_world(vertex_points(mesh), matrix), np.array(len(mesh.polygons))]
+    return sha256_arrays(*known)
 
 
 # --- the one eye of this Blender --------------------------------------------------------------------------------------
@@ -209,13 +212,11 @@ def place_of_picture(context: bpy.types.Context, watching: Eye) -> Rectangle | N
     region, view, seen_from = context.region, context.region_data, watching.viewpoint
     if seen_from is None or view is None:
         return None
-    try:
-        if not of_view(context.scene, region, view, watching.object).is_like(seen_from):
-            return None
-    except InputError:
-        return None
-    whole = (0.0, 0.0, float(region.width), float(region.height))
-    return camera_frame(context) if view.view_perspective == "CAMERA" else whole
+    with suppress(InputError):
+        if of_view(context.scene, region, view, watching.object).is_like(seen_from):
+            whole = (0.0, 0.0, float(region.width), float(region.height))
+            return camera_frame(context) if view.view_perspective == "CAMERA" else whole
+    return None
 
 
 def box_in(place: Rectangle, box: tuple[float, ...], seen: Seen) -> Rectangle:
@@ -243,12 +244,10 @@ def draw() -> None:
 
 def lines(watching: Eye, fits: bool) -> list[tuple[str, tuple[float, float, float]]]:
     """Return the lines at the upper left and their colours. fits: the viewport shows the last picture."""
-    told = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
     if watching.message:
         return [("Detector's eye", WHITE), (watching.message, KINDS["clothing"][1])]
-    if watching.seen is None or not fits:
-        return told
-    for spec, glances in watching.seen.glances.items():
+    told = [("Detector's eye" + ("" if fits and not watching.waiting else " (looking...)"), WHITE)]
+    for spec, glances in watching.seen.glances.items() if watching.seen is not None and fits else ():
         point = next(iter(glances.values())).operating_point
         told.append((f"{short(spec)} reports from {point:g}", WHITE))
         for kind, glance in glances.items():

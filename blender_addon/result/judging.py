@@ -9,7 +9,7 @@ import bpy
 
 from ..blender.blend_paths import absolute
 from ..poses.poses import PoseChoice
-from ..trainer.command_lines import detector_options
+from ..trainer.command_lines import options
 from ..ui import props
 
 AROUND = 180
@@ -91,11 +91,11 @@ class CloakJudging(bpy.types.PropertyGroup):
 def evaluate_options(judging: CloakJudging, specs: tuple[str, ...], device: str) -> list[str]:
     """Options of `cloak evaluate`, but for the scene."""
     azimuths = len(range(-AROUND, AROUND, judging.angle))
-    words = [f"--angles={-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"]
+    angles = f"{-AROUND}:{-AROUND + (azimuths - 1) * judging.angle}:{judging.angle}"
+    words = options(specs, angles=angles, bare=min(BARE, judging.images), device=device)
     # One pose must do for all the images; of more poses some are drawn.
     words += [f"--images-per-view={math.ceil(judging.images / azimuths)}", f"--most-images={judging.images}"]
-    words.append(f"--bare={min(BARE, judging.images)}")
-    return [*words, *detector_options(specs), backgrounds_option(judging), f"--device={device}"]
+    return [*words, backgrounds_option(judging)]
 
 
 def backgrounds_option(judging: CloakJudging) -> str:

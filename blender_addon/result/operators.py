@@ -14,7 +14,7 @@ from ..body.objects import active_body, object_of, of_the_body, refusal
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..session import session
-from ..trainer.command_lines import cloak_command, detector_options
+from ..trainer.command_lines import cloak_command, options
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.onlooker import Onlooker
 from ..trainer.preferences import chosen_python, local_python
@@ -60,8 +60,8 @@ class CLOAK_OT_result_load(BodyOperator, label="Load Colours", needs=wear_reason
     """Bring the colours of the run folder onto the model"""
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        result = runs.import_colors(context, obj, run_of(obj))
-        return f"{len(result.face_ids):,} faces of '{obj.name}' wear the trained colours"
+        count = runs.import_colors(context, obj, run_of(obj))
+        return f"{count:,} faces of '{obj.name}' wear the trained colours"
 
 
 class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reason):
@@ -167,15 +167,15 @@ beside controls on the same images. The result is shown here and as a ring aroun
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
         run, judging = run_of(obj), settings.judging
-        options = evaluate_options(judging, judges(settings), settings.device)
+        words = ["evaluate", run, *evaluate_options(judging, judges(settings), settings.device)]
         folder = side_folder(run)
         if judging.frames:
             scene = folder / "evaluation scene"
             export_worn(context, obj, run, judging.frames, scene)
-            options.append(f"--scene={scene}")
+            words.append(f"--scene={scene}")
         elif not kept_back(run) and (input_folder(run) / "scene").is_dir():
-            options.append(f"--scene={input_folder(run) / 'scene'}")
-        words, ended = ["evaluate", run, *options], lambda job: _evaluated(job, run)
+            words.append(f"--scene={input_folder(run) / 'scene'}")
+        ended = lambda job: _evaluated(job, run)
         return f"Evaluating {run.name}" + run_cloak("Evaluation", words, folder, "evaluate", ended, True)
 
 
@@ -207,8 +207,8 @@ It goes on looking as you move, and while a training runs, until this is pressed
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
         python = local_python()
-        options = lambda specs: [*detector_options(specs), f"--device={settings.device}"]
-        start = lambda specs: Onlooker(cloak_command(python, "look", "-", *options(specs)), folder)
+        words = lambda specs: ("look", "-", *options(specs, device=settings.device))
+        start = lambda specs: Onlooker(cloak_command(python, *words(specs)), folder)
         opened = eye.Eye(obj, start, folder, judges(settings))
         if context.area is not None and context.area.type == "VIEW_3D":
             opened.region = main_region(context.area).as_pointer()

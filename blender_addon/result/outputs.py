@@ -112,7 +112,7 @@ class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason):
 
     def run(self, context: bpy.types.Context) -> str:
         seconds = context.scene.cloak.judging.film_seconds
-        return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"])
+        return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
 
 
 class CLOAK_OT_film(CloakOperator, label="Film with Camera", needs=camera_film_reason):
@@ -128,19 +128,16 @@ with what the detector sees. The camera looks at the middle of the body, which w
         return film(context, self.bl_label, FILM, options, choice)
 
 
-def film(
-    context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice | None = None
-) -> str:
+def film(context: bpy.types.Context, label: str, name: str, options: list[str], choice: PoseChoice) -> str:
     """Export the poses and film them; by the scene's camera where the options name none."""
     obj, settings = active_body(context), context.scene.cloak
     run = run_of(obj)
     suffix = {"png": ""}.get(settings.judging.film_format, f".{settings.judging.film_format}")
     folder = side_folder(run)
-    place = first_free(folder, name, suffix)
+    place, scene = first_free(folder, name, suffix), folder / f"{name} scene"
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
-    scene = folder / f"{name} scene"
-    bodies = export_worn(context, obj, run, choice or PoseChoice(), scene)
+    bodies = export_worn(context, obj, run, choice, scene)
     if not any(word.startswith("--camera=") for word in options):
         middles = (bodies.vertices.min(1).astype(float) + bodies.vertices.max(1)) / 2  # of the poses
         write_camera(context, folder / f"{name}.csv", middles.mean(0))

@@ -84,16 +84,11 @@ class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result"):
 
     def draw(self, context: bpy.types.Context) -> None:
         judging = context.scene.cloak.judging
-        column = settings_column(self.layout)
-        column.prop(judging, "bodies")
+        column = settings_column(self.layout, judging, "bodies")
         if judging.bodies == "FRAMES":
-            frames = column.column(align=True)
-            for name in ("frame_start", "frame_end", "frame_step"):
-                frames.prop(judging, name)
+            settings_column(column, judging, "frame_start", "frame_end", "frame_step", align=True)
         column.prop(judging, "backgrounds")
-        pair = column.column(align=True)
-        pair.prop(judging, "images")
-        pair.prop(judging, "angle")
+        settings_column(column, judging, "images", "angle", align=True)
         self.layout.operator("cloak.evaluate", icon="VIEWZOOM")
         self.progress(context, "Evaluation")
         state = run_list.selected(context)
@@ -135,9 +130,7 @@ class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
         column.operator("cloak.bake", icon="IMAGE_DATA")
         column.operator("cloak.turntable", icon="CON_ROTLIKE")
         column.operator("cloak.film", icon="VIEW_CAMERA")
-        settings = settings_column(self.layout)
-        settings.prop(judging, "film_format")
-        settings.prop(judging, "film_seconds")
+        settings_column(self.layout, judging, "film_format", "film_seconds")
         self.progress(context, "Print Sheets", "Turntable", "Film with Camera")
         if result_reason(context):
             return
@@ -155,9 +148,7 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
         open_ = watching is not None
         text = "Close the Eye" if open_ else "Look"
         self.layout.operator("cloak.eye", text=text, icon="HIDE_OFF" if open_ else "HIDE_ON", depress=open_)
-        column = settings_column(self.layout)
-        column.prop(judging, "eye_from")
-        column.prop(judging, "eye_background")
+        settings_column(self.layout, judging, "eye_from", "eye_background")
         if watching is None:
             if session.eye_closed_because:
                 wrapped(self.layout, context, session.eye_closed_because, icon="ERROR")

@@ -14,10 +14,10 @@ from ..exchange.bodies import Bodies
 from ..exchange.face_lists import read_face_list
 from ..exchange.scenes import write_scene
 from ..files.errors import InputError
-from ..poses.export import RECORD, export_bodies, read_export
+from ..poses.export import export_bodies
 from ..poses.poses import PoseChoice
 from ..training.run_states import read_state
-from ..training.runs import input_folder, run_of
+from ..training.runs import export_of, run_of
 
 
 @of_the_body
@@ -67,9 +67,8 @@ def export_worn(
 
 def require_same_clothes(obj: bpy.types.Object, run: Path | None) -> None:
     """Raise `InputError` if the visible objects differ from those of the training, where the run records them."""
-    if run is None or not (input_folder(run) / RECORD).is_file():
-        return
-    names = read_export(input_folder(run)).objects
+    done = export_of(run) if run else None
+    names = done.objects if done else []
     then, now = set(names[1:]), {o.name for o in worn_by(obj) if names}
     if now - then:
         raise InputError(f"{run.name} was trained without '{min(now - then)}': leave it out (step 1), or train again")

@@ -12,7 +12,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from ..body.garments import undress, worn_by
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.specs import without_folders
-from ..files.writing import write_json
+from ..files.writing import write_json, written
 
 THRESHOLD = 0.6
 """A person counts as detected at this score."""
@@ -51,10 +51,8 @@ class Plan:
 def new_folder_in(parent: Path) -> Path:
     """A folder `render check N` that did not exist."""
     folder = next(f for f in (parent / f"render check {n}" for n in itertools.count(1)) if not f.exists())
-    try:
+    with written(folder):
         folder.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder
 
 
@@ -99,19 +97,21 @@ def run_plan(path: Path) -> None:
 class Verdict:
     """One detector's scores of the renders."""
 
-    with_cloak: tuple[float, ...]
-    """Highest person score of each render with the cloak."""
-    without: tuple[float, ...]
-    """Highest person score of each render without the cloak (control)."""
-    images: tuple[Path, ...] = ()
-    """The renders in the order of the scores; those with the cloak come first."""
-    threshold: float = THRESHOLD
+    scores: tuple[float, ...]
+    """Highest person score of each render: first those with the cloak, then as many without (control)."""
+    images: tuple[Path, ...]
+    """The renders in the order of the scores."""
+    spec: str
+    threshold: float
     """The detector reports a person from this score on."""
-    spec: str = ""
 
     @property
-    def scores(self) -> tuple[float, ...]:
-        return self.with_cloak + self.without
+    def with_cloak(self) -> tuple[float, ...]:
+        return self.scores[: len(self.scores) // 2]
+
+    @property
+    def without(self) -> tuple[float, ...]:
+        return self.scores[len(self.scores) // 2 :]
 
     @property
     def holds(self) -> bool:
@@ -145,16 +145,10 @@ def verdicts(plan: Plan, thresholds: dict[str, float], answers: list[str]) -> li
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
     images = tuple(image_paths(plan))
     by_detector = zip(*[iter(scores)] * len(images), strict=True)
-    found = [_verdict(own, images, *one) for own, one in zip(by_detector, thresholds.items(), strict=True)]
+    found = [Verdict(own, images, *one) for own, one in zip(by_detector, thresholds.items(), strict=True)]
     record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
     write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
     return found
-
-
-def _verdict(scores: Iterable[float], images: tuple[Path, ...], spec: str, threshold: float) -> Verdict:
-    scores = tuple(scores)
-    half = len(scores) // 2
-    return Verdict(scores[:half], scores[half:], images, threshold, spec)
 
 
 def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
@@ -164,8 +158,10 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
         told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
-        threshold = lambda one: float(one.get("threshold", THRESHOLD))
-        found = [_verdict(map(float, one["scores"]), images, spec, threshold(one)) for spec, one in told.items()]
+        read = lambda spec, one: Verdict(
+            tuple(map(float, one["scores"])), images, spec, float(one.get("threshold", THRESHOLD))
+        )
+        found = [read(spec, one) for spec, one in told.items()]
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     return tuple(verdict for verdict in found if verdict.with_cloak)

@@ -7,6 +7,7 @@ stand where their cameras stood, so the ring is read by walking around the body.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -64,8 +65,7 @@ def arcs(sectors: Sequence[Sector]) -> list[Arc]:
 
 def color_of(success: float) -> tuple[float, float, float]:
     """sRGB of a success in [0, 1]."""
-    stops = np.array([FOUND, EVEN, HIDDEN])
-    return tuple(float(np.interp(success, (0, 0.5, 1), stops[:, channel])) for channel in range(3))
+    return tuple(float(np.interp(success, (0, 0.5, 1), stops)) for stops in zip(FOUND, EVEN, HIDDEN, strict=True))
 
 
 def on_circle(azimuth: float | np.ndarray) -> np.ndarray:
@@ -113,32 +113,28 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
         return None
     if obj is None or obj.type != "MESH" or state is None or state.evaluation is None:
         return None
-    if not context.scene.cloak.judging.ring or not obj.visible_get() or not obj.data.polygons:
-        return None
-    if not state.evaluation.worst_sectors() or not is_dressed(obj) or colors.shows_heat(obj):
-        return None
-    return obj, state.evaluation
+    wanted = context.scene.cloak.judging.ring and obj.visible_get() and obj.data.polygons
+    seen = wanted and state.evaluation.worst_sectors() and is_dressed(obj) and not colors.shows_heat(obj)
+    return (obj, state.evaluation) if seen else None
 
 
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
-_kept: tuple[object, Shape | None] = (None, None)
-"""The evaluation that was drawn last, and its ring."""
+@functools.lru_cache(1)
+def ring_shape(sectors: tuple[Sector, ...]) -> Shape:
+    """The ring as it was drawn last."""
+    places, paints = ring_triangles(sectors)
+    return Shape("TRIS", np.concatenate([places, np.zeros((len(places), 1))], 1), paints)
 
 
 def draw_ring() -> None:
     """Viewport callback, in the space of the scene."""
-    global _kept
     found = shown(bpy.context)
-    if found is None:
-        return
-    obj, evaluation = found
-    if _kept[0] is not evaluation:
-        places, paints = ring_triangles(evaluation.worst_sectors())
-        _kept = evaluation, Shape("TRIS", np.concatenate([places, np.zeros((len(places), 1))], 1), paints)
-    place, extent = stand(obj)
-    _kept[1].draw(Matrix.LocRotScale(place, None, Vector((extent,) * 3)))
+    if found is not None:
+        place, extent = stand(found[0])
+        matrix = Matrix.LocRotScale(place, None, Vector((extent,) * 3))
+        ring_shape(found[1].worst_sectors()).draw(matrix)
 
 
 def draw_words() -> None:
@@ -171,18 +167,10 @@ def _legend(evaluation: Evaluation, scale: float) -> None:
         fill(start + 10 * index * scale, y - 2 * scale, 10 * scale, 12 * scale, color_of(index / 10))
     write("hidden", start + 116 * scale, y)
     which = "the worst of several detectors" if len(evaluation.detectors) > 1 else evaluation.detectors[0].spec
-    lines = [
-        f"{evaluation.describe()}{' (of earlier colours)' if evaluation.outdated else ''}",
-        "outside: the cloak; inside: own clothing",
-        f"Success by azimuth at {evaluation.threshold:g}, {short(which)}",
-    ]
-    for number, line in enumerate(lines, 1):
-        write(line, x, y + number * step + 4 * scale)
+    write(f"Success by azimuth at {evaluation.threshold:g}, {short(which)}", x, y + 3 * step + 4 * scale)
+    write("outside: the cloak; inside: own clothing", x, y + 2 * step + 4 * scale)
+    earlier = " (of earlier colours)" if evaluation.outdated else ""
+    write(evaluation.describe() + earlier, x, y + step + 4 * scale)
 
 
-def _forget() -> None:
-    global _kept
-    _kept = None, None
-
-
-HOOKS = Hooks(drawing=((draw_ring, "POST_VIEW"), (draw_words, "POST_PIXEL")), closing=_forget)
+HOOKS = Hooks(drawing=((draw_ring, "POST_VIEW"), (draw_words, "POST_PIXEL")), closing=ring_shape.cache_clear)

@@ -125,7 +125,4 @@ def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float
     matrix = holder.matrix_world.normalized()
     corners = [matrix @ corner for corner in holder.data.view_frame(scene=context.scene)]
     places = [location_3d_to_region_2d(context.region, view, corner) for corner in corners]
-    if any(place is None for place in places):
-        return None
-    x, y = [place.x for place in places], [place.y for place in places]
-    return min(x), min(y), max(x), max(y)
+    return None if None in places else (*np.min(places, 0).tolist(), *np.max(places, 0).tolist())

@@ -14,8 +14,9 @@ from ..body.objects import active_body, refusal
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
-from ..trainer.command_lines import detector_options
+from ..trainer.command_lines import options
 from ..trainer.jobs import Job, run_cloak
+from ..trainer.progress import finite
 from ..training.detectors import judges
 from ..training.runs import run_of, side_folder
 from ..ui import props
@@ -72,10 +73,9 @@ def last_worn(run: Path) -> Worn | None:
 
 def _rates(told: dict) -> dict[str, float]:
     """At the detector's own threshold, where that is known."""
-    rates = {
-        name: rate.get("success_own", rate.get("success")) for name, rate in told.items() if isinstance(rate, dict)
-    }
-    return {name: float(value) for name, value in rates.items() if isinstance(value, (int, float))}
+    known = {name: rate for name, rate in told.items() if isinstance(rate, dict)}
+    rates = {name: finite(rate.get("success_own", rate.get("success"))) for name, rate in known.items()}
+    return {name: rate for name, rate in rates.items() if rate is not None}
 
 
 class CLOAK_OT_wear(CloakOperator, label="Wear"):
@@ -89,7 +89,7 @@ class CLOAK_OT_wear(CloakOperator, label="Wear"):
     def run(self, context: bpy.types.Context) -> str:
         settings, run = context.scene.cloak, run_of(active_body(context))
         people, place = people_file(settings.judging.people), first_free(side_folder(run), WEAR)
-        options = [f"--people={people}", *detector_options(judges(settings)), f"--device={settings.device}"]
+        words = ["wear", run, *options(judges(settings), people=people, device=settings.device), "--out", place]
 
         def ended(job: Job) -> str:
             try:
@@ -101,7 +101,7 @@ class CLOAK_OT_wear(CloakOperator, label="Wear"):
             write_json(place / ANSWER, record)
             return f"{count} people wear it"
 
-        waits = run_cloak("Wear", ["wear", run, *options, "--out", place], side_folder(run), "wear", ended)
+        waits = run_cloak("Wear", words, side_folder(run), "wear", ended)
         return f"{run.name} is put on by the people of {people.name}{waits}"
 
 
@@ -121,7 +121,7 @@ class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result"):
 
     def draw(self, context: bpy.types.Context) -> None:
         judging = context.scene.cloak.judging
-        settings_column(self.layout).prop(judging, "people")
+        settings_column(self.layout, judging, "people")
         self.layout.operator("cloak.wear", icon="COMMUNITY")
         self.progress(context, "Wear")
         worn = None if result_reason(context) else last_worn(run_of(active_body(context)))

@@ -7,7 +7,6 @@ Nothing here imports `cloak_core`; the two sides share files and exit codes only
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..files.specs import split_spec
@@ -16,30 +15,11 @@ SAMPLES = {"BARE": "sample:train", "CLOTHED": "sample-clothed:train"}
 """Training splits of the sample people; the other splits are held out for evaluation."""
 
 
-@dataclass(frozen=True)
-class TrainRequest:
-    """Options of `cloak train` by their names; empty strings and None leave the trainer's own default."""
-
-    detectors: tuple[str, ...] = ("builtin",)
-    backgrounds: str = ""
-    angles: str = "-10:10:5"
-    preset: str = ""
-    steps: int | None = None
-    device: str = ""
-    config: str = ""
-    """TOML file with further settings of the trainer."""
-
-    def options(self, *names: str) -> list[str]:
-        """Return the options that are set (by default all of them) as words of a command line."""
-        given = {name: value for name, value in asdict(self).items() if value not in ("", None)}
-        # In one word: a value that starts with a minus looks like an option otherwise.
-        words = detector_options(given.pop("detectors")) if not names or "detectors" in names else []
-        return words + [f"--{name}={given[name]}" for name in given if not names or name in names]
-
-
-def detector_options(specs: Iterable[str]) -> list[str]:
-    """Each detector as an option of its own."""
-    return [f"--detector={spec}" for spec in specs]
+def options(detectors: Iterable[str], **values: object) -> list[str]:
+    """Options of a command: each detector, and the values by their names; "" and None leave the trainer's default."""
+    # In one word: a value that starts with a minus looks like an option otherwise.
+    named = [f"--{name}={value}" for name, value in values.items() if value not in ("", None)]
+    return [*(f"--detector={spec}" for spec in detectors), *named]
 
 
 def differing_options(begun: list[str], now: list[str]) -> str:

@@ -168,9 +168,8 @@ def install_commands(base: Base, place: Path, source: Path, share_torch: bool) -
 def sweep(folder: Path, keep: Path | None) -> threading.Thread:
     """Remove every environment but one, without keeping anybody waiting: they hold thousands of files."""
     places = [place for place in folder.glob("*") if place.is_dir() and place != keep]
-    thread = threading.Thread(
-        target=lambda: [shutil.rmtree(place, ignore_errors=True) for place in places], name="cloak sweeps", daemon=True
-    )
+    remove = lambda: [shutil.rmtree(place, ignore_errors=True) for place in places]
+    thread = threading.Thread(target=remove, name="cloak sweeps", daemon=True)
     thread.start()
     return thread
 
@@ -192,8 +191,8 @@ class InstallJob(Job):
 
     def everything(self) -> str:
         """All that was said: to standard error, then to standard output."""
-        out, log = (path.read_text("utf-8", "replace") if path.is_file() else "" for path in self._files)
-        return "\n".join([log, *self.outputs, *([out] if self.running else [])])
+        log = self.log.read_text("utf-8", "replace") if self.log.is_file() else ""
+        return "\n".join([log, *self.outputs, *([self._said()] if self.running else [])])
 
     @property
     def complete(self) -> bool:

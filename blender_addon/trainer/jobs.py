@@ -64,16 +64,13 @@ class Job:
         self.on_tick: Callable[[Job], None] | None = None
         """Called at every look while it runs: live colours."""
         self.on_end, self._commands, self._process = on_end, list(commands), process
-        self._files = (folder / f"{name}.out", folder / f"{name}.log")
+        self.log = folder / f"{name}.log"
+        """What the commands said on standard error."""
+        self._out = folder / f"{name}.out"
         self._events, self._position = events, 0
         self._cancelled = False
 
     # --- what it says ---
-
-    @property
-    def log(self) -> Path:
-        """What the commands said on standard error."""
-        return self._files[1]
 
     @property
     def running(self) -> bool:
@@ -119,9 +116,9 @@ class Job:
             self._finish("failed", str(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
-        out, log = self._files
         # Ctrl-C in Blender's terminal is ours to pass on.
-        return start_process(through(command), out, log, stdin=subprocess.DEVNULL, start_new_session=os.name == "posix")
+        options = {"stdin": subprocess.DEVNULL, "start_new_session": os.name == "posix"}
+        return start_process(through(command), self._out, self.log, **options)
 
     def poll(self) -> bool:
         """Look in on the process; True while there is more to wait for."""
@@ -161,7 +158,7 @@ class Job:
 
     def _said(self) -> str:
         """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
-        return self._files[0].read_text("utf-8", "replace") if self._files[0].is_file() else ""
+        return self._out.read_text("utf-8", "replace") if self._out.is_file() else ""
 
     def _verdict(self, code: int) -> tuple[str, str]:
         if code == STOPPED or (self._cancelled and code != 0):
@@ -303,8 +300,7 @@ def run_cloak(
     events = folder / f"{name}.jsonl" if follow else None
     if events:
         events.unlink(missing_ok=True)
-        words = [*words, "--events", events]
-    command = cloak_command(chosen_python(), *words)
+    command = cloak_command(chosen_python(), *words, *(["--events", events] if events else []))
     on_end = lambda job: on_done(job) if job.state == "done" else None
     return waits(launch(Job(label, [command], folder, name, on_end, events)))
 

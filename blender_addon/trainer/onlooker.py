@@ -105,12 +105,6 @@ class Onlooker:
 
 def _glances(told: dict) -> dict[str, Glance]:
     """What one detector saw, by kind of clothing."""
-    return {
-        kind: Glance(
-            float(told[kind]["max_person"]),
-            tuple(tuple(map(float, box)) for box in told[kind]["boxes"]),
-            float(told["operating_point"]),
-        )
-        for kind in ("clothing", "cloak")
-        if kind in told
-    }
+    boxes = lambda one: tuple(tuple(map(float, box)) for box in one["boxes"])
+    found = ((kind, told[kind]) for kind in ("clothing", "cloak") if kind in told)
+    return {kind: Glance(float(one["max_person"]), boxes(one), float(told["operating_point"])) for kind, one in found}

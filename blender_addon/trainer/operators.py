@@ -16,15 +16,7 @@ from ..ui.operator import CloakOperator
 from . import install, jobs
 from .install import Base, InstallJob
 from .jobs import Job, last_words, launch
-from .preferences import (
-    CLICK_SECONDS,
-    INSTALLATION,
-    chosen_python,
-    local_python,
-    preferences,
-    use_python,
-    user_folder,
-)
+from .preferences import CLICK_SECONDS, INSTALLATION, chosen_python, local_python, preferences, use_python, user_folder
 from .python import INSTALL_LINE, Question, about_command, forget_answers, parse_about
 
 _bases: dict[str, Question] = {}

@@ -64,18 +64,18 @@ def take_event(progress: Progress, line: bytes) -> Progress:
         kind = event["type"]
     except (ValueError, KeyError, TypeError, RecursionError):
         return progress
-    step, seconds = _number(event.get("step")), _number(event.get("time"))
+    step, seconds = finite(event.get("step")), finite(event.get("time"))
     if kind == "end":
         return replace(progress, outcome="done" if event.get("outcome") == "done" else "stopped")
     if kind == "error":
         return replace(progress, outcome="failed", why=str(event.get("message", ""))[:200])
     if kind in ("start", "resume", "step"):
         progress = replace(progress, outcome="", why="")
-    if kind in ("start", "resume") and _number(event.get("steps")) is not None:
+    if kind in ("start", "resume") and finite(event.get("steps")) is not None:
         progress = replace(progress, steps=int(event["steps"]), seconds_per_step=None)
     if kind != "step" or step is None or step < progress.step:
         return progress
-    success = _number(event.get("success"))
+    success = finite(event.get("success"))
     if success is not None and progress.success is not None:
         success = 0.95 * progress.success + 0.05 * success  # one batch says little
     pace = progress.seconds_per_step
@@ -85,13 +85,14 @@ def take_event(progress: Progress, line: bytes) -> Progress:
     return replace(
         progress,
         step=int(step),
-        loss=_number(event.get("loss")),
+        loss=finite(event.get("loss")),
         success=progress.success if success is None else success,
         seconds=progress.seconds if seconds is None else seconds,
         seconds_per_step=pace,
     )
 
 
-def _number(value: object) -> float | None:
+def finite(value: object) -> float | None:
+    """A number of a record; None where it is something else, or not finite."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if usable else None

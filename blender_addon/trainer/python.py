@@ -34,6 +34,10 @@ print(json.dumps({"cloak": cloak_core.__version__, "torch": torch.__version__, "
 """
 
 
+NO_WINDOW = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
+"""Options of subprocess that keep Windows from opening a console."""
+
+
 def clean_environment() -> dict[str, str]:
     """The environment for the trainer: without what would point its Python at Blender's libraries.
 
@@ -48,7 +52,7 @@ def start_process(command: list[str], out: Path | int, log: Path, **options: obj
     try:
         with log.open("ab") as errors, out.open("wb") if isinstance(out, Path) else nullcontext(out) as file:
             streams = {"stdout": file, "stderr": errors, "cwd": log.parent, "env": clean_environment()}
-            return subprocess.Popen(command, **streams, **options, **no_window())
+            return subprocess.Popen(command, **streams, **options, **NO_WINDOW)
     except OSError as error:
         raise InputError(f"{error.filename or command[0]}: cannot be started ({error.strerror})") from None
 
@@ -72,17 +76,8 @@ def candidates() -> list[str]:
 def ask(python: str, program: str) -> subprocess.CompletedProcess:
     """What a Python answers to a short program. Raises `InputError`, without the Python's name: it does not answer."""
     try:
-        return subprocess.run(
-            [python, "-c", program],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=20,
-            env=clean_environment(),
-            stdin=subprocess.DEVNULL,
-            check=False,
-            **no_window(),
-        )
+        streams = {"capture_output": True, "text": True, "errors": "replace", "stdin": subprocess.DEVNULL}
+        return subprocess.run([python, "-c", program], timeout=20, env=clean_environment(), **streams, **NO_WINDOW)
     except OSError as error:
         raise InputError(f"cannot be run ({error.strerror})") from None
     except subprocess.TimeoutExpired:
@@ -118,29 +113,25 @@ class Question(threading.Thread):
 
 
 _questions: dict[str, Question] = {}
-"""By the chosen Python's path; "" is the search for any."""
+"""By the chosen Python: why it cannot train. By "": the first Python that can, "" for none."""
 
 
-def _path_of(chosen: str) -> str | None:
-    """The chosen Python's path, None where it cannot be run; "" where none is chosen."""
-    return shutil.which(os.path.expanduser(chosen)) if chosen else ""
-
-
-def _question(path: str) -> Question:
-    """What is being found out, or known: why this Python cannot train; of "" which Python can, "" for none."""
-    if path not in _questions:
+def _question(chosen: str) -> Question | None:
+    """What is being found out, or known, of the chosen Python, or of "" for any; None where it cannot be run."""
+    path = shutil.which(os.path.expanduser(chosen)) if chosen else ""
+    if path is not None and chosen not in _questions:
         find = lambda: next((python for python in candidates() if not trainer_reason(python)), "")
-        _questions[path] = Question(functools.partial(trainer_reason, path) if path else find)
-    return _questions[path]
+        _questions[chosen] = Question(functools.partial(trainer_reason, path) if path else find)
+    return None if path is None else _questions[chosen]
 
 
 def known_reason(chosen: str = "") -> str | None:
     """Why `find_python` would refuse, "" when it would not, None while that is being found out. Never waits."""
-    path = _path_of(chosen)
-    if path is None:
+    question = _question(chosen)
+    if question is None:
         return f"The trainer's Python '{chosen}' cannot be run"
-    answer = _question(path).answer
-    if not path and answer is not None:
+    answer = question.answer
+    if not chosen and answer is not None:
         return "" if answer else "No trainer yet: install it, or choose its Python"
     return f"The trainer's Python '{chosen}' {answer}" if answer else answer
 
@@ -156,21 +147,20 @@ def find_python(chosen: str = "", seconds: float = threading.TIMEOUT_MAX) -> str
     Waits so many seconds at most. A chosen Python that has not answered by then is taken at its word. Raises
     `InputError` with what to do when there is none, or none yet.
     """
-    path = _path_of(chosen)
-    if path is None:
+    question = _question(chosen)
+    if question is None:
         raise InputError(f"Python '{chosen}' cannot be run: choose another in the add-on's preferences")
-    question = _question(path)
     question.join(min(seconds, threading.TIMEOUT_MAX))
     answer = question.answer
-    if answer is not None and bool(answer) == bool(path):
-        del _questions[path]  # a refusal, or nothing found: ask again the next time
-    if path and answer:
+    if answer is not None and bool(answer) == bool(chosen):
+        del _questions[chosen]  # a refusal, or nothing found: ask again the next time
+    if chosen and answer:
         raise InputError(f"Python '{chosen}' {answer}: install it there, or choose another in the preferences")
-    if not path and answer is None:
+    if not chosen and answer is None:
         raise InputError("Still looking for a Python with cloak_core: try again in a moment")
-    if not path and not answer:
+    if not chosen and not answer:
         raise InputError("No Python with cloak_core found: install it, then choose it in the add-on's preferences")
-    return path or answer
+    return shutil.which(os.path.expanduser(chosen)) if chosen else answer
 
 
 def about_command(python: str) -> list[str]:
@@ -185,8 +175,3 @@ def parse_about(python: str, done: bool, stdout: str, last_line: str) -> dict[st
         return {key: str(record[key]) for key in ("cloak", "torch", "python", "device")}
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(f"'{python}' has no working cloak_core: {last_line or 'no answer'}") from None
-
-
-def no_window() -> dict:
-    """Keyword arguments of subprocess that keep Windows from opening a console."""
-    return {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}

@@ -95,11 +95,10 @@ class CloakDetector(bpy.types.PropertyGroup):
         """As the command line names it, without its threshold; `InputError` where a file is missing."""
         words = self.spec.strip() or BUILTIN
         if self.file:
-            file, suffix = existing(self.file, "Detector > File"), Path(self.file).suffix.lower()
-            if suffix not in FAMILIES:
-                raise InputError(f"{file}: a detector's file ends in {', '.join(FAMILIES)}")
-            weights = existing(self.weights, "Detector > Weights") if suffix == ".cfg" else ""
-            words = FAMILIES[suffix].format(file=file, weights=weights)
+            file = existing(self.file, "Detector > File")
+            words = family_of(Path(file))
+            weights = existing(self.weights, "Detector > Weights") if "{weights}" in words else ""
+            words = words.format(file=file, weights=weights)
         return f"{words}@{self.options.strip()}" if self.options.strip() else words
 
     @property
@@ -107,6 +106,13 @@ class CloakDetector(bpy.types.PropertyGroup):
         """Detector as the command line names it, with its threshold."""
         joined = "," if self.options.strip() else "@"
         return self.bare + (f"{joined}conf={self.threshold:.3g}" if self.threshold else "")
+
+
+def family_of(path: Path) -> str:
+    """How the trainer names a detector of this file; `InputError` for a file of none."""
+    if path.suffix.lower() not in FAMILIES:
+        raise InputError(f"{path}: a detector's file ends in {', '.join(FAMILIES)}")
+    return FAMILIES[path.suffix.lower()]
 
 
 def existing(path: str, label: str) -> str:
@@ -147,17 +153,14 @@ def active_detector(settings: bpy.types.PropertyGroup) -> CloakDetector | None:
 
 def add_file(settings: bpy.types.PropertyGroup, path: Path) -> CloakDetector:
     """A new entry for a file; of Darknet's two files the other is looked for beside it."""
-    suffix, weights = path.suffix.lower(), ""
-    if suffix == ".weights":
+    weights = ""
+    if path.suffix.lower() == ".weights":
         path, weights = path.with_suffix(".cfg"), str(path)
-        suffix = ".cfg"
         if not path.is_file():
             raise InputError(f"{weights}: its .cfg is not beside it; choose that")
-    elif suffix == ".cfg":
-        found = sorted(path.parent.glob(f"{path.stem}*.weights"))
-        weights = str(found[0]) if found else ""
-    if suffix not in FAMILIES:
-        raise InputError(f"{path}: a detector's file ends in {', '.join(FAMILIES)}")
+    elif path.suffix.lower() == ".cfg":
+        weights = next((str(found) for found in sorted(path.parent.glob(f"{path.stem}*.weights"))), "")
+    family_of(path)
     folder, added = blend_folder(), settings.detectors.add()
     added.file, added.weights = portable(str(path), folder), portable(weights, folder)
     settings.detector_index = len(settings.detectors) - 1
@@ -182,9 +185,6 @@ def take_over(*_: object) -> None:
             checkpoint = f":{absolute(old.torchvision_checkpoint)}" if old.torchvision_checkpoint else ""
             added.spec = f"torchvision:{old.torchvision_name}{checkpoint}"
         old.detector = "BUILTIN"
-
-
-# --- operators -------------------------------------------------------------------------------------------------------
 
 
 class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):

@@ -12,7 +12,7 @@ from ..body.objects import active_body, body_reason, logo_reason, of_the_body, r
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from ..poses.export import Export, export, poses_reason, read_export
-from ..properties import output_folder, pose_choice, train_request
+from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.command_lines import differing_options, train_command
 from ..trainer.jobs import Job, TrainingJob, busy, launch, waits
@@ -27,7 +27,7 @@ from .runs import run_of
 def train_reason(context: bpy.types.Context) -> str:
     """Why no training can start."""
     reason = logo_reason(context) or poses_reason(context)
-    return reason or refusal(train_request, context.scene.cloak)
+    return reason or refusal(train_options, context.scene.cloak)
 
 
 def selected_run(context: bpy.types.Context) -> RunState | None:
@@ -56,9 +56,9 @@ def extend_reason(context: bpy.types.Context) -> str:
 def kept_reason(context: bpy.types.Context) -> str:
     """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
     state = selected_run(context)
-    if state is None or not state.resumable or refusal(train_request, context.scene.cloak):
+    if state is None or not state.resumable or refusal(train_options, context.scene.cloak):
         return ""
-    kept = differing_options(list(state.options), train_request(context.scene.cloak).options())
+    kept = differing_options(list(state.options), train_options(context.scene.cloak))
     return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
 
 
@@ -124,7 +124,7 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     """Export and train in a new run; from the colours of another run where one is given."""
     obj, settings = active_body(context), context.scene.cloak
     logo = begun.logo if begun and begun.logo in logo_names(obj.data) else active_logo(obj)
-    options, python = train_request(settings).options(), chosen_python()
+    options, python = train_options(settings), chosen_python()
     options += [f"--init={begun.path}"] if begun else []
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")

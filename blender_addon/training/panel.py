@@ -45,13 +45,9 @@ class CLOAK_PT_train(CloakPanel, label="4. Train"):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.cloak
-        reason = train_reason(context)
         self._detectors(context, settings)
-        column = settings_column(self.layout)
-        column.enabled = not logo_reason(context)
-        column.prop(settings, "steps")
-        if reason:
-            self.say(context, reason)
+        settings_column(self.layout, settings, "steps").enabled = not logo_reason(context)
+        self.say(context, train_reason(context))
         row = self.layout.row(align=True)
         row.operator("cloak.train_start", icon="PLAY")
         row.operator("cloak.train_resume")
@@ -73,10 +69,9 @@ class CLOAK_PT_train(CloakPanel, label="4. Train"):
         if chosen is None:
             wrapped(self.layout, context, "Built-in detector; + adds others by their files")
             return
-        column = settings_column(self.layout)
-        for name in ("file", "weights") if chosen.file else ("spec",):
-            if name != "weights" or chosen.file.lower().endswith(".cfg"):
-                column.prop(chosen, name)
+        column = settings_column(self.layout, chosen, "file" if chosen.file else "spec")
+        if chosen.file.lower().endswith(".cfg"):
+            column.prop(chosen, "weights")
         column.prop(chosen, "options")
         column.prop(chosen, "threshold")
         if chosen.black_box:
@@ -97,10 +92,7 @@ class CLOAK_PT_settings(CloakPanel, label="Settings", inside="train"):
 
     def draw(self, context: bpy.types.Context) -> None:
         settings = context.scene.cloak
-        column = settings_column(self.layout)
-        column.prop(settings, "backgrounds")
-        column.prop(settings, "preset")
-        column.prop(settings, "config")
+        column = settings_column(self.layout, settings, "backgrounds", "preset", "config")
         angles = column.column(align=True)
         angles.prop(settings, "angle_first", text="Angles (°)")
         angles.prop(settings, "angle_last", text="To (°)")
@@ -144,7 +136,7 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
         if state is not None:
             self._chosen(context, state)
         if not body_reason(context):
-            settings_column(self.layout).prop(active_body(context).cloak, "run")
+            settings_column(self.layout, active_body(context).cloak, "run")
 
     def _chosen(self, context: bpy.types.Context, state: RunState) -> None:
         of = f" of '{state.object}', logo '{state.logo}'" if state.object else ""

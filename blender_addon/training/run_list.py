@@ -17,7 +17,7 @@ from bpy.props import CollectionProperty, PointerProperty
 
 from ..blender.blend_paths import blend_folder, portable
 from ..body.garments import is_dressed
-from ..body.objects import active_body
+from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
 from ..properties import output_folder
 from ..session import session
@@ -62,23 +62,15 @@ def selected(context: bpy.types.Context) -> RunState | None:
 
 def selected_path(context: bpy.types.Context) -> str:
     """Its folder; "" for none."""
-    obj = _active(context)
-    return session.clicked_run if obj is None else str(run_of(obj) or "")
-
-
-def _active(context: bpy.types.Context) -> bpy.types.Object | None:
-    try:
-        return active_body(context)
-    except InputError:
-        return None
+    return session.clicked_run if body_reason(context) else str(run_of(active_body(context)) or "")
 
 
 def select(context: bpy.types.Context, run: Path | None) -> None:
     """Choose a run, which the active object wears, or will wear, from now on; None for none."""
     session.clicked_run = str(run or "")
-    obj = _active(context)
-    if obj is None:
+    if body_reason(context):
         return
+    obj = active_body(context)
     obj.cloak.run = portable(session.clicked_run, blend_folder())
     if run is not None and is_dressed(obj) and obj.mode == "OBJECT" and (run / "colors.npy").is_file():
         with contextlib.suppress(InputError):  # what is chosen is worn; where it does not fit, judging says why

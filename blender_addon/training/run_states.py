@@ -17,13 +17,14 @@ from pathlib import Path
 from ..files.errors import InputError
 from ..files.locks import is_held
 from ..files.reading import read_json
-from ..poses.export import RECORD, read_export
+from ..files.writing import written
+from ..poses.export import RECORD
 from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
 from ..result.render_check import Verdict, last_verdicts
 from ..session import session
 from ..trainer import jobs
 from ..trainer.progress import Progress, take_event
-from .runs import COMMAND, input_folder, remembered_options, side_folder
+from .runs import COMMAND, export_of, input_folder, remembered_options, side_folder
 
 RUNNING, DONE, STOPPED, FAILED = "running", "done", "stopped", "failed"
 MOST_RUNS = 200
@@ -124,10 +125,10 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _read(run: Path) -> RunState:
     folder = input_folder(run)
     names = {}
-    if (folder / RECORD).is_file():
-        with contextlib.suppress(InputError):  # half an input: the run can still be looked at, but not resumed
-            record = read_export(folder)
-            names = {"object": record.object, "logo": record.logo, "options": tuple(remembered_options(run))}
+    with contextlib.suppress(InputError):  # half an input: the run can still be looked at, but not resumed
+        done = export_of(run)
+        if done:
+            names = {"object": done.object, "logo": done.logo, "options": tuple(remembered_options(run))}
     progress = _read_events(run / "events.jsonl")
     state, why = progress.outcome or FAILED, progress.why
     if not run.is_dir():
@@ -185,7 +186,5 @@ def request_stop(run: Path) -> None:
     """Ask the trainer of this run to stop. Raises `InputError` if none runs."""
     if not is_running(run):
         raise InputError(f"{run.name} is not being trained")
-    try:
+    with written(run / "cancel"):
         (run / "cancel").touch()
-    except OSError as error:
-        raise InputError(f"{run / 'cancel'}: cannot be written ({error.strerror})") from None

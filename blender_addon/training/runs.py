@@ -12,7 +12,6 @@ import os
 import re
 import shutil
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -20,7 +19,7 @@ import numpy as np
 
 from ..blender import colors
 from ..blender.blend_paths import absolute, blend_folder, first_free, portable
-from ..blender.mesh_arrays import topology
+from ..blender.mesh_arrays import require_object_mode, topology
 from ..body.garments import write_worn
 from ..body.objects import object_of, refusal, require_body
 from ..exchange.colors import read_colors
@@ -28,7 +27,7 @@ from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from ..files.reading import read_json
 from ..files.writing import write_json
-from ..poses.export import RECORD, read_export
+from ..poses.export import RECORD, Export, read_export
 from ..session import session
 from ..trainer.jobs import Job
 from ..ui.operator import push_undo
@@ -48,11 +47,10 @@ def body_of(run: Path, expected: str) -> bpy.types.Object | None:
 
     expected: the topology of the faces that are trained. None where no body has those.
     """
-    record = input_folder(run) / RECORD
-    name = read_export(input_folder(run)).object if record.is_file() else ""
+    done = export_of(run)
     active = bpy.context.view_layer.objects.active
     meshes = [obj for obj in bpy.context.view_layer.objects if obj.type == "MESH" and len(obj.data.polygons)]
-    meshes.sort(key=lambda obj: (run_of(obj) != run, obj.name != name, obj != active, obj.name))
+    meshes.sort(key=lambda obj: (run_of(obj) != run, done is None or obj.name != done.object, obj != active, obj.name))
     return next((obj for obj in meshes if topology(obj) == expected), None)
 
 
@@ -64,6 +62,12 @@ PROJECT = "{project}"
 def input_folder(run: Path) -> Path:
     """Return the folder of a run's input."""
     return run.with_name(run.name + ".input")
+
+
+def export_of(run: Path) -> Export | None:
+    """What the add-on exported for a run; None of a run of the command line."""
+    folder = input_folder(run)
+    return read_export(folder) if (folder / RECORD).is_file() else None
 
 
 def new_run(output: Path, obj: str, logo: str) -> Path:
@@ -113,31 +117,12 @@ def remove(run: Path) -> None:
             raise InputError(f"{error.filename or folder}: cannot be deleted ({error.strerror})") from None
 
 
-@dataclass(frozen=True)
-class RunColors:
-    """What a run gives back: face ids [L], colours [L, 3] sRGB, and the hash of the body's topology."""
-
-    face_ids: np.ndarray
-    colors: np.ndarray
-    topology: str
-
-
-def read_run(run: Path) -> RunColors:
-    """Colours of a run folder, made here or by the command line on an exported scene."""
-    face_ids, expected = trained_faces(run)
-    if not (run / "colors.npy").exists():
-        raise InputError(f"{run}: no colours yet; wait for the first step")
-    return RunColors(face_ids, read_colors(run / "colors.npy", count=len(face_ids)), expected)
-
-
 def trained_faces(run: Path) -> tuple[np.ndarray, str]:
     """Ids [L] of the faces a run trains, and the topology of the body they belong to."""
     if not run.is_dir():
         raise InputError(f"{run}: no such run folder")
-    face_list = read_face_list(run / "logo.npy")
-    expected = face_list.topology
-    if (input_folder(run) / RECORD).exists():
-        expected = read_export(input_folder(run)).topology
+    face_list, done = read_face_list(run / "logo.npy"), export_of(run)
+    expected = done.topology if done else face_list.topology
     if expected is None:
         raise InputError(f"{run / 'logo.json'}: names no topology, so the colours cannot be matched to a mesh")
     return face_list.ids, expected
@@ -153,14 +138,16 @@ def require_same_topology(obj: bpy.types.Object, expected: str) -> None:
         )
 
 
-def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> RunColors:
-    """Bring a run's colours onto the object as colour attribute and material; all or nothing."""
+def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) -> int:
+    """Bring a run's colours onto the object as colour attribute and material, all or nothing; returns how many."""
     require_body(obj)
-    if obj.mode == "EDIT":
-        raise InputError("Leave Edit Mode (Tab) to see the colours on the model")
-    result = read_run(run)
-    LiveColors(obj, run, result.topology, result.face_ids).write(context, obj, result.colors, dress=True)
-    return result
+    require_object_mode(obj, "Leave Edit Mode (Tab) to see the colours on the model")
+    face_ids, expected = trained_faces(run)
+    if not (run / "colors.npy").exists():
+        raise InputError(f"{run}: no colours yet; wait for the first step")
+    values = read_colors(run / "colors.npy", count=len(face_ids))
+    LiveColors(obj, run, expected, face_ids).write(context, obj, values, dress=True)
+    return len(face_ids)
 
 
 class LiveColors:
@@ -171,8 +158,8 @@ class LiveColors:
 
     def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
         self._run, self._topology, self._all, self._name = run, body_topology, face_ids, obj.name
-        known = (input_folder(run) / RECORD).exists()
-        self._garments = read_export(input_folder(run)).garments if known else []
+        done = export_of(run)
+        self._garments = done.garments if done else []
         self._given, self._refused, self._last = False, "", time.monotonic()
         self._looked = -1
         self._use(obj)

@@ -29,10 +29,12 @@ def wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, i
         column.label(text=line, icon=icon if index == 0 else "BLANK1")
 
 
-def settings_column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
-    """A column of settings: names on the left, values on the right."""
-    column = layout.column()
+def settings_column(layout: bpy.types.UILayout, owner: object = None, *names: str, **look: bool) -> bpy.types.UILayout:
+    """A column of settings, their names on the left, values on the right; it begins with these of `owner`."""
+    column = layout.column(**look)
     column.use_property_split, column.use_property_decorate = True, False
+    for name in names:
+        column.prop(owner, name)
     return column
 
 
@@ -71,23 +73,17 @@ class CloakPanel(bpy.types.Panel):
         if not self.unfinished(context):
             self.layout.label(icon="CHECKMARK")
 
-    def body_column(self, context: bpy.types.Context) -> bpy.types.UILayout:
-        """A column of settings that is greyed out without a body."""
-        column = settings_column(self.layout)
-        column.enabled = not body_reason(context)
-        return column
-
     def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
-        """A column to draw into, greyed out below its reason when there is one."""
-        if reason:
-            self.say(context, reason)
+        """A column of settings, greyed out below its reason when there is one."""
+        self.say(context, reason)
         column = settings_column(self.layout)
         column.enabled = not reason
         return column
 
     def say(self, context: bpy.types.Context, reason: str) -> None:
-        """Draw why a step cannot run; problems of the body are described in step 1."""
-        wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
+        """Draw why a step cannot run, if so; problems of the body are described in step 1."""
+        if reason:
+            wrapped(self.layout, context, NO_BODY if body_reason(context) else reason)
 
     def progress(self, context: bpy.types.Context, *labels: str) -> None:
         """Draw this panel's jobs: progress, place in the queue, or how the last one ended."""

@@ -66,6 +66,8 @@ def labels() -> Iterator[str]:
     known = {prop.identifier: prop for kind in kinds for prop in kind.bl_rna.properties if prop.type != "BOOLEAN"}
     for path in (path for path in ROOM.rglob("*.py") if "panel" in path.name or path.name == "wear.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "settings_column":
+                yield from (known[name.value].name for name in node.args[2:] if getattr(name, "value", "") in known)
             if not isinstance(node, ast.Call) or getattr(node.func, "attr", "") != "prop":
                 continue
             if getattr(node.args[1], "value", "") in known:
@@ -97,6 +99,8 @@ def sentences() -> list[str]:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("InputError", "said"):
                 found |= {_pattern(node.args[0]): None}
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "require_object_mode":
+                found |= {_pattern(node.args[1]): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
             elif isinstance(node, ast.FunctionDef) and (node.name.endswith("_reason") or node.name == "needs"):

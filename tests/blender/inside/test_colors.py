@@ -150,10 +150,10 @@ def test_a_changed_object_is_refused_with_the_reason_and_left_alone(tmp_path):
     assert "Cloak" not in obj.data.color_attributes and not colors.is_dressed(obj)
     np.save(run / "colors.npy", np.float32([[2, 0, 0]]))
     with pytest.raises(InputError, match=r"colors\.npy"):
-        runs.read_run(run)
+        runs.import_colors(bpy.context, obj, run)
     (run / "colors.npy").unlink()
     with pytest.raises(InputError, match="no colours yet"):
-        runs.read_run(run)
+        runs.import_colors(bpy.context, obj, run)
     assert "no colours yet" in result_reason(bpy.context)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import pytest
 from cloak.files.errors import InputError
-from cloak.properties import train_request
+from cloak.properties import train_options
 from cloak.result import eye
 from cloak.session import session
 from cloak.training import detectors, panel
@@ -48,7 +48,7 @@ def test_every_family_is_known_by_its_suffix(ready, files):
             add(path)
     os.remove(files[".onnx"])
     with pytest.raises(InputError, match=r"Detector > File: .*net v8.onnx does not exist"):
-        train_request(settings)
+        train_options(settings)
 
 
 def test_what_the_check_found_stands_in_the_list(ready, files, monkeypatch):
@@ -75,7 +75,7 @@ def test_what_gives_no_gradients_only_judges_and_the_panel_says_why(ready, files
     settings = bpy.context.scene.cloak
     add(files[".xml"], files[".tflite"])
     with pytest.raises(InputError, match="All detectors only judge"):  # before they are checked
-        train_request(settings)
+        train_options(settings)
     run_job()
     shop = settings.detectors[0]
     assert shop.works and shop.answer == "works: reports from 0.25 (assumed)"
@@ -119,7 +119,7 @@ def test_every_button_uses_the_list(dressed, files):
     onnx, ultra = settings.detectors
     ultra.judges, ultra.threshold = True, 0.4
     both = [f"--detector=onnx:{files['.onnx']}@conf=0.25", f"--detector=ultralytics:{files['.pt']}@conf=0.4"]
-    assert [w for w in train_request(settings).options() if "detector" in w] == both[:1]
+    assert [w for w in train_options(settings) if "detector" in w] == both[:1]
     bpy.ops.cloak.evaluate()
     run_job()
     words = json.loads((folder_of(dressed) / "evaluation/asked.json").read_text())
@@ -127,7 +127,7 @@ def test_every_button_uses_the_list(dressed, files):
     assert list(detectors.thresholds(settings, 0.6).values()) == pytest.approx([0.25, 0.4])
     onnx.judges = True
     with pytest.raises(InputError, match="All detectors only judge"):
-        train_request(settings)
+        train_options(settings)
 
 
 def test_the_eye_looks_with_the_list_and_follows_it(dressed, files):

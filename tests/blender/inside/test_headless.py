@@ -167,7 +167,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     from cloak.poses.export import export_bodies
     from cloak.poses.poses import PoseChoice
     from cloak.trainer import python as trainer_python
-    from cloak.trainer.command_lines import TrainRequest, cloak_command, sample_words
+    from cloak.trainer.command_lines import cloak_command, options, sample_words
     from cloak.trainer.jobs import Job
 
     python = str(real_trainer)
@@ -183,8 +183,8 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     obj = samples.add_from_scene(bpy.context, read_scene(tmp_path / "sample"))
     assert {"chest", "thighs"} <= set(faces.logo_names(obj.data)) and len(obj.data.shape_keys.key_blocks) > 8
     write_scene(tmp_path / "scene", export_bodies(bpy.context, obj, PoseChoice()))
-    request = TrainRequest((f"python:{RED}:load",), "procedural:train:2", "0:0:1")
-    words = [*heatmap_words(request, tmp_path), "--events", tmp_path / "e"]
+    given = options([f"python:{RED}:load"], backgrounds="procedural:train:2", angles="0:0:1")
+    words = [*heatmap_words(given, tmp_path), "--events", tmp_path / "e"]
     answer("Heatmap", cloak_command(python, *words, "--pick", "0.1"))
     show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
     bpy.context.scene.cloak.heat_share = 0.1
@@ -194,6 +194,6 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     image = bpy.data.images.new("grey", 32, 32)
     image.filepath_raw, image.file_format = str(tmp_path / "grey.png"), "PNG"
     image.save()
-    words = ("detectors", "check", request.detectors[0], "--image", tmp_path / "grey.png")
+    words = ("detectors", "check", f"python:{RED}:load", "--image", tmp_path / "grey.png")
     said = answer("Check", cloak_command(python, *words))
     assert 0 <= json.loads(said)["max_person"] <= 1

@@ -137,7 +137,7 @@ def test_rays_meet_what_blender_says_they_meet():
             met += 1
             ngon = len(obj.data.polygons[face].vertices) > 4  # a fan of one that is not flat lies a little beside
             assert ngon or np.allclose(hits[0], obj.matrix_world @ place, atol=1e-3)
-            assert ngon or surface.face_at(hits[0]) == face
+            assert ngon or surface.around(hits[0], 0.0).tolist() == [face]
     assert 10 < met < 60
 
 
@@ -149,7 +149,7 @@ def test_a_dab_on_300_000_faces():
     assert np.abs(surface.hits(np.array([0.1, -9, 0.95]), np.array([0, 1, 0]))[0] - place).max() < 0.01
     painted = surface.around(place, 0.1)
     away = np.linalg.norm(surface.centers + surface.middle - place, axis=1)
-    facing = surface.normals @ surface.normals[surface.face_at(place)] > 0
+    facing = surface.normals @ surface.normals[surface.around(place, 0.0)[0]] > 0
     assert np.array_equal(np.sort(painted), np.flatnonzero((away <= 0.1) & facing))
 
 
