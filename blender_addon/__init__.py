@@ -8,8 +8,6 @@ following the process that trains). `session` holds what is true of this process
 without a window.
 """
 
-from __future__ import annotations
-
 import bpy
 
 from . import properties, translations
@@ -36,8 +34,7 @@ WITH_CLASSES = (
     *(body_panel, logo_panel, poses_panel, training_panel, result_panel, wear),
 )
 """Modules whose classes are registered, in the order of the panels."""
-ROOMS = (properties, run_list, drawing)
-"""Modules that register something before the classes."""
+ROOMS = (properties, run_list, drawing)  # modules that register something before the classes
 WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, translations)
 """Objects that register something after the classes."""
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel lets the user set: on the scene (how to export and train) and on the object (its logo, its run)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy
@@ -15,7 +13,7 @@ from .blender.colors import set_look
 from .blender.faces import is_logo, logo_names
 from .files.errors import InputError
 from .poses.poses import PoseChoice
-from .result.judging import CloakJudging
+from .result.evaluations import CloakJudging
 from .session import session
 from .trainer.command_lines import options
 from .trainer.preferences import user_folder
@@ -24,28 +22,28 @@ from .ui import props
 from .ui.window import Hooks
 
 
-def _logo_index(self: CloakObject) -> int:
+def _logo_index(self: "CloakObject") -> int:
     names = self.id_data.data.attributes.keys()
     shown = [self.logo] if self.logo in names else logo_names(self.id_data.data)
     return names.index(shown[0]) if shown else -1
 
 
-def _set_logo_index(self: CloakObject, index: int) -> None:
+def _set_logo_index(self: "CloakObject", index: int) -> None:
     attributes = self.id_data.data.attributes
     if 0 <= index < len(attributes) and is_logo(attributes[index]):
         self.logo = attributes[index].name
 
 
-def _remember_run(self: CloakObject, context: bpy.types.Context) -> None:
+def _remember_run(self: "CloakObject", context: bpy.types.Context) -> None:
     session.given_runs[self.id_data.session_uid] = self.run
     self.run_place = absolute(self.run)
 
 
-def _scene_changed(self: CloakObject, context: bpy.types.Context) -> None:
+def _scene_changed(self: "CloakObject", context: bpy.types.Context) -> None:
     session.mesh_changes += 1
 
 
-def _look_chosen(self: CloakSettings, context: bpy.types.Context) -> None:
+def _look_chosen(self: "CloakSettings", context: bpy.types.Context) -> None:
     for obj in bpy.data.objects:
         if obj.type == "MESH" and obj.data.library is None:
             set_look(obj, self.look)
@@ -224,8 +222,7 @@ def output_folder(settings: CloakSettings) -> Path:
 
 
 HOOKS = Hooks(
-    *blend_paths.HANDLERS,
-    *(("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over)),
+    *blend_paths.HANDLERS, *(("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over))
 )
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 

@@ -22,22 +22,16 @@ class Session:
 
     jobs: list[Job] = field(default_factory=list)
     """In the order in which they were asked for: at most one runs, some wait, and of each kind the last that ended."""
-    eye: Eye | None = None
-    """The detector's eye that is open."""
-    eye_closed_because: str = ""
-    """Error that closed the last eye; "" if there was none."""
+    eye: Eye | None = None  # the detector's eye that is open
+    eye_closed_because: str = ""  # error that closed the last eye; "" if there was none
     runs: dict[str, RunState] = field(default_factory=dict)
     """The runs of the panel's list, by their paths; the latest first."""
-    runs_drawn: float = 0.0
-    """When the list was last drawn, on the monotonic clock."""
-    clicked_run: str = ""
-    """The run that was chosen while no body was active."""
+    runs_drawn: float = 0.0  # when the list was last drawn, on the monotonic clock
+    clicked_run: str = ""  # the run that was chosen while no body was active
     given_runs: dict[int, str] = field(default_factory=dict)
     """The run that an object was last given, by the object's session_uid; undo must not take it away."""
-    mesh_changes: int = 0
-    """Grows when any mesh changes shape, and when the frame does."""
-    mesh_changed_at: float = 0.0
-    """When it last grew, on the monotonic clock."""
+    mesh_changes: int = 0  # grows when any mesh changes shape, and when the frame does
+    mesh_changed_at: float = 0.0  # when it last grew, on the monotonic clock
 
     @property
     def job(self) -> Job | None:

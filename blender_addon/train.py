@@ -7,8 +7,6 @@
 Exit codes: 0 done, 2 bad input (one line that names it), 3 stopped, 1 a defect.
 """  # noqa: E501
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib.util

@@ -4,16 +4,14 @@
 Blender itself carries relative paths over when a file is saved into another folder, but not those of add-ons.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
-_while_saving: dict[int, tuple[object, dict[str, str]]] = {}
-"""Absolute paths by their owner (its address) while a file is being written."""
+_while_saving: list[tuple[bpy.types.PropertyGroup, dict[str, str]]] = []
+"""Owners of paths, and their paths as absolute ones by name, while a file is being written."""
 
 
 def absolute(path: str) -> str:
@@ -56,14 +54,14 @@ def before_saving(file: str, _: object = None) -> None:
         strings = [p for p in owner.bl_rna.properties if p.type == "STRING" and p.subtype in ("FILE_PATH", "DIR_PATH")]
         paths = {p.identifier: absolute(getattr(owner, p.identifier)) for p in strings if getattr(owner, p.identifier)}
         if paths:
-            _while_saving[owner.as_pointer()] = owner, paths
+            _while_saving.append((owner, paths))
             _write(owner, paths, folder)
 
 
 @persistent
 def after_saving(*_: object) -> None:
     """After saving: rewrite paths relative to the open file, which may differ from the written one (a copy)."""
-    for owner, paths in _while_saving.values():
+    for owner, paths in _while_saving:
         _write(owner, paths, blend_folder())
     _while_saving.clear()
 

@@ -6,8 +6,6 @@ Files and detectors speak display-referred sRGB in [0, 1]; Blender's colour attr
 happens here and nowhere else.
 """
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 
@@ -15,18 +13,14 @@ from ..ui.window import areas
 from . import mesh_arrays as arrays
 from .mesh_arrays import corner_counts, current_mesh, read, write_attribute
 
-CLOAK = "Cloak"
-"""Name of the colour attribute that holds the trained colours."""
+CLOAK = "Cloak"  # name of the colour attribute that holds the trained colours
 SEEN, LOOKDEV = "SEEN", "LOOKDEV"
 LOOKS = {SEEN: "Cloak as Detectors Saw", LOOKDEV: "Cloak Lookdev"}
 """The materials that show it: unlit, so that every colour is the trained one, or lit as cloth."""
-OUTFIT = "Outfit"
-"""Name of the colour attribute that holds the plain clothing of bodies from a scene package."""
+OUTFIT = "Outfit"  # name of the colour attribute that holds the plain clothing of bodies from a scene package
 HEATMAP = "Cloak Heatmap"
-HEAT = "cloak_heat"
-"""Float face attribute: the last heat map."""
-SLOTS = "material_index"
-"""Blender's own face attribute: the material slot of each face."""
+HEAT = "cloak_heat"  # float face attribute: the last heat map
+SLOTS = "material_index"  # Blender's own face attribute: the material slot of each face
 OWN_MATERIAL = "cloak_own_material"
 """Integer face attribute: the material slot each face had before it was dressed."""
 GREY = 0.5
@@ -199,10 +193,8 @@ def own_material_slots(obj: bpy.types.Object, mesh: bpy.types.Mesh | None = None
 
 def _read_slots(mesh: bpy.types.Mesh) -> np.ndarray:
     """[F] int32: material slot of each face; from the attribute, which is ten times as fast as from the polygons."""
-    known = SLOTS in mesh.attributes
-    return (
-        read(mesh.attributes[SLOTS].data, "value", dtype=np.int32) if known else np.zeros(len(mesh.polygons), np.int32)
-    )
+    attribute = mesh.attributes.get(SLOTS)
+    return read(attribute.data, "value", dtype=np.int32) if attribute else np.zeros(len(mesh.polygons), np.int32)
 
 
 def _cloak_slot(mesh: bpy.types.Mesh) -> int | None:
@@ -278,9 +270,8 @@ def _image_colors(mesh: bpy.types.Mesh, image: bpy.types.Image) -> np.ndarray | 
         return None
     pixels = arrays.image_pixels(image)
     pixels = pixels[..., :3] if image.channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
-    middle = (
-        np.nan_to_num(arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))) % 1.0
-    )
+    places = arrays.mean_of_corners(corner_counts(mesh), read(mesh.uv_layers.active.uv, "vector", 2))
+    middle = np.nan_to_num(places) % 1.0
     x = np.minimum((middle[:, 0] * width).astype(int), width - 1)
     y = np.minimum((middle[:, 1] * height).astype(int), height - 1)
     texels = pixels[y, x]

@@ -5,8 +5,6 @@ So they survive saving, subdivision and editing, and Blender's own attribute pan
 in Object Mode and in Edit Mode. A mask is a bool array [F], one entry per polygon.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
@@ -21,8 +19,7 @@ from . import mesh_arrays as arrays
 from .mesh_arrays import topology
 from .occlusion import meetings
 
-NOT_LOGOS = {"sharp_face", "freestyle_face"}
-"""Boolean face attributes that Blender itself keeps."""
+NOT_LOGOS = {"sharp_face", "freestyle_face"}  # boolean face attributes that Blender itself keeps
 
 
 def is_logo(attribute: bpy.types.Attribute) -> bool:
@@ -205,9 +202,6 @@ def nearest_within(points: np.ndarray, queries: np.ndarray, reach: np.ndarray) -
     return nearest
 
 
-# --- face lists ----------------------------------------------------------------------------------------------------
-
-
 def import_face_list(obj: bpy.types.Object, path: Path) -> str:
     """A new logo from a face list; checked against the mesh. Returns its name."""
     face_list = read_face_list(path)
@@ -218,14 +212,11 @@ def import_face_list(obj: bpy.types.Object, path: Path) -> str:
         )
     with arrays.current_mesh(obj) as mesh:
         counts = arrays.corner_counts(mesh)
-    count = len(counts)
     if face_list.index_of == "triangle" and (counts != 3).any():
         raise InputError(f"{path}: counts triangles, but '{obj.name}' has larger faces: triangulate it first")
-    if face_list.ids[-1] >= count:
-        raise InputError(f"{path}: face {face_list.ids[-1]} is beyond the {count} faces of '{obj.name}'")
-    mask = np.zeros(count, bool)
-    mask[face_list.ids] = True
-    return new_logo(obj, path.stem, mask)
+    if face_list.ids[-1] >= len(counts):
+        raise InputError(f"{path}: face {face_list.ids[-1]} is beyond the {len(counts)} faces of '{obj.name}'")
+    return new_logo(obj, path.stem, np.isin(np.arange(len(counts)), face_list.ids))
 
 
 def face_areas(obj: bpy.types.Object) -> np.ndarray:

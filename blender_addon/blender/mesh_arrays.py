@@ -4,8 +4,6 @@
 P polygons (faces), V vertices, T triangles, C corners of all polygons one after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

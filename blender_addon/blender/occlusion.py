@@ -5,16 +5,13 @@ Plane coordinates [n, 3]: x and y in the projection's plane, and an inverse dept
 linear over each triangle's image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 
 TOLERANCE = 1e-6
 """Two surfaces count as one if their inverse depths differ by less than this share of the points' range."""
-MAX_PAIRS = 4_000_000
-"""Of triangles and points that are looked at together."""
+MAX_PAIRS = 4_000_000  # of triangles and points that are looked at together
 
 
 def seen(

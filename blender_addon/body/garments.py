@@ -5,8 +5,6 @@ An export numbers the faces of all objects through, the body's first. Its record
 trained colours find their garments again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,9 +13,9 @@ import numpy as np
 from mathutils.bvhtree import BVHTree
 
 from ..blender import colors
+from ..blender.evaluated import read_surface
 from ..blender.faces import logo_mask
 from ..blender.mesh_arrays import box_of, to_world, topology
-from ..blender.surface import read_surface
 from ..files.errors import InputError
 
 
@@ -34,8 +32,7 @@ class Garment:
     """A piece of clothing that wears the logo too."""
 
     object: str
-    first: int
-    """Number of its first face in the export."""
+    first: int  # number of its first face in the export
     faces: int
     topology: str
 
@@ -112,11 +109,7 @@ def _worn_object(garment: Garment) -> bpy.types.Object:
 
 
 def faces_over(
-    context: bpy.types.Context,
-    obj: bpy.types.Object,
-    worn: bpy.types.Object,
-    logo: str,
-    show: Callable[[float], None] = lambda fraction: None,
+    context: bpy.types.Context, obj: bpy.types.Object, worn: bpy.types.Object, logo: str, show: Callable[[float], None]
 ) -> np.ndarray:
     """Mask [F] of the faces of `worn` whose nearest place on the body lies on the logo.
 

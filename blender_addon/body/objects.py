@@ -5,8 +5,6 @@ Plain functions over objects and meshes; whatever is wrong with the user's objec
 what to do next.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 
@@ -67,9 +65,6 @@ def require_upright(obj: bpy.types.Object) -> None:
             f"'{obj.name}' has a negative scale, which turns its faces inside out: apply it (Ctrl A > Scale), "
             "then Mesh > Normals > Recalculate Outside"
         )
-
-
-# --- subdivision -----------------------------------------------------------------------------------------------------
 
 
 def subdivide(

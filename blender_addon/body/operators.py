@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of step 1, the body."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
 import bpy
 
+from ..blender.evaluated import applied_copy
 from ..blender.faces import active_logo, logo_names, write_faces
 from ..blender.mesh_arrays import require_object_mode
-from ..blender.modifiers import applied_copy
 from ..exchange.scenes import read_scene
 from ..files.errors import InputError
 from ..trainer.command_lines import SAMPLES, sample_words

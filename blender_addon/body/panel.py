@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panel of step 1: the mesh that wears the logo, and the program that trains."""
 
-from __future__ import annotations
-
 import bpy
 
 from ..trainer.preferences import PACKAGE, preferences, trainer_reason
@@ -11,8 +9,7 @@ from ..ui.panel_parts import CloakPanel, figure, wrapped
 from .garments import wearable
 from .objects import active_body, body_reason
 
-MOST_WORN = 8
-"""Most worn objects to list."""
+MOST_WORN = 8  # most worn objects to list
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cloak's own people as objects: their skin and, where they wear any, their clothes over it."""
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 
@@ -14,10 +12,8 @@ from .objects import blender_axes
 
 BODY, GARMENTS = "body", ("shirt", "trousers")
 """Regions of the clothed people that are objects of their own, in the order in which faces are numbered through."""
-CLOTHES = "clothes"
-"""The logo that lies on all garments."""
-GAP = 0.3
-"""Distance between a new body and its neighbour, in Blender's units."""
+CLOTHES = "clothes"  # the logo that lies on all garments
+GAP = 0.3  # distance between a new body and its neighbour, in Blender's units
 
 
 def add_people(context: bpy.types.Context, bodies: Bodies, clothed: bool, name: str) -> bpy.types.Object:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Figures of a logo for the panel: its area, and how much of it a camera in front sees (in parallel projection)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import bpy
@@ -11,10 +9,8 @@ import numpy as np
 from ..blender.mesh_arrays import current_mesh, hidden_faces, mesh_triangles, to_world, triangle_areas, vertex_points
 from ..blender.occlusion import depth_buffer
 
-PIXELS = 320
-"""Along the longest side of body and clothing: 6 mm of a person."""
-WORTH_TELLING = 0.05
-"""Share of the logo from which on a piece that covers it is named."""
+PIXELS = 320  # along the longest side of body and clothing: 6 mm of a person
+WORTH_TELLING = 0.05  # share of the logo from which on a piece that covers it is named
 Part = tuple[bpy.types.Object, np.ndarray]
 """An object, and the mask [F] of the logo's faces on it; the body comes first."""
 
@@ -25,20 +21,11 @@ class LogoStats:
 
     faces: int
     hidden: int
-    area: float
-    whole_area: float
-    """Of the body and of what it wears."""
-    projected_area: float
-    """Of the logo as seen from the front."""
-    whole_projected_area: float
-    """Of the whole outline as seen from the front."""
+    area_share: float  # of the surface of the body and of what it wears, 0 to 1
+    projected_area: float  # of the logo as seen from the front
+    whole_projected_area: float  # of the whole outline as seen from the front
     covered: tuple[tuple[str, float], ...] = ()
     """Pieces that do not wear the logo and cover some of it from the front: their names, and the share of it."""
-
-    @property
-    def area_share(self) -> float:
-        """Of the surface, 0 to 1."""
-        return self.area / max(self.whole_area, 1e-12)
 
     @property
     def projected_share(self) -> float:
@@ -49,18 +36,18 @@ class LogoStats:
 def logo_stats(parts: list[Part]) -> LogoStats:
     """Measure a logo on a body and on its clothing."""
     square = bpy.context.scene.unit_settings.scale_length**2
-    shapes, hidden, areas = [], 0, []
+    shapes, hidden, own, whole = [], 0, 0.0, 1e-12
     for obj, mask in parts:
         with current_mesh(obj) as mesh:
             hides = hidden_faces(mesh)
             points, corners, face = _in_world(obj, mesh)
         hidden += int((mask & hides).sum())
         area = triangle_areas(points, corners)
-        areas.append((area[mask[face]].sum(), area.sum()))
+        own, whole = own + float(area[mask[face]].sum()), whole + float(area.sum())
         seen = ~hides[face] if obj.mode == "EDIT" and hides.any() else slice(None)
         shapes.append((np.stack([points[:, 0], points[:, 2], -points[:, 1]], -1), corners[seen], face[seen]))
-    count, (own, whole) = sum(int(mask.sum()) for _, mask in parts), (square * np.sum(areas, axis=0)).tolist()
-    return LogoStats(count, hidden, own, whole, **_from_the_front(parts, shapes, square))
+    count = sum(int(mask.sum()) for _, mask in parts)
+    return LogoStats(count, hidden, own / whole, **_from_the_front(parts, shapes, square))
 
 
 def _from_the_front(parts: list[Part], shapes: list[tuple[np.ndarray, ...]], square: float) -> dict[str, object]:

@@ -5,8 +5,6 @@ stroke or a stamp will take, while the user still drags.
 Drawing never waits for them: what takes longer than a blink is computed when the user has rested for a moment.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable
@@ -17,8 +15,8 @@ from bpy.app.handlers import persistent
 
 from ..blender import colors, faces
 from ..blender import mesh_arrays as arrays
+from ..blender.evaluated import Surface
 from ..blender.faces import logo_mask
-from ..blender.surface import Surface
 from ..body.garments import worn_by
 from ..session import session
 from ..ui.drawing import Shape
@@ -27,15 +25,11 @@ from .figures import LogoStats, logo_stats
 
 TINT = (1.0, 0.25, 0.6, 0.45)
 OUTLINE = (1.0, 1.0, 1.0, 1.0)
-LIFT = 0.0008
-"""The tint floats this share of the body's size above the surface, so that the two do not flicker."""
-BLINK = 0.03
-"""Longest computation, in seconds, that may run while drawing."""
-REST = 0.2
-"""Seconds without a change after which what takes longer is computed."""
+LIFT = 0.0008  # the tint floats this share of the body's size above the surface, so that the two do not flicker
+BLINK = 0.03  # longest computation, in seconds, that may run while drawing
+REST = 0.2  # seconds without a change after which what takes longer is computed
 
-MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
-"""Events of a mouse that moves."""
+MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}  # events of a mouse that moves
 ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
 
 
@@ -66,9 +60,8 @@ class _Kept:
     def clear(self) -> None:
         self.key: _Key | None = None
         self.wanted: _Key | None = None
-        self.value: object = None
+        self.value, self._seconds = None, 0.0
         self._drawn: tuple[object, Shape | None] = (None, None)
-        self._seconds = 0.0
 
     def get(self, obj: bpy.types.Object, key: _Key) -> object:
         """Return the value; while it is being computed, the last one of the same logo, or None."""
@@ -240,15 +233,13 @@ class Preview(Hooks):
         self._surface, self._color = surface, color
         self._shapes: list[Shape] = []
         self._lift = LIFT * float(np.ptp(surface.points, axis=0).max())
-        super().__init__(drawing=((self._draw, "POST_VIEW"),), closing=self._shapes.clear)
+        draw = lambda: [shape.draw() for shape in self._shapes]
+        super().__init__(drawing=((draw, "POST_VIEW"),), closing=self._shapes.clear)
 
-    def replace(self, faces: np.ndarray) -> None:
-        """Show these evaluated faces alone."""
-        self._shapes.clear()
-        self.add(faces)
-
-    def add(self, faces: np.ndarray) -> None:
-        """Show these evaluated faces as well."""
+    def show(self, faces: np.ndarray, alone: bool) -> None:
+        """Show these evaluated faces, alone or as well."""
+        if alone:
+            self._shapes.clear()
         if bpy.app.background or not len(faces):
             return
         surface = self._surface
@@ -257,7 +248,3 @@ class Preview(Hooks):
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         corners = surface.points[triangles] + self._lift * normals[:, None]
         self._shapes.append(Shape("TRIS", corners.reshape(-1, 3) + surface.middle, self._color))
-
-    def _draw(self) -> None:
-        for shape in self._shapes:
-            shape.draw()

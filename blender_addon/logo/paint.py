@@ -1,24 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Painting a logo: the brush, with the mouse or from a list of places, and its tool in the toolbars."""
 
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.props import CollectionProperty
 from bpy_extras.view3d_utils import region_2d_to_location_3d
+from gpu_extras.presets import draw_circle_2d
 from mathutils import Vector
 
 from ..blender import faces
-from ..blender.surface import Surface, read_surface
+from ..blender.evaluated import Surface, read_surface
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
 from .operators import take
 from .overlay import ADDED, MOVES, TAKEN, Preview
 
-SPACING = 0.4
-"""Of the radius: from one dab to the next."""
+SPACING = 0.4  # of the radius: from one dab to the next
 RADIUS = "scene.cloak.brush_radius"
 PAINT = "cloak.paint_logo"
 
@@ -124,7 +122,7 @@ touches; with X-Ray on, also those behind, all through the body"""
             dab = self.stroke.add()
             dab.location, dab.size, dab.mouse = place, (beside - place).length, mouse
             painted = self._dab(self._obj, self._surface, place, dab.size)
-            self._preview.add(painted[~self._painted[painted]])
+            self._preview.show(painted[~self._painted[painted]], alone=False)
             self._painted[painted] = True
         context.area.tag_redraw()
 
@@ -158,8 +156,6 @@ class _PaintTool:
 
     @staticmethod
     def draw_cursor(context: bpy.types.Context, tool: object, xy: tuple[int, int]) -> None:
-        from gpu_extras.presets import draw_circle_2d
-
         draw_circle_2d(xy, (1, 1, 1, 1), context.scene.cloak.brush_radius, segments=48)
 
 

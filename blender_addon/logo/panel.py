@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panels of step 2: the faces that get trained colours."""
 
-from __future__ import annotations
-
 import bpy
 
 from ..blender import faces
@@ -12,6 +10,12 @@ from ..translations import said
 from ..ui.panel_parts import CloakPanel, figure, settings_column, wrapped
 from . import overlay
 from .paint import PAINT
+
+AREA = "Faces of the logo, and their share of the body's whole surface, as it stands now"
+PROJECTED = (
+    "What a camera in front sees of the logo: its area on the picture plane, and its share of the outline. What "
+    "the body itself or a piece over it hides does not count"
+)
 
 
 class CLOAK_UL_logos(bpy.types.UIList):
@@ -24,25 +28,16 @@ class CLOAK_UL_logos(bpy.types.UIList):
         return [self.bitflag_filter_item if faces.is_logo(a) else 0 for a in getattr(data, property)], []
 
 
-AREA = "Faces of the logo, and their share of the body's whole surface, as it stands now"
-
-
-PROJECTED = (
-    "What a camera in front sees of the logo: its area on the picture plane, and its share of the outline. What "
-    "the body itself or a piece over it hides does not count"
-)
-
-
 class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
     """Step 2: the faces that get trained colours"""
 
     def draw(self, context: bpy.types.Context) -> None:
         reason = body_reason(context)
         column = self.gate(context, reason)
-        settings = context.scene.cloak
         if not reason:
             self._list(column, active_body(context))
-            self._stats(column, active_body(context), settings)
+            self._stats(column, active_body(context))
+            column.prop(context.scene.cloak, "tint")
 
     def _list(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         row = column.row()
@@ -53,23 +48,23 @@ class CLOAK_PT_logo(CloakPanel, label="2. Logo", unfinished=logo_reason):
         column.operator("wm.tool_set_by_id", text="Paint with a Brush", icon="BRUSH_DATA").name = PAINT
         _buttons(column, "assign", "unassign", "select")
 
-    def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object, settings: bpy.types.PropertyGroup) -> None:
+    def _stats(self, column: bpy.types.UILayout, obj: bpy.types.Object) -> None:
         stats = overlay.active_stats(obj)
-        if stats is not None:
-            lines = column.column(align=True)
-            figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
-            front = f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}"
-            figure(lines, front, PROJECTED)
-            if not stats.faces:
-                lines.label(text="Empty: select faces and press Assign", icon="ERROR")
-            for name, share in stats.covered:
-                wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
-                row = lines.row(align=True)
-                row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
-                row.operator("cloak.leave_out", text="Leave It Out").garment = name
-            if stats.hidden:
-                lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
-        column.prop(settings, "tint")
+        if stats is None:
+            return
+        lines = column.column(align=True)
+        figure(lines, f"{stats.faces:,} faces, {stats.area_share:.1%} of the area", AREA, "FACESEL")
+        front = f"From the front: {stats.projected_area:.3f} m², {stats.projected_share:.1%}"
+        figure(lines, front, PROJECTED)
+        if not stats.faces:
+            lines.label(text="Empty: select faces and press Assign", icon="ERROR")
+        for name, share in stats.covered:
+            wrapped(lines, bpy.context, f"{name} covers {share:.0%} of the logo", icon="ERROR")
+            row = lines.row(align=True)
+            row.operator("cloak.logo_onto", text="Put the Logo on It").garment = name
+            row.operator("cloak.leave_out", text="Leave It Out").garment = name
+        if stats.hidden:
+            lines.label(text=said(f"{stats.hidden:,} faces are hidden (Alt H shows them)"), icon="HIDE_ON")
 
 
 def _buttons(column: bpy.types.UILayout, *names: str) -> None:

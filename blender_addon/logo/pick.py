@@ -2,8 +2,6 @@
 """Operators of step 2 that make a logo of what already belongs together: a material, a vertex group, a face set,
 seam islands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import bpy
@@ -12,16 +10,14 @@ from bpy.props import EnumProperty
 
 from ..blender import colors
 from ..blender.mesh_arrays import bmesh_of, corner_edges, current_mesh, polygon_loops, read
-from ..body.objects import ORIGINAL_FACE
+from ..body.objects import ORIGINAL_FACE, body_reason
 from ..files.errors import InputError
 from ..ui import props
 from ..ui.operator import BodyOperator
 from .operators import selected_faces, take
 
-Items = list[tuple[str, str, str]]
-"""Of a menu: value, name, description."""
-MEMBER = 0.5
-"""Weight from which a vertex counts as part of its group."""
+Items = list[tuple[str, str, str]]  # of a menu: value, name, description
+MEMBER = 0.5  # weight from which a vertex counts as part of its group
 MAX_SETS = 64
 NOT_SETS = {"material_index", colors.OWN_MATERIAL, ORIGINAL_FACE}
 """Integer face attributes that Blender and Cloak keep for themselves."""
@@ -65,7 +61,14 @@ def face_sets(obj: bpy.types.Object) -> Items:
 
 
 class PickOperator(BodyOperator):
-    """Base: `pick` returns a mask of the object's current mesh, and a name for the logo."""
+    """Base: `pick` returns a mask of the object's current mesh, and a name for the logo.
+
+    has: whether an object has something to pick. lacks: what to say where it has not.
+    """
+
+    def __init_subclass__(cls, label: str, has: Callable[[bpy.types.Object], bool] = bool, lacks: str = "") -> None:
+        reason = lambda context: body_reason(context) or ("" if has(context.object) else lacks)
+        super().__init_subclass__(label=label, needs=reason)
 
     add: props.switch("Add", "Add to the active logo instead of making a new one")
 
@@ -81,51 +84,48 @@ class PickOperator(BodyOperator):
         return f"Logo '{name}': {int(mask.sum()):,} faces taken"
 
 
-class CLOAK_OT_logo_from_material(PickOperator, label="From Material"):
+class CLOAK_OT_logo_from_material(
+    PickOperator, label="From Material", has=lambda obj: len(obj.material_slots), lacks="The body has no materials"
+):
     """Make a logo of all faces of a material"""
 
     bl_property = "slot"
 
     slot: EnumProperty(name="Material", description="Whose faces to take", items=_menu(materials))
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return BodyOperator.needs(context) or ("" if context.object.material_slots else "The body has no materials")
-
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         slot = int(self.slot)  # faces under the cloak count for the material they had before
         return colors.own_material_slots(obj, mesh) == slot, materials(obj)[slot][1]
 
 
-class CLOAK_OT_logo_from_group(PickOperator, label="From Vertex Group"):
+class CLOAK_OT_logo_from_group(
+    PickOperator,
+    label="From Vertex Group",
+    has=lambda obj: len(obj.vertex_groups),
+    lacks="The body has no vertex groups",
+):
     """Make a logo of the faces whose corners all weigh at least a half in a vertex group"""
 
     bl_property = "group"
 
     group: EnumProperty(name="Vertex Group", description="Whose faces to take", items=_menu(groups))
 
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        return BodyOperator.needs(context) or ("" if context.object.vertex_groups else "The body has no vertex groups")
-
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         group = int(self.group)
         return of_vertex_group(obj, group), obj.vertex_groups[group].name
 
 
-class CLOAK_OT_logo_from_face_set(PickOperator, label="From Face Set"):
+class CLOAK_OT_logo_from_face_set(
+    PickOperator,
+    label="From Face Set",
+    has=lambda obj: any(map(is_face_set, obj.data.attributes)),
+    lacks="The body has no face sets (integer face attributes)",
+):
     """Make a logo of a sculpting face set, or of the faces that share a value of an integer face attribute"""
 
     bl_property = "face_set"
 
     face_set: EnumProperty(name="Face Set", description="Whose faces to take", items=_menu(face_sets))
-
-    @staticmethod
-    def needs(context: bpy.types.Context) -> str:
-        reason = BodyOperator.needs(context)
-        if reason or any(is_face_set(attribute) for attribute in context.object.data.attributes):
-            return reason
-        return "The body has no face sets (integer face attributes)"
 
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         value, _, name = self.face_set.partition(" ")

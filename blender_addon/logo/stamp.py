@@ -4,17 +4,15 @@
 Ink is a bool array [H, W], row 0 at the top. Only the faces under the stamp and in its box are looked at.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..blender.evaluated import Surface
 from ..blender.mesh_arrays import box_of, image_pixels, mesh_triangles, vertex_points
 from ..blender.occlusion import seen
-from ..blender.surface import Surface
 from ..files.errors import InputError
 
 RESOLUTION = 512
@@ -93,12 +91,9 @@ def under_ink(plane: np.ndarray, stamp: np.ndarray) -> np.ndarray:
 class Projection:
     """How points in world space become stamp coordinates: x and y inside +-1, and an inverse depth."""
 
-    to_plane: np.ndarray
-    """[4, 4]: x, y and w; x and y are divided by w."""
-    direction: np.ndarray
-    """[3] into the scene."""
-    eye: np.ndarray | None = None
-    """[3] where rays come from; None for a parallel projection along `direction`."""
+    to_plane: np.ndarray  # [4, 4]: x, y and w; x and y are divided by w
+    direction: np.ndarray  # [3] into the scene
+    eye: np.ndarray | None = None  # [3] where rays come from; None for a parallel projection along `direction`
 
     def of(self, points: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points [n, 3] around `middle` as x, y and inverse depth [n, 3]; mask of those before the eye."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of step 2 that stamp a logo onto the body: placed by numbers, from the view, or by the mouse."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -11,9 +9,9 @@ import numpy as np
 from bpy.props import FloatVectorProperty
 from mathutils import Vector
 
+from ..blender.evaluated import read_surface
 from ..blender.faces import face_areas
 from ..blender.mesh_arrays import triangle_areas
-from ..blender.surface import read_surface
 from ..body.objects import require_upright, upright_reason
 from ..files.errors import InputError
 from ..ui import props
@@ -24,8 +22,7 @@ from .operators import take
 from .overlay import ADDED, MOVES, Preview
 from .stamp import Placed, Projection, front_projection, laid, view_projection
 
-PAPER_SHARE = 0.044
-"""Of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces."""
+PAPER_SHARE = 0.044  # of the body's area: 2,426 (letter G) and 2,427 (smiley) of the paper's 55,152 faces
 HALVINGS = 7
 SIZES = {
     **dict.fromkeys(("WHEELUPMOUSE", "NUMPAD_PLUS", "EQUAL"), 1.08),
@@ -203,7 +200,7 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
         self._show()
 
     def _show(self) -> None:
-        self._preview.replace(self._placed.faces(self._projection()))
+        self._preview.show(self._placed.faces(self._projection()), alone=True)
         self._area.tag_redraw()
 
     def _end(self, stamps: bool) -> set[str]:

@@ -6,8 +6,6 @@ follows them, and may wear the logo too. Polygons are triangulated once, in the 
 object other faces, its triangles are exported as evaluated and its faces as its own (see `modifiers`).
 """
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,9 +14,9 @@ import bpy
 import numpy as np
 
 from ..blender import colors
+from ..blender.evaluated import carried_faces, changes_faces, keeps_faces, lost_reason, modifiers_reason, numbered_faces
 from ..blender.faces import logo_mask, logo_names, require_logo
 from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, to_world, topology, vertex_points
-from ..blender.modifiers import carried_faces, changes_faces, keeps_faces, lost_reason, modifiers_reason, numbered_faces
 from ..body.garments import Garment, worn_by
 from ..body.objects import active_body, body_reason, refusal, require_body, require_upright, scene_axes
 from ..exchange.bodies import Bodies
@@ -69,13 +67,10 @@ def export_summary(context: bpy.types.Context) -> str:
     obj, settings = active_body(context), context.scene.cloak
     poses = len(list_poses(obj, pose_choice(settings)))
     text = f"{poses} pose{'s' * (poses != 1)} of {len(obj.data.polygons):,} faces"
-    worn = worn_by(obj)
-    too = [o for o in worn if obj.cloak.logo in logo_names(o.data)]
-    if worn:
-        text += f", with {', '.join(o.name for o in worn)}"
-    if too:
-        text += f"; the logo goes on over {', '.join(o.name for o in too)}"
-    return text
+    worn = {o.name: obj.cloak.logo in logo_names(o.data) for o in worn_by(obj)}
+    text += f", with {', '.join(worn)}" if worn else ""
+    too = [name for name, wears_it in worn.items() if wears_it]
+    return text + (f"; the logo goes on over {', '.join(too)}" if too else "")
 
 
 def export_bodies(
@@ -146,8 +141,8 @@ def _evaluate(obj: bpy.types.Object, graph: bpy.types.Depsgraph, by_own_face: bo
 def _require_same_topology(objects: list[bpy.types.Object], frames: list[list[Part]]) -> None:
     """Raise `InputError` if an object changes its faces between poses."""
     for obj, a, b in zip(objects, frames[-1], frames[0], strict=True):
-        same = np.array_equal(a.loop_vertices, b.loop_vertices) and len(a.vertices) == len(b.vertices)
-        if not same or not np.array_equal(a.loop_total, b.loop_total):
+        loops = ((part.loop_total, part.loop_vertices) for part in (a, b))
+        if len(a.vertices) != len(b.vertices) or not all(map(np.array_equal, *loops)):
             raise InputError(f"The faces of '{obj.name}' change from pose to pose: turn off its modifiers, or hide it")
 
 
@@ -205,14 +200,11 @@ class Export:
     folder: Path
     object: str
     logo: str
-    topology: str
-    """Of the body alone: what colours that come back are checked against."""
+    topology: str  # of the body alone: what colours that come back are checked against
     poses: int
     faces: int
-    objects: list[str]
-    """Names of the body and of what was seen on it."""
-    garments: list[Garment]
-    """What wears the logo too."""
+    objects: list[str]  # names of the body and of what was seen on it
+    garments: list[Garment]  # what wears the logo too
 
     @property
     def scene(self) -> Path:
@@ -253,9 +245,8 @@ def read_export(folder: Path) -> Export:
     try:
         words = {key: str(record[key]) for key in ("object", "logo", "topology")}
         counts = {key: int(record[key]) for key in ("poses", "faces")}
-        worn = [
-            (str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in record.get("garments", [])
-        ]
+        found = record.get("garments", [])
+        worn = [(str(g["object"]), int(g["first"]), int(g["faces"]), str(g["topology"])) for g in found]
         objects = [str(name) for name in record.get("objects", [])]
         return Export(folder, **words, **counts, objects=objects, garments=[Garment(*g) for g in worn])
     except (KeyError, TypeError, ValueError):

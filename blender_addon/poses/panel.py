@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panel of step 3: the poses to train on."""
 
-from __future__ import annotations
-
 import bpy
 
-from ..blender.modifiers import modifiers_reason
+from ..blender.evaluated import modifiers_reason
 from ..body.objects import active_body, body_reason
 from ..ui.panel_parts import CloakPanel, wrapped
 from .export import export_summary, poses_reason

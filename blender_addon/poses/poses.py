@@ -4,8 +4,6 @@
 Stepping through poses changes the scene's frame, actions and unkeyed pose; `visit` puts all of it back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -64,21 +62,16 @@ def list_poses(obj: bpy.types.Object, choice: PoseChoice) -> list[Pose]:
 
 def _owners(obj: bpy.types.Object) -> list[bpy.types.ID]:
     """List what an action may animate: the armature (else the object) and the shape keys."""
-    owners: list[bpy.types.ID] = [armature_of(obj) or obj]
-    if obj.data.shape_keys is not None:
-        owners.append(obj.data.shape_keys)
-    return owners
+    return [owner for owner in (armature_of(obj) or obj, obj.data.shape_keys) if owner is not None]
 
 
 def _action_poses(obj: bpy.types.Object, step: int) -> list[Pose]:
     poses = []
     for action in bpy.data.actions:
         owner = next((o for o in _owners(obj) if _fits(action, o)), None)
-        if owner is None:
-            continue
-        first, last = (round(frame) for frame in action.frame_range)
-        for frame in range(first, last + 1, step):
-            poses.append(Pose(f"{action.name} {frame}", frame, owner, action))
+        first, last = map(round, action.frame_range)
+        frames = range(first, last + 1, step) if owner is not None else ()
+        poses += [Pose(f"{action.name} {frame}", frame, owner, action) for frame in frames]
     if not poses:
         raise InputError(f"No action moves '{obj.name}': choose Current Pose or Frame Range, or add an action")
     return poses
@@ -176,7 +169,10 @@ def visit(context: bpy.types.Context, obj: bpy.types.Object, play_from: int | No
     def go(pose: Pose) -> None:
         nonlocal moved, ahead
         if pose.action is not None:
-            _animate(pose.owner, pose.action)
+            data = pose.owner.animation_data or pose.owner.animation_data_create()
+            data.use_nla, data.action = False, pose.action
+            if hasattr(data, "action_slot"):
+                data.action_slot = _slot(pose.action, pose.owner)
         if pose.frame is not None:
             moved = True
             if ahead is not None:
@@ -217,15 +213,6 @@ def _animation_of(owner: bpy.types.ID) -> Callable[[], None]:
             now.action_slot = slot
 
     return restore
-
-
-def _animate(owner: bpy.types.ID, action: bpy.types.Action) -> None:
-    data = owner.animation_data or owner.animation_data_create()
-    data.use_nla = False
-    if data.action != action:
-        data.action = action
-    if hasattr(data, "action_slot"):
-        data.action_slot = _slot(action, owner)
 
 
 def require_own_animation(objects: Iterable[bpy.types.Object], choice: PoseChoice) -> None:

@@ -5,8 +5,6 @@ Every texel whose middle lies in a face takes that face's colour; around the isl
 that filtering finds no edge. A UV map of Cloak's own gives every face a square of texels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -18,15 +16,11 @@ from ..blender.mesh_arrays import corner_counts, mean_of_corners, read, require_
 from ..blender.occlusion import depth_buffer
 from ..files.errors import InputError
 
-MARGIN = 4
-"""Texels by which colours go on beyond the islands."""
-OFF = 4 / 255
-"""Largest colour error of a face in the image."""
-FEW = 0.005
-"""Share of wrong faces above which Cloak makes its own UV map."""
+MARGIN = 4  # texels by which colours go on beyond the islands
+OFF = 4 / 255  # largest colour error of a face in the image
+FEW = 0.005  # share of wrong faces above which Cloak makes its own UV map
 OWN_MAP = "Cloak UV"
-FEWEST = 3
-"""Texels along a face's square, at least."""
+FEWEST = 3  # texels along a face's square, at least
 
 
 @dataclass(frozen=True)
@@ -35,10 +29,8 @@ class Baked:
 
     image: bpy.types.Image
     uv_map: str
-    off: int
-    """Faces whose colour in the image is off by more than 4/255."""
-    off_before: int | None = None
-    """Wrong faces on the body's own UV map, if Cloak made another; else None."""
+    off: int  # faces whose colour in the image is off by more than 4/255
+    off_before: int | None = None  # wrong faces on the body's own UV map, if Cloak made another; else None
 
 
 def bake(obj: bpy.types.Object, size: int, show: Callable[[float], None] = lambda fraction: None) -> Baked:

@@ -6,9 +6,6 @@ asks again when the view, the body or the colours have changed, as soon as the l
 over the viewport only where they belong to what it shows.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -25,7 +22,9 @@ from ..files.errors import InputError
 from ..files.identity import sha256_arrays
 from ..poses.poses import PoseChoice
 from ..session import session
+from ..trainer.command_lines import cloak_command, options
 from ..trainer.onlooker import Onlooker, Seen
+from ..trainer.preferences import local_python
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
@@ -33,34 +32,32 @@ from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
-LONGEST = 640
-"""Pixels along the longer side of the pictures that the detector gets."""
+LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
 TICK_SECONDS = 0.2
 
 
 class Eye:
     """Watches one body through detectors."""
 
-    def __init__(
-        self, obj: bpy.types.Object, start: Callable[[tuple[str, ...]], Onlooker], folder: Path, specs: tuple[str, ...]
-    ) -> None:
-        self.message = ""
-        """Why the detector cannot look now; "" if it can."""
+    def __init__(self, obj: bpy.types.Object, settings: bpy.types.PropertyGroup, folder: Path) -> None:
+        self.message = ""  # why the detector cannot look now; "" if it can
         self.seen: Seen | None = None
-        self.viewpoint: Viewpoint | None = None
-        """Viewpoint of the last answer."""
-        self.region = 0
-        """The viewport that is looked from, by its address; 0 for any."""
-        self._uid, self._scene = obj.session_uid, folder / "scene"
-        self.specs = specs
-        """The detectors that look."""
-        self._start = start
-        self._onlooker = start(specs)
+        self.viewpoint: Viewpoint | None = None  # viewpoint of the last answer
+        self.region = 0  # the viewport that is looked from, by its address; 0 for any
+        self._uid, self._folder = obj.session_uid, folder
+        self._python, self._device = local_python(), settings.device
+        self._look_with(judges(settings))
         self._asked: tuple | None = None
         self._asked_from: Viewpoint | None = None
         self._shape: tuple = ()
         self._fitting: tuple[tuple, Path | None] = (), None
         self._exported: tuple = ()
+
+    def _look_with(self, specs: tuple[str, ...]) -> None:
+        """Start the process of these detectors."""
+        self.specs = specs
+        command = cloak_command(self._python, "look", "-", *options(specs, device=self._device))
+        self._onlooker = Onlooker(command, self._folder)
 
     @property
     def object(self) -> bpy.types.Object | None:
@@ -77,8 +74,8 @@ class Eye:
             specs = judges(context.scene.cloak)
         if specs != self.specs:
             self._onlooker.stop()
-            self.specs, self.seen, self._asked = specs, None, None
-            self._onlooker = self._start(specs)
+            self.seen, self._asked = None, None
+            self._look_with(specs)
         failure = self._onlooker.failure()
         if failure:
             raise InputError(failure)
@@ -113,7 +110,7 @@ class Eye:
             stamp = (run / "colors.npy").stat().st_mtime_ns
         asked = (viewpoint, self._exported, stamp, tuple(worn.items()), tuple(background.items()))
         if asked != self._asked:
-            self._onlooker.ask({"scene": str(self._scene), **asdict(viewpoint), **worn, **background})
+            self._onlooker.ask({"scene": str(self._folder / "scene"), **asdict(viewpoint), **worn, **background})
             self._asked, self._asked_from = asked, viewpoint
 
     def _run(self, obj: bpy.types.Object) -> Path | None:
@@ -146,7 +143,7 @@ class Eye:
             return
         digest = shape_digest(context, [obj, *worn_by(obj)])
         if (digest, *about) != self._exported:
-            export_worn(context, obj, run, PoseChoice(), self._scene)
+            export_worn(context, obj, run, PoseChoice(), self._folder / "scene")
             self._exported = (digest, *about)
         self._shape = (session.mesh_changes, *about)  # exporting may itself have counted as a change
 
@@ -168,8 +165,7 @@ def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) ->
 
 
 def open_eye(eye: Eye) -> None:
-    """Watch with this eye; an earlier one is closed."""
-    close_eye()
+    """Watch with this eye."""
     session.eye, session.eye_closed_because = eye, ""
     if not bpy.app.background:
         bpy.app.timers.register(tick)
@@ -201,10 +197,8 @@ def tick() -> float | None:
 
 KINDS = {"clothing": ("Own clothing", (0.84, 0.37, 0.0)), "cloak": ("Cloak", (0.0, 0.55, 0.85))}
 """What is looked at: its name, and the sRGB colour of its boxes."""
-LEFT, BELOW_TOP, LINE = 70, 110, 18
-"""Position of the lines, in pixels."""
-Rectangle = tuple[float, float, float, float]
-"""Left, bottom, right, top in pixels."""
+LEFT, BELOW_TOP, LINE = 70, 110, 18  # position of the lines, in pixels
+Rectangle = tuple[float, float, float, float]  # left, bottom, right, top in pixels
 
 
 def place_of_picture(context: bpy.types.Context, watching: Eye) -> Rectangle | None:

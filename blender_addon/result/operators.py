@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of step 5: colours on and off, colour management, report, render check."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy
@@ -14,10 +12,9 @@ from ..body.objects import active_body, object_of, of_the_body, refusal
 from ..poses.export import poses_reason
 from ..poses.poses import PoseChoice
 from ..session import session
-from ..trainer.command_lines import cloak_command, options
+from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
-from ..trainer.onlooker import Onlooker
-from ..trainer.preferences import chosen_python, local_python
+from ..trainer.preferences import chosen_python
 from ..training import run_list, runs
 from ..training.detectors import judges, thresholds
 from ..training.runs import input_folder, run_of, side_folder
@@ -26,8 +23,7 @@ from ..ui import props
 from ..ui.operator import WITH_UNDO, BodyOperator, CloakOperator
 from ..ui.window import main_region, redraw
 from . import eye, render_check
-from .evaluations import kept_back, read_evaluation
-from .judging import evaluate_options
+from .evaluations import evaluate_options, kept_back, read_evaluation
 from .reasons import export_worn, judged_reason, result_reason
 
 
@@ -40,12 +36,11 @@ def wear_reason(context: bpy.types.Context) -> str:
 @of_the_body
 def report_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there is no report to open."""
-    if not obj.cloak.run:
-        return "Choose a run in the list first"
     run = run_of(obj)
-    if (run / "report.html").is_file() or (run / "config.json").is_file():
-        return ""
-    return f"{run}: not a run folder (no config.json in it), so there is nothing to report"
+    if run is None:
+        return "Choose a run in the list first"
+    known = (run / "report.html").is_file() or (run / "config.json").is_file()
+    return "" if known else f"{run}: not a run folder (no config.json in it), so there is nothing to report"
 
 
 @of_the_body
@@ -154,12 +149,6 @@ def evaluate_reason(context: bpy.types.Context) -> str:
     return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
 
 
-@of_the_body
-def eye_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the detector cannot look at the body."""
-    return poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
-
-
 class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason):
     """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
 beside controls on the same images. The result is shown here and as a ring around the body"""
@@ -196,20 +185,16 @@ It goes on looking as you move, and while a training runs, until this is pressed
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
-        return "" if session.eye is not None else eye_reason(context)
+        return "" if session.eye else poses_reason(context, PoseChoice()) or refusal(judges, context.scene.cloak)
 
     def run(self, context: bpy.types.Context) -> str:
         if session.eye is not None:
             eye.close_eye()
             redraw()
             return "The detector looks no more"
-        obj, settings = active_body(context), context.scene.cloak
         folder = Path(bpy.app.tempdir, "cloak eye")
         folder.mkdir(parents=True, exist_ok=True)
-        python = local_python()
-        words = lambda specs: ("look", "-", *options(specs, device=settings.device))
-        start = lambda specs: Onlooker(cloak_command(python, *words(specs)), folder)
-        opened = eye.Eye(obj, start, folder, judges(settings))
+        opened = eye.Eye(active_body(context), context.scene.cloak, folder)
         if context.area is not None and context.area.type == "VIEW_3D":
             opened.region = main_region(context.area).as_pointer()
         eye.open_eye(opened)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is made from a run to take along: sheets to print, turntables, films, images; where the run keeps its logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy
@@ -20,18 +18,15 @@ from ..training.runs import input_folder, run_of, side_folder
 from ..ui import props
 from ..ui.operator import BodyOperator, CloakOperator
 from . import bake
-from .judging import backgrounds_option
+from .evaluations import backgrounds_option
 from .reasons import export_worn, judged_reason, result_reason
 from .viewpoints import of_camera
 
 SHEETS, TURNTABLE, FILM = "print sheets", "turntable", "film"
 MADE = (SHEETS, TURNTABLE, FILM)
-BESIDE = (".json", ".csv", ".jsonl", ".out", ".log")
-"""Suffixes of logs and records beside the outputs."""
-GIF_FPS = 12.5
-"""Frames a second of a GIF: twice as many make it twice as large."""
-MOST_KEYS = 120
-"""Keyframes that a camera's way is told in."""
+BESIDE = (".json", ".csv", ".jsonl", ".out", ".log")  # suffixes of logs and records beside the outputs
+GIF_FPS = 12.5  # frames a second of a GIF: twice as many make it twice as large
+MOST_KEYS = 120  # keyframes that a camera's way is told in
 
 
 def made(run: Path) -> list[Path]:

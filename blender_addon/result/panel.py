@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panel of step 5: the trained colours on the model."""
 
-from __future__ import annotations
-
 import bpy
 
 from ..blender import colors
@@ -24,8 +22,7 @@ from .render_check import Verdict
 PICTURES_A_ROW = 3
 RENDERS = ("With the cloak", "Without")
 SCORE = "The detector's highest score for a person in this render; the open eye: it reports one"
-LATEST = 4
-"""Most outputs to list."""
+LATEST = 4  # most outputs to list
 SUCCESS = (
     "Share of the images in which the detector reports no person (from this score on), and the interval that holds the "
     "true share in 95 of 100 such measurements"
@@ -169,6 +166,5 @@ class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
             cell.label(text=eye.KINDS[kind][0])
             for glances in watching.seen.glances.values():
                 if kind in glances:
-                    cell.label(
-                        text=said(glances[kind].describe()), icon="HIDE_OFF" if glances[kind].found else "HIDE_ON"
-                    )
+                    icon = "HIDE_OFF" if glances[kind].found else "HIDE_ON"
+                    cell.label(text=said(glances[kind].describe()), icon=icon)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Why the colours of a run cannot be shown or judged, and exports of a body that wears them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -6,8 +6,6 @@ stays usable. Camera and light are those of training: distance 2.2 m, elevation 
 degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and above.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -28,8 +26,7 @@ from ..files.reading import read_json
 from ..files.specs import without_folders
 from ..files.writing import write_json, written
 
-THRESHOLD = 0.6
-"""A person counts as detected at this score."""
+THRESHOLD = 0.6  # a person counts as detected at this score
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
 LIGHT_POSITION = (0.0, -100.0, 85.0)
 AMBIENT, DIFFUSE = 0.5, 0.3
@@ -65,8 +62,7 @@ def prepare(plan: Plan) -> list[str]:
     """Save a copy of the file and the plan; returns the command that renders them."""
     blend = plan.folder / BLEND
     bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
-    record = asdict(plan) | {"folder": str(plan.folder), "angles": list(plan.angles)}
-    write_json(plan.folder / PLAN, record)
+    write_json(plan.folder / PLAN, asdict(plan) | {"folder": str(plan.folder)})
     script = str(Path(__file__).parents[1] / "train.py")
     arguments = ["--", "render-check", str(plan.folder / PLAN)]
     if bpy.app.binary_path:
@@ -76,8 +72,7 @@ def prepare(plan: Plan) -> list[str]:
 
 def run_plan(path: Path) -> None:
     """Render a plan; runs in the second Blender."""
-    record = read_json(path)
-    plan = Plan(record["object"], Path(record["folder"]), tuple(record["angles"]), record["backgrounds"])
+    plan = Plan(**read_json(path) | {"folder": path.parent})
     bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
     obj = bpy.data.objects[plan.object]
     files = sorted(Path(plan.backgrounds).iterdir()) if plan.backgrounds else ()
@@ -99,11 +94,9 @@ class Verdict:
 
     scores: tuple[float, ...]
     """Highest person score of each render: first those with the cloak, then as many without (control)."""
-    images: tuple[Path, ...]
-    """The renders in the order of the scores."""
+    images: tuple[Path, ...]  # the renders in the order of the scores
     spec: str
-    threshold: float
-    """The detector reports a person from this score on."""
+    threshold: float  # the detector reports a person from this score on
 
     @property
     def with_cloak(self) -> tuple[float, ...]:
@@ -158,10 +151,9 @@ def last_verdicts(parent: Path) -> tuple[Verdict, ...]:
         record = read_json(files[-1]) if files else {"images": [], "detectors": {}}
         images = tuple(files[-1].parent / Path(str(name)).name for name in record["images"])
         told = record.get("detectors") or {"": {"scores": record["scores"]}}  # of one detector, until version 0.1
-        read = lambda spec, one: Verdict(
-            tuple(map(float, one["scores"])), images, spec, float(one.get("threshold", THRESHOLD))
-        )
-        found = [read(spec, one) for spec, one in told.items()]
+        scores = {spec: tuple(map(float, one["scores"])) for spec, one in told.items()}
+        bounds = {spec: float(one.get("threshold", THRESHOLD)) for spec, one in told.items()}
+        found = [Verdict(scores[spec], images, spec, bounds[spec]) for spec in told]
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     return tuple(verdict for verdict in found if verdict.with_cloak)

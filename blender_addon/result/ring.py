@@ -5,8 +5,6 @@ Outside the cloak, inside the body's own clothing: where both are blue, the dete
 stand where their cameras stood, so the ring is read by walking around the body.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence
@@ -14,6 +12,7 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
 from mathutils import Matrix, Vector
 
 from ..blender import colors
@@ -29,12 +28,10 @@ FOUND, EVEN, HIDDEN = (0.84, 0.37, 0.0), (0.93, 0.90, 0.82), (0.0, 0.45, 0.70)
 OPAQUE = 0.85
 INNER, MIDDLE, OUTER, TEXT = 0.62, 0.70, 0.92, 1.04
 """Radii as shares of the body's largest extent: of own clothing, between both, of the cloak, of the figures."""
-STEP = 3.0
-"""Degrees of a straight piece of the ring."""
+STEP = 3.0  # degrees of a straight piece of the ring
 LABELS = (0.0, 90.0, 180.0, -90.0)
 NAMES = {0.0: "front", 90.0: "left", 180.0: "back", -90.0: "right"}
-WIDEST = 30.0
-"""Degrees: one azimuth alone says nothing of what is farther away from it than half of this."""
+WIDEST = 30.0  # degrees: one azimuth alone says nothing of what is farther away from it than half of this
 
 
 @dataclass(frozen=True)
@@ -118,9 +115,6 @@ def shown(context: bpy.types.Context) -> tuple[bpy.types.Object, Evaluation] | N
     return (obj, state.evaluation) if seen else None
 
 
-# --- drawing ---------------------------------------------------------------------------------------------------------
-
-
 @functools.lru_cache(1)
 def ring_shape(sectors: tuple[Sector, ...]) -> Shape:
     """The ring as it was drawn last."""
@@ -139,8 +133,6 @@ def draw_ring() -> None:
 
 def draw_words() -> None:
     """Viewport callback, in pixels: figures at the ring, and its legend."""
-    from bpy_extras.view3d_utils import location_3d_to_region_2d
-
     context = bpy.context
     found = shown(context)
     if found is None:

@@ -5,23 +5,20 @@ The trainer's cameras stand upright: azimuth, elevation, distance from a point t
 Whatever looks in perspective and is not rolled can be said so exactly.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
 from mathutils import Matrix
 
 from ..blender.mesh_arrays import box_of
 from ..body.objects import scene_axes
 from ..files.errors import InputError
 
-ROLL = 2e-3
-"""Largest roll of a level camera, as a sine."""
-NEAREST = 0.05
-"""Smallest distance of camera and pivot, in metres."""
+ROLL = 2e-3  # largest roll of a level camera, as a sine
+NEAREST = 0.05  # smallest distance of camera and pivot, in metres
 
 
 @dataclass(frozen=True)
@@ -36,12 +33,12 @@ class Viewpoint:
     width: int
     height: int
 
-    def sized(self, longest: int) -> Viewpoint:
+    def sized(self, longest: int) -> "Viewpoint":
         """Scale the picture to this many pixels along its longer side."""
         scale = longest / max(self.width, self.height)
         return replace(self, width=max(1, round(self.width * scale)), height=max(1, round(self.height * scale)))
 
-    def is_like(self, other: Viewpoint) -> bool:
+    def is_like(self, other: "Viewpoint") -> bool:
         """Whether both viewpoints show the same picture."""
         mine, theirs = (np.array([v.azimuth, v.elevation, v.field_of_view, *v.place()]) for v in (self, other))
         turn = abs((mine[0] - theirs[0] + 180) % 360 - 180)
@@ -117,8 +114,6 @@ def of_camera(scene: bpy.types.Scene, obj: bpy.types.Object) -> Viewpoint:
 def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
     """Where the scene's camera's picture lies in a viewport: left, bottom, right, top in pixels; None where it is not
     looked through."""
-    from bpy_extras.view3d_utils import location_3d_to_region_2d
-
     view, holder = context.region_data, context.scene.camera
     if view is None or view.view_perspective != "CAMERA" or holder is None or holder.type != "CAMERA":
         return None

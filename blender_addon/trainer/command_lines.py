@@ -4,8 +4,6 @@
 Nothing here imports `cloak_core`; the two sides share files and exit codes only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

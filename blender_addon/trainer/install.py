@@ -4,8 +4,6 @@
 Nothing here names an index: pip reads the user's own configuration (pip.conf, PIP_* variables).
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -23,8 +21,7 @@ from .python import about_command, ask, candidates
 PYTHON_NEEDED, TORCH_NEEDED = (3, 11), (2, 14)
 PIP_FOR_OTHERS = (22, 3)
 """From here on, pip can fill an environment that has none of its own: its option --python."""
-GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6
-"""Size on disk; torch, torchvision and CUDA take 5.4 GB of it."""
+GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6  # size on disk; torch, torchvision and CUDA take 5.4 GB of it
 
 _PROBE = """
 import importlib.util, json, platform, sys, venv
@@ -56,11 +53,9 @@ class Base:
 
     python: str
     version: str
-    torch: str = ""
-    """Version of the torch it has, if that is new enough and torchvision is beside it."""
+    torch: str = ""  # version of the torch it has, if that is new enough and torchvision is beside it
     torch_folder: str = ""
-    lends_pip: bool = False
-    """Its own pip fills the environment, which spares the seconds of copying one there."""
+    lends_pip: bool = False  # its own pip fills the environment, which spares the seconds of copying one there
 
     def describe(self) -> str:
         return f"{self.python} ({self.version}{f', torch {self.torch}' if self.torch else ''})"

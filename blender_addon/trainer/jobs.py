@@ -6,8 +6,6 @@ others wait their turn.
 Standard output and error go to files, so a trainer never blocks on a full pipe and its last words can be read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -23,14 +21,11 @@ from ..session import session
 from ..ui.window import redraw
 from .command_lines import cloak_command
 from .preferences import chosen_python, through
-from .progress import Progress, take_event
+from .progress import Progress, read_events
 from .python import start_process
 
 TICK_SECONDS = 0.25
-MAX_READ = 1 << 20
-"""Bytes of events that one look takes; a longer line is none."""
-STOPPED = 3
-"""Exit code of a trainer that was stopped, with a valid checkpoint."""
+STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
 OnEnd = Callable[["Job"], str | None]
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
 
@@ -54,23 +49,16 @@ class Job:
         process: object = None,
     ) -> None:
         self.label, self.state, self.message = label, "waiting", ""
-        self.notice = ""
-        """Warning to show while it runs."""
-        self.is_bad_news = False
-        """The job succeeded, but its result is a failure."""
+        self.notice = ""  # warning to show while it runs
+        self.is_bad_news = False  # the job succeeded, but its result is a failure
         self.code: int | None = None
         self.outputs: list[str] = []
         self.progress = Progress()
-        self.on_tick: Callable[[Job], None] | None = None
-        """Called at every look while it runs: live colours."""
+        self.on_tick: Callable[[Job], None] | None = None  # called at every look while it runs: live colours
         self.on_end, self._commands, self._process = on_end, list(commands), process
-        self.log = folder / f"{name}.log"
-        """What the commands said on standard error."""
+        self.log = folder / f"{name}.log"  # what the commands said on standard error
         self._out = folder / f"{name}.out"
-        self._events, self._position = events, 0
-        self._cancelled = False
-
-    # --- what it says ---
+        self._events, self._cancelled = events, False
 
     @property
     def running(self) -> bool:
@@ -100,9 +88,7 @@ class Job:
             return f"{self.label}{of}"
         return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
 
-    # --- its course ---
-
-    def start(self) -> Job:
+    def start(self) -> "Job":
         """Start its next command; raises `InputError` where that cannot be."""
         self._process = self._process or self._start(self._commands[len(self.outputs)])
         self.state = "running"
@@ -125,11 +111,10 @@ class Job:
         if not self.running:
             return False
         code = self.code = self._process.poll()
+        if self._events is not None:
+            self.progress = read_events(self._events)
         if code is None:
-            self._read_events()
             return True
-        while self._read_events():
-            pass  # the last events belong into the message
         self.outputs.append(self._said())
         if code == 0 and not self._cancelled and len(self.outputs) < len(self._commands):
             self._process = None
@@ -137,24 +122,6 @@ class Job:
             return self.running
         self._finish(*self._verdict(code))
         return False
-
-    def _read_events(self) -> bool:
-        """Take the whole lines that the event log has got since the last look; whether there were any."""
-        if self._events is None:
-            return False
-        try:
-            with self._events.open("rb") as file:
-                if self._events.stat().st_size < self._position:  # a resumed run rewinds its log
-                    self._position = 0
-                file.seek(self._position)
-                chunk = file.read(MAX_READ)
-        except OSError:  # not there yet
-            return False
-        whole = chunk if len(chunk) == MAX_READ and b"\n" not in chunk else chunk[: chunk.rfind(b"\n") + 1]
-        self._position += len(whole)
-        for line in whole.splitlines():
-            self.progress = take_event(self.progress, line)
-        return bool(whole)
 
     def _said(self) -> str:
         """What the command that has ended said on standard output; of a trainer that somebody else started, nothing."""
@@ -180,8 +147,6 @@ class Job:
             except InputError as error:
                 self.state, self.message = "failed", str(error)
 
-    # --- its early end ---
-
     def cancel(self) -> None:
         """Ask the process to stop, which may take a moment; a queued job stops at once."""
         self._cancelled = True
@@ -199,7 +164,7 @@ class Job:
         self.on_end = None
         self.cancel()
 
-    def wait(self, seconds: float = math.inf) -> Job:
+    def wait(self, seconds: float = math.inf) -> "Job":
         """Block until the job has ended: for headless use and tests."""
         until = time.monotonic() + seconds
         if self.state == "waiting":
@@ -289,9 +254,7 @@ def launch(job: Job) -> Job:
     return job
 
 
-def run_cloak(
-    label: str, words: Iterable[object], folder: Path, name: str, on_done: OnEnd, follow: bool = False
-) -> str:
+def run_cloak(label: str, words: Iterable, folder: Path, name: str, on_done: OnEnd, follow: bool = False) -> str:
     """Launch one command of the trainer, `cloak WORDS...`; with `follow` it logs its progress into the folder.
 
     on_done: called when it has succeeded; may return a message. Returns what its launcher adds to its own message:

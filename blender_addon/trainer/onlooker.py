@@ -5,8 +5,6 @@ It stands beside the one job of this Blender, so that a training can be watched.
 happens, its standard input ends and so does the process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess
@@ -26,8 +24,7 @@ THRESHOLD = 0.6
 class Glance:
     """What one detector saw of one kind of clothing."""
 
-    score: float
-    """Of the surest person, thresholded or not."""
+    score: float  # of the surest person, thresholded or not
     boxes: tuple[tuple[float, ...], ...]
     """x1, y1, x2, y2, score; pixels of the picture from its upper left; best first."""
     operating_point: float

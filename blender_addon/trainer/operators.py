@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that find, test and install the trainer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy
@@ -63,9 +61,6 @@ def _say(answer: str) -> str:
     return answer
 
 
-# --- installing -------------------------------------------------------------------------------------------------------
-
-
 def trainer_folder() -> Path:
     """Where environments are made."""
     return user_folder("trainer")
@@ -73,7 +68,9 @@ def trainer_folder() -> Path:
 
 def _base(chosen: str, seconds: float) -> Base:
     """Return the Python that makes the environment; it is queried in a thread, so that Blender does not freeze."""
-    question = _bases.setdefault(chosen, Question(lambda: install.find_base(chosen)))
+    if chosen not in _bases:
+        _bases[chosen] = Question(lambda: install.find_base(chosen))
+    question = _bases[chosen]
     question.join(seconds)
     if question.answer is None:
         raise InputError("Still looking for a Python to install with: try again in a moment")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preferences: the Python that has `cloak_core`, and the machine that it runs on."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from pathlib import Path
@@ -15,15 +13,13 @@ from ..translations import said
 from ..ui import props
 from .python import INSTALL_LINE, find_python, forget_answers, known_reason
 
-PACKAGE = __package__.rpartition(".")[0]
-"""The add-on's name in Blender."""
+PACKAGE = __package__.rpartition(".")[0]  # the add-on's name in Blender
 CLICK_SECONDS = 0.2
-INSTALLATION = "Installation"
-"""The label of the job that installs the trainer."""
+INSTALLATION = "Installation"  # the label of the job that installs the trainer
 LOG_LINES = 5
 
 
-def preferences() -> CloakPreferences | SimpleNamespace:
+def preferences() -> "CloakPreferences | SimpleNamespace":
     """Return the add-on's preferences; empty ones that are not stored if it is not installed."""
     addon = bpy.context.preferences.addons.get(PACKAGE)
     return addon.preferences if addon else SimpleNamespace(python="", source="", remote="", answer="")
@@ -101,8 +97,7 @@ class CloakPreferences(bpy.types.AddonPreferences):
         relative=False,
     )
     remote: props.text(
-        "Other Machine",
-        "What runs a line of shell on another machine, such as: ssh gpu-box. Empty: train on this one",
+        "Other Machine", "What runs a line of shell on another machine, such as: ssh gpu-box. Empty: train on this one"
     )
     remote_folder: props.text("Folder There", "Folder on the other machine for scenes and runs", "/tmp/cloak")
     remote_shared: props.path(
@@ -140,12 +135,11 @@ class CloakPreferences(bpy.types.AddonPreferences):
         row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
         row.operator("cloak.show_install_log", text="", icon="TEXT")
         job = session.job
-        if job is None or job.label != INSTALLATION:
-            return
-        row = layout.row(align=True)
-        row.progress(factor=job.fraction, text=said(job.describe()))
-        if job.running:
-            row.operator("cloak.train_cancel", text="", icon="X")
-        column = layout.column(align=True)
-        for line in job.tail(LOG_LINES):
-            column.label(text=line[:120])
+        if job is not None and job.label == INSTALLATION:
+            row = layout.row(align=True)
+            row.progress(factor=job.fraction, text=said(job.describe()))
+            if job.running:
+                row.operator("cloak.train_cancel", text="", icon="X")
+            column = layout.column(align=True)
+            for line in job.tail(LOG_LINES):
+                column.label(text=line[:120])

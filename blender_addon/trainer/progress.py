@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How far a training is, from the events that it writes."""
 
-from __future__ import annotations
-
+import functools
 import json
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+TAIL_BYTES = 64 << 10
+"""Of an event log: some three hundred steps, more than the running mean of the success remembers."""
 
 
 @dataclass(frozen=True)
@@ -15,15 +18,11 @@ class Progress:
     step: int = 0
     steps: int = 0
     loss: float | None = None
-    success: float | None = None
-    """Share of the last images without a detection, a running mean, 0 to 1."""
-    seconds: float = 0.0
-    """Of training, as the trainer counts them."""
+    success: float | None = None  # share of the last images without a detection, a running mean, 0 to 1
+    seconds: float = 0.0  # of training, as the trainer counts them
     seconds_per_step: float | None = None
-    outcome: str = ""
-    """"done", "stopped" or "failed" when its log has ended so; "" else."""
-    why: str = ""
-    """What a failed run said of itself."""
+    outcome: str = ""  # "done", "stopped" or "failed" when its log has ended so; "" else
+    why: str = ""  # what a failed run said of itself
 
     @property
     def fraction(self) -> float:
@@ -55,6 +54,21 @@ def duration(seconds: float) -> str:
     if seconds >= 3600:
         return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
     return f"{math.ceil(seconds / 60)} min" if seconds >= 90 else f"{math.ceil(seconds)} s"
+
+
+def read_events(path: Path) -> Progress:
+    """What the first and last lines of an event log tell; nothing of one that is not there yet."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(TAIL_BYTES)
+            start = max(len(head), path.stat().st_size - TAIL_BYTES)
+            file.seek(start)
+            tail = file.read(TAIL_BYTES)
+    except OSError:
+        return Progress()
+    if len(head) < start:
+        head, tail = head[: head.rfind(b"\n") + 1], tail[tail.find(b"\n") + 1 :]
+    return functools.reduce(take_event, (head + tail).splitlines(), Progress())
 
 
 def take_event(progress: Progress, line: bytes) -> Progress:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The trainer is another program: finding a Python that has `cloak_core`, and asking it about itself."""
 
-from __future__ import annotations
-
 import functools
 import json
 import os

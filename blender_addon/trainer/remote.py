@@ -10,8 +10,6 @@ exit code is the trainer's; 255: the machine cannot be reached.
 Plain Python, no Blender: it outlives neither, and holds the run's lock as a trainer on this machine would.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os
@@ -29,8 +27,7 @@ from pathlib import Path
 LOOK_SECONDS = 2.0
 LIVE = ("config.json", "logo.npy", "logo.json", "events.jsonl", "colors.npy")
 """Of a run folder: what is fetched while it trains."""
-OWN = (".lock", "cancel")
-"""Of a run folder: what is not fetched."""
+OWN = (".lock", "cancel")  # of a run folder: what is not fetched
 _PART = re.compile(r"[^:=]+")
 
 
@@ -39,8 +36,7 @@ class Remote:
 
     def __init__(self, prefix: str, folder: str, shared: str = "") -> None:
         self.prefix, self.folder, self.shared = shlex.split(prefix), folder.rstrip("/"), shared
-        self.paths: dict[str, str] = {}
-        """Where local paths lie over there."""
+        self.paths: dict[str, str] = {}  # where local paths lie over there
 
     def start(self, line: str, **streams: object) -> subprocess.Popen:
         """A line of shell over there."""

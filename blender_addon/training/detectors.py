@@ -4,8 +4,6 @@
 What stands in this list is what every button uses. An empty list is the built-in detector.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -32,12 +30,11 @@ FAMILIES = {
     ".py": "python:{file}:load",
 }
 """How the trainer names a detector by the suffix of its file."""
-BLACK_BOXES = (".xml", ".tflite")
-"""Suffixes of files whose runtimes give no gradients."""
+BLACK_BOXES = (".xml", ".tflite")  # suffixes of files whose runtimes give no gradients
 CHECK = "Detector check"
 
 
-def _changed(self: CloakDetector, context: bpy.types.Context) -> None:
+def _changed(self: "CloakDetector", context: bpy.types.Context) -> None:
     """Discard the check of another file or size."""
     self.checked, self.gradients = "", True
 

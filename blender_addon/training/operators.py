@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of step 4: start, extend, cancel and resume a training, and why they cannot run now ("": they can)."""
 
-from __future__ import annotations
-
+from functools import partial
 from pathlib import Path
 
 import bpy
 
 from ..blender.faces import active_logo, logo_names
-from ..body.objects import active_body, body_reason, logo_reason, of_the_body, refusal
+from ..body.objects import active_body, body_reason, logo_reason, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
 from ..poses.export import Export, export, poses_reason, read_export
@@ -36,23 +35,6 @@ def selected_run(context: bpy.types.Context) -> RunState | None:
     return read_state(Path(chosen)) if chosen else None
 
 
-def _chosen_reason(state: RunState | None) -> str:
-    if state is None:
-        return "Choose a run in the list first"
-    return "" if state.exists else f"{state.path} is gone: choose another run"
-
-
-def extend_reason(context: bpy.types.Context) -> str:
-    """Why no training can go on from the chosen run's colours."""
-    state = selected_run(context)
-    reason = body_reason(context) or _chosen_reason(state) or train_reason(context)
-    if reason:
-        return reason
-    if state.state == RUNNING:
-        return f"{state.title} is being trained: stop it first"
-    return "" if (state.path / "colors.npy").is_file() else f"{state.title} has no colours yet"
-
-
 def kept_reason(context: bpy.types.Context) -> str:
     """Which of the chosen run's options Resume keeps although the panel differs; "" if none."""
     state = selected_run(context)
@@ -62,13 +44,30 @@ def kept_reason(context: bpy.types.Context) -> str:
     return f"Resume keeps what {state.title} began with: {kept}; Extend takes the panel's settings" if kept else ""
 
 
-@of_the_body
-def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why the chosen run cannot go on."""
+def run_reason(context: bpy.types.Context, action: str) -> str:
+    """Why the run that is chosen in the list cannot be "extended", "resumed", "stopped", "followed" or "deleted"."""
     state = selected_run(context)
-    reason = _chosen_reason(state)
-    if reason or state.resumable:
-        return reason
+    if action in ("extended", "resumed") and body_reason(context):
+        return body_reason(context)
+    if state is None:
+        return "Choose a run in the list first"
+    if not state.exists:
+        return f"{state.path} is gone: choose another run"
+    if action in ("stopped", "followed") and state.state != RUNNING:
+        return f"{state.title} is not being trained"
+    if action == "followed":
+        return f"{state.title} is followed already" if session.training_of(state.path) else ""
+    if action == "resumed":
+        return "" if state.resumable else _ended_reason(state)
+    if action == "extended" and train_reason(context):
+        return train_reason(context)
+    if action in ("extended", "deleted") and state.state == RUNNING:
+        return f"{state.title} is being trained: stop it first"
+    colored = action != "extended" or (state.path / "colors.npy").is_file()
+    return "" if colored else f"{state.title} has no colours yet"
+
+
+def _ended_reason(state: RunState) -> str:
     if state.state == RUNNING:
         return f"{state.title} is being trained: Attach follows it"
     if state.state == DONE:
@@ -78,33 +77,6 @@ def resume_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return f"{state.path}.input, which the add-on keeps for Resume, is not there: press Start, or Extend"
 
 
-def cancel_reason(context: bpy.types.Context) -> str:
-    """Why nothing can be cancelled."""
-    return "" if busy() else "Nothing is running"
-
-
-def stop_reason(context: bpy.types.Context) -> str:
-    """Why the chosen run cannot be stopped."""
-    state = selected_run(context)
-    return _chosen_reason(state) or ("" if state.state == RUNNING else f"{state.title} is not being trained")
-
-
-def attach_reason(context: bpy.types.Context) -> str:
-    """Why the chosen run cannot be followed."""
-    reason = stop_reason(context)
-    if reason:
-        return reason
-    state = selected_run(context)
-    return f"{state.title} is followed already" if session.training_of(state.path) else ""
-
-
-def delete_reason(context: bpy.types.Context) -> str:
-    """Why the chosen run cannot be deleted."""
-    state = selected_run(context)
-    busy = state is not None and state.state == RUNNING
-    return _chosen_reason(state) or (f"{state.title} is being trained: stop it first" if busy else "")
-
-
 class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason):
     """Export the body's poses and the active logo, and train the logo's colours in a process of its own"""
 
@@ -112,7 +84,7 @@ class CLOAK_OT_train_start(CloakOperator, label="Start", needs=train_reason):
         return start(context)
 
 
-class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=extend_reason):
+class CLOAK_OT_train_extend(CloakOperator, label="Extend", needs=partial(run_reason, action="extended")):
     """Train on from the colours of the chosen run, with the settings above, in a new run: for more steps, another \
 detector or other angles. The run itself stays as it is"""
 
@@ -147,7 +119,7 @@ def _remove_failed_start() -> None:
             runs.remove(job.run)
 
 
-class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=cancel_reason):
+class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=lambda _: "" if busy() else "Nothing is running"):
     """End the job; a training ends after the current step and can be resumed"""
 
     number: props.whole("Job", "Its place in the queue; -1: the one that runs", -1)
@@ -160,7 +132,7 @@ class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=cancel_reason):
         return f"Stopping: {job.label}"
 
 
-class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=resume_reason):
+class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=partial(run_reason, action="resumed")):
     """Go on with the chosen run from its last checkpoint to its last step, with what it was started with"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -191,7 +163,7 @@ def follow(obj: bpy.types.Object, job: TrainingJob, live: runs.LiveColors) -> No
     run_list.refresh(bpy.context)
 
 
-class CLOAK_OT_run_attach(CloakOperator, label="Attach", needs=attach_reason):
+class CLOAK_OT_run_attach(CloakOperator, label="Attach", needs=partial(run_reason, action="followed")):
     """Follow a training that this Blender did not start, or lost in a crash: its progress in the panel, its colours \
 on the body. When Blender closes it goes on"""
 
@@ -207,7 +179,7 @@ on the body. When Blender closes it goes on"""
         return f"Following {run.name}"
 
 
-class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=stop_reason):
+class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=partial(run_reason, action="stopped")):
     """End the training of the chosen run after its current step, whoever started it; Resume goes on with it"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -220,7 +192,7 @@ class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=stop_reason):
         return f"Stopping {run.name} after its current step"
 
 
-class CLOAK_OT_run_delete(CloakOperator, label="Delete Run", needs=delete_reason):
+class CLOAK_OT_run_delete(CloakOperator, label="Delete Run", needs=partial(run_reason, action="deleted")):
     """Delete the folders of the chosen run from the disk; bodies keep the colours they wear. This cannot be undone"""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panels of step 4: train the logo's colours against detectors."""
 
-from __future__ import annotations
-
 import time
 
 import bpy
@@ -19,8 +17,7 @@ from .run_states import DONE, FAILED, RUNNING, STOPPED, RunState
 
 BLACK_BOX = "It only judges: its runtime gives no gradients to train with"
 RUN_ICONS = {RUNNING: "PLAY", DONE: "CHECKMARK", STOPPED: "PAUSE", FAILED: "ERROR"}
-COMPARED = 8
-"""Runs, the latest ones."""
+COMPARED = 8  # runs, the latest ones
 COLUMNS = {
     "In training": "Share of the last training images in which the detector does not report the body, a running mean",
     "Unseen": "The same on bodies and backgrounds that training never saw, measured by Evaluate, of several detectors "

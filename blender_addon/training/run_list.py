@@ -5,8 +5,6 @@ The list is a view of the disk. It lives on the window manager, which undo leave
 second while the panel is being looked at.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from pathlib import Path
@@ -28,8 +26,7 @@ from .run_states import RunState, find_runs, read_state
 from .runs import import_colors, input_folder, run_of
 
 REFRESH_SECONDS = 2.0
-WATCHED_SECONDS = 5.0
-"""The list is refreshed for this long after it was last drawn."""
+WATCHED_SECONDS = 5.0  # the list is refreshed for this long after it was last drawn
 
 
 def refresh(context: bpy.types.Context) -> bool:
@@ -50,9 +47,8 @@ def refresh(context: bpy.types.Context) -> bool:
         items.clear()
         for path in fresh:
             items.add().path = path
-    changed = fresh != session.runs
-    session.runs = fresh
-    return changed
+    before, session.runs = session.runs, fresh
+    return before != fresh
 
 
 def selected(context: bpy.types.Context) -> RunState | None:
@@ -77,12 +73,12 @@ def select(context: bpy.types.Context, run: Path | None) -> None:
             import_colors(context, obj, run)
 
 
-def _index(self: CloakWindow) -> int:
+def _index(self: "CloakWindow") -> int:
     path = selected_path(bpy.context)
     return next((index for index, item in enumerate(self.runs) if item.path == path), -1)
 
 
-def _set_index(self: CloakWindow, index: int) -> None:
+def _set_index(self: "CloakWindow", index: int) -> None:
     if 0 <= index < len(self.runs):
         select(bpy.context, Path(self.runs[index].path))
 
@@ -100,9 +96,6 @@ class CloakWindow(bpy.types.PropertyGroup):
     run_index: props.whole(
         "Run", "The run whose colours the active body wears, or will wear", get=_index, set=_set_index
     )
-
-
-# --- keeping it fresh -------------------------------------------------------------------------------------------------
 
 
 def _watch() -> float:

@@ -6,11 +6,7 @@ some process holds its lock file: that is true of trainers started by another Bl
 process number (which a container may hide), and ends with the process, however that ends.
 """
 
-from __future__ import annotations
-
 import contextlib
-import functools
-import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,14 +19,11 @@ from ..result.evaluations import SUMMARY, Evaluation, read_evaluation
 from ..result.render_check import Verdict, last_verdicts
 from ..session import session
 from ..trainer import jobs
-from ..trainer.progress import Progress, take_event
+from ..trainer.progress import Progress, read_events
 from .runs import COMMAND, export_of, input_folder, remembered_options, side_folder
 
 RUNNING, DONE, STOPPED, FAILED = "running", "done", "stopped", "failed"
-MOST_RUNS = 200
-"""Of one folder, the latest."""
-TAIL_BYTES = 64 << 10
-"""Of an event log: some three hundred steps, more than the running mean of the success remembers."""
+MOST_RUNS = 200  # of one folder, the latest
 
 
 @dataclass(frozen=True)
@@ -38,20 +31,15 @@ class RunState:
     """State of one run, read from its folders."""
 
     path: Path
-    state: str
-    """running, done, stopped or failed."""
+    state: str  # running, done, stopped or failed
     progress: Progress = field(default_factory=Progress)
-    object: str = ""
-    """Name of the body at export; "" of a run from the command line."""
+    object: str = ""  # name of the body at export; "" of a run from the command line
     logo: str = ""
     detectors: tuple[str, ...] = ()
-    options: tuple[str, ...] = ()
-    """Of `cloak train`, as the add-on gave them; Resume repeats them."""
+    options: tuple[str, ...] = ()  # of `cloak train`, as the add-on gave them; Resume repeats them
     evaluation: Evaluation | None = None
-    checks: tuple[Verdict, ...] = ()
-    """Of its latest render check, by detector."""
-    why: str = ""
-    """Of a failed run: the reason in one line."""
+    checks: tuple[Verdict, ...] = ()  # of its latest render check, by detector
+    why: str = ""  # of a failed run: the reason in one line
     begun: float = 0.0
     """Seconds since the epoch: when it was started; two that run keep their places in the list."""
 
@@ -77,20 +65,11 @@ class RunState:
 
 def find_runs(place: Path) -> list[Path]:
     """Find the runs in a folder, with runs that only have an input because their training never began."""
-    found: dict[Path, float] = {}
-    try:
-        with os.scandir(place) as entries:
-            for entry in entries:
-                path = Path(entry.path)
-                if entry.name.startswith(".") or not entry.is_dir(follow_symlinks=False):
-                    continue
-                if (path / "config.json").is_file() and (path / "logo.npy").is_file():
-                    found[path] = entry.stat().st_mtime
-                elif path.suffix == ".input" and (path / RECORD).is_file():
-                    found.setdefault(path.with_suffix(""), entry.stat().st_mtime)
-    except OSError:
-        return []
-    return sorted(found, key=found.__getitem__, reverse=True)[:MOST_RUNS]
+    begun = {file.parent.with_suffix(""): file.parent for file in place.glob(f"*.input/{RECORD}")}
+    ready = {file.parent: file.parent for file in place.glob("*/config.json") if file.with_name("logo.npy").is_file()}
+    folders = {run: folder for run, folder in (begun | ready).items() if not folder.is_symlink()}
+    shown = [run for run in folders if not run.name.startswith(".")]
+    return sorted(shown, key=lambda run: _stamp(folders[run]), reverse=True)[:MOST_RUNS]
 
 
 def is_running(run: Path) -> bool:
@@ -129,7 +108,7 @@ def _read(run: Path) -> RunState:
         done = export_of(run)
         if done:
             names = {"object": done.object, "logo": done.logo, "options": tuple(remembered_options(run))}
-    progress = _read_events(run / "events.jsonl")
+    progress = read_events(run / "events.jsonl")
     state, why = progress.outcome or FAILED, progress.why
     if not run.is_dir():
         why = jobs.last_words(folder / "train.log") or "its training never began"
@@ -147,24 +126,6 @@ def _read(run: Path) -> RunState:
     return RunState(run, state, progress, **found, **names)
 
 
-def _read_events(path: Path) -> Progress:
-    """Read the first and last lines of an event log."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(TAIL_BYTES)
-            start = max(len(head), path.stat().st_size - TAIL_BYTES)
-            file.seek(start)
-            tail = file.read(TAIL_BYTES)
-    except OSError:
-        return Progress()
-    if len(head) < start:
-        head, tail = head[: head.rfind(b"\n") + 1], tail[tail.find(b"\n") + 1 :]
-    return functools.reduce(take_event, (head + tail).splitlines(), Progress())
-
-
-# --- following a trainer that this Blender did not start --------------------------------------------------------------
-
-
 class FoundTrainer:
     """Process of a trainer that another program started: it runs as long as it holds the run's lock."""
 
@@ -175,7 +136,7 @@ class FoundTrainer:
         """Return None while it runs, then the exit code according to the event log."""
         if is_held(self._run / ".lock"):
             return None
-        return {DONE: 0, STOPPED: jobs.STOPPED}.get(_read_events(self._run / "events.jsonl").outcome, 1)
+        return {DONE: 0, STOPPED: jobs.STOPPED}.get(read_events(self._run / "events.jsonl").outcome, 1)
 
     def terminate(self) -> None:
         """Ask it to end after its current step."""

@@ -6,8 +6,6 @@ run can be resumed after Blender was closed, and its colours are checked against
 the command line made has none.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -55,8 +53,7 @@ def body_of(run: Path, expected: str) -> bpy.types.Object | None:
 
 
 COMMAND = "command.json"
-PROJECT = "{project}"
-"""In remembered options: the folder of the .blend file, when the run lies there or below."""
+PROJECT = "{project}"  # in remembered options: the folder of the .blend file, when the run lies there or below
 
 
 def input_folder(run: Path) -> Path:

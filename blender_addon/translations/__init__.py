@@ -5,8 +5,6 @@ Everything is said in English where it happens, so logs, tests and programs with
 shown passes `said`, which knows a sentence again by the pattern in `words.toml` that it was made from.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 import tomllib
@@ -15,8 +13,7 @@ from pathlib import Path
 import bpy
 
 LANGUAGES = {"de_DE": "de", "fr_FR": "fr"}
-CONTEXTS = ("*", "Operator")
-"""Blender has a separate context for the text on operator buttons."""
+CONTEXTS = ("*", "Operator")  # Blender has a separate context for the text on operator buttons
 
 
 @functools.cache
@@ -32,9 +29,6 @@ def dictionaries() -> dict[str, dict[tuple[str, str], str]]:
         for language, short in LANGUAGES.items()
         for name in (language, short)
     }
-
-
-# --- sentences with names and numbers in them -------------------------------------------------------------------------
 
 
 def said(sentence: str) -> str:

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drawing: words and rectangles over a viewport, triangles and lines in its space, and pictures in the panels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
+import blf
 import bpy
 import bpy.utils.previews
+import gpu
 import numpy as np
+from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
 from ..translations import said
 
-Color = tuple[float, float, float]
-"""sRGB in [0, 1]."""
+Color = tuple[float, float, float]  # sRGB in [0, 1]
 POINTS = 12
 LINE_PIXELS = 2.0
 WHITE: Color = (1.0, 1.0, 1.0)
@@ -21,8 +21,6 @@ WHITE: Color = (1.0, 1.0, 1.0)
 
 def size_of_words(context: bpy.types.Context) -> float:
     """Set the size of words to come; returns how much larger than usual the interface is drawn."""
-    import blf
-
     scale = context.preferences.system.ui_scale
     blf.size(0, POINTS * scale)
     return scale
@@ -35,8 +33,6 @@ def short(words: str, most: int = 60) -> str:
 
 def write(words: str, x: float, y: float, color: Color = WHITE, centered: bool = False) -> None:
     """Words with a shadow, so that they can be read on anything."""
-    import blf
-
     words = said(words)
     if centered:
         x -= blf.dimensions(0, words)[0] / 2
@@ -50,8 +46,6 @@ def write(words: str, x: float, y: float, color: Color = WHITE, centered: bool =
 
 def width_of(words: str) -> float:
     """Width in pixels of words drawn by `write`."""
-    import blf
-
     return blf.dimensions(0, said(words))[0]
 
 
@@ -59,9 +53,6 @@ class Shape:
     """Triangles ("TRIS") or lines ("LINES") over a viewport: corners [n, 3]; one RGBA colour, or one each [n, 4]."""
 
     def __init__(self, kind: str, corners: np.ndarray, color: np.ndarray | tuple[float, ...]) -> None:
-        import gpu
-        from gpu_extras.batch import batch_for_shader
-
         self._lines, self._color = kind == "LINES", color if np.ndim(color) == 1 else None
         name = "POLYLINE_UNIFORM_COLOR" if self._lines else "UNIFORM_COLOR" if self._color else "SMOOTH_COLOR"
         self._shader = gpu.shader.from_builtin(name)
@@ -70,8 +61,6 @@ class Shape:
 
     def draw(self, matrix: Matrix | None = None, on_top: bool = False) -> None:
         """Draw it through a matrix; behind what lies before it, unless `on_top`."""
-        import gpu
-
         gpu.state.depth_test_set("NONE" if on_top else "LESS_EQUAL")
         gpu.state.blend_set("ALPHA")
         with gpu.matrix.push_pop():
@@ -102,8 +91,7 @@ def frame(x1: float, y1: float, x2: float, y2: float, color: Color, thickness: f
 
 
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
-_names: dict[Path, str] = {}
-"""What each file is called in the collection, which holds it as it last was."""
+_names: dict[Path, str] = {}  # what each file is called in the collection, which holds it as it last was
 
 
 def icon_of(path: Path) -> int:

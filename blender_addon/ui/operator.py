@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What all operators share: `InputError` becomes a message in the status bar, and nothing else has happened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import bpy
@@ -13,8 +11,7 @@ from ..translations import said
 from .window import progress_cursor
 
 PLAIN = {"REGISTER"}
-WITH_UNDO = {"REGISTER", "UNDO"}
-"""Of operators that change the mesh and have ended when they return."""
+WITH_UNDO = {"REGISTER", "UNDO"}  # of operators that change the mesh and have ended when they return
 
 
 class CloakOperator(bpy.types.Operator):

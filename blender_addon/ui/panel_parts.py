@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panels are drawn with."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable
 

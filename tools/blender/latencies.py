@@ -56,8 +56,8 @@ def touch(obj: bpy.types.Object) -> None:
 def waits(obj: bpy.types.Object) -> dict[str, str]:
     """Every wait in Edit Mode, on one body."""
     from cloak.blender import faces
+    from cloak.blender.evaluated import read_surface
     from cloak.blender.mesh_arrays import current_mesh
-    from cloak.blender.surface import read_surface
     from cloak.logo import overlay
     from cloak.logo.stamp import Placed, laid, text_stamp
     from made import select_only, set_mode, stroke

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import cloak
 from cloak.logo import paint
-from cloak.result import evaluations, eye, judging, panel
+from cloak.result import evaluations, eye, panel
 from cloak.training import detectors
 from cloak.training import panel as training_panel
 
@@ -60,7 +60,7 @@ def labels() -> Iterator[str]:
     kinds = (
         cloak.properties.CloakSettings,
         cloak.properties.CloakObject,
-        judging.CloakJudging,
+        evaluations.CloakJudging,
         detectors.CloakDetector,
     )
     known = {prop.identifier: prop for kind in kinds for prop in kind.bl_rna.properties if prop.type != "BOOLEAN"}
@@ -103,6 +103,8 @@ def sentences() -> list[str]:
                 found |= {_pattern(node.args[1]): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
+            elif isinstance(node, ast.keyword) and node.arg == "lacks":
+                found |= {_pattern(node.value): None}
             elif isinstance(node, ast.FunctionDef) and (node.name.endswith("_reason") or node.name == "needs"):
                 found |= {_pattern(said.value): None for said in ast.walk(node) if isinstance(said, ast.Return)}
     return [text for text in found if text and sum(map(str.isalpha, text)) > 5]

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.blender.surface import read_surface
+from cloak.blender.evaluated import read_surface
 from cloak.logo import stamp
 from made import centers, make_egg, make_fine_egg, make_grid, set_mode
 from mathutils import Matrix

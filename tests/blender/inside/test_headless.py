@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import colors, faces
+from cloak.blender.evaluated import read_surface
 from cloak.blender.mesh_arrays import topology
-from cloak.blender.surface import read_surface
 from cloak.body import samples
 from cloak.logo import stamp
 from cloak.logo.operators import heatmap_words, show_heat

@@ -3,7 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from cloak.blender import colors, faces, modifiers
+from cloak.blender import colors, faces
+from cloak.blender.evaluated import CARRIED, carried_faces, numbered_faces
 from cloak.blender.mesh_arrays import topology
 from cloak.exchange.colors import write_colors
 from cloak.exchange.face_lists import read_face_list, write_face_list
@@ -128,7 +129,7 @@ def test_a_logo_is_carried_to_the_faces_that_modifiers_make(add, tmp_path):
     carried = np.array([value.value for value in evaluated.attributes["chest"].data])
     expected = sum(len(p.vertices) - 2 for p in evaluated.polygons if carried[p.index])
     assert np.isin(bodies.triangle_face, ids).sum() == expected > len(ids)
-    assert modifiers.CARRIED not in obj.data.attributes
+    assert CARRIED not in obj.data.attributes
 
 
 @pytest.mark.parametrize("add", [subsurf, mirror, solidify, subdivide_nodes, array_and_triangulate])
@@ -145,10 +146,10 @@ def test_trained_colours_are_seen_where_they_were_trained(add, tmp_path):
     trained = np.random.default_rng(0).random((len(ids), 3)).astype(np.float32)
     write_colors(run / "colors.npy", trained)
     runs.import_colors(bpy.context, obj, run)
-    with modifiers.numbered_faces([obj]):
+    with numbered_faces([obj]):
         graph = bpy.context.evaluated_depsgraph_get()
         mesh = obj.evaluated_get(graph).to_mesh()
-        own = modifiers.carried_faces(obj, mesh)
+        own = carried_faces(obj, mesh)
         shown = np.empty(4 * len(mesh.loops), np.float32)
         mesh.color_attributes["Cloak"].data.foreach_get("color", shown)
         counts = np.array([p.loop_total for p in mesh.polygons])
@@ -204,7 +205,7 @@ def test_a_stamp_under_a_subdivision_takes_own_faces():
         bpy.ops.cloak.logo_stamp(target="ADD")
         taken = faces.read_faces(obj, "G")
         assert (taken & plain).sum() > 0.9 * plain.sum() and taken.sum() < 2 * plain.sum()
-        assert modifiers.CARRIED not in obj.data.attributes
+        assert CARRIED not in obj.data.attributes
 
 
 # --- where they cannot be --------------------------------------------------------------------------------------------
@@ -222,7 +223,7 @@ def test_a_modifier_that_loses_the_faces_is_named_and_a_copy_offered(tmp_path):
     assert "'Clay'" in reason and "'Half'" not in reason and "Apply a Copy" in reason
     with pytest.raises(InputError, match="'Clay'"):
         scene_export.export(bpy.context, obj, "chest", NOW, tmp_path / "input")
-    assert modifiers.CARRIED not in obj.data.attributes and not list(tmp_path.iterdir())
+    assert CARRIED not in obj.data.attributes and not list(tmp_path.iterdir())
     before = len(obj.data.polygons)
     bpy.ops.cloak.apply_copy()
     copy = bpy.context.view_layer.objects.active

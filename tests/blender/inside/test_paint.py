@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
 from cloak.blender import faces
-from cloak.blender.surface import read_surface
+from cloak.blender.evaluated import read_surface
 from made import add_ngons, centers, make_egg, make_fine_egg, set_mode, stroke
 from mathutils import Matrix, Vector
 

@@ -22,7 +22,7 @@ from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, run_states, runs
-from cloak.training.operators import kept_reason, resume_reason, selected_run
+from cloak.training.operators import kept_reason, run_reason, selected_run
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import make_egg
 
@@ -208,7 +208,7 @@ def test_an_orphan_is_found_followed_and_stopped(orphan):
     assert not obj.cloak.run  # the file was saved before Start: it knows nothing of the run
     assert listed() == {"Body Brust_Ärmel": "running"}
     choose("Body Brust_Ärmel")
-    assert "is being trained" in resume_reason(bpy.context)
+    assert "is being trained" in run_reason(bpy.context, "resumed")
     make_egg(6, name="Active")
     choose("Body Brust_Ärmel")
     bpy.ops.cloak.run_attach()  # at the first click, whatever is active
@@ -222,7 +222,7 @@ def test_an_orphan_is_found_followed_and_stopped(orphan):
     assert run_job().state == "stopped" and "Resume goes on" in job.message
     wait_for(lambda: not is_alive(orphan))
     assert red_faces(obj) == LOGO_FACES
-    assert listed() == {"Body Brust_Ärmel": "stopped"} and resume_reason(bpy.context) == ""
+    assert listed() == {"Body Brust_Ärmel": "stopped"} and run_reason(bpy.context, "resumed") == ""
 
 
 def test_an_orphan_is_stopped_without_following_it(orphan):
@@ -281,7 +281,7 @@ def test_a_run_of_the_command_line_is_listed_loaded_and_reported(ready):
     job = run_job()
     assert job.state == "done" and (run / "report.html").is_file(), job.message
     assert not runs.input_folder(run).exists()
-    assert "is done (9/9): Extend trains on" in resume_reason(bpy.context)
+    assert "is done (9/9): Extend trains on" in run_reason(bpy.context, "resumed")
 
 
 def test_only_what_cloak_made_is_deleted(ready, tmp_path):

@@ -13,7 +13,7 @@ from cloak.result.reasons import judged_reason, result_reason
 from cloak.session import session
 from cloak.trainer import jobs
 from cloak.training import run_list, run_states, runs
-from cloak.training.operators import attach_reason
+from cloak.training.operators import run_reason
 from conftest import LOGO_FACES, folder_of, red_faces, run_job, wait_for
 from made import make_egg, set_mode
 
@@ -150,4 +150,4 @@ def test_rows_keep_their_places_and_attach_finds_its_body(training, monkeypatch)
     faces.new_logo(other, "x", np.ones(len(other.data.polygons), bool))
     assert bpy.context.object == other and runs.body_of(training, runs.trained_faces(training)[1]) == body
     choose(training)
-    assert "is not being trained" in attach_reason(bpy.context)
+    assert "is not being trained" in run_reason(bpy.context, "followed")

@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 from cloak.blender import faces
-from cloak.blender.surface import read_surface
+from cloak.blender.evaluated import read_surface
 from cloak.files.errors import InputError
 from cloak.logo import stamp
 from made import centers, make_egg, make_grid

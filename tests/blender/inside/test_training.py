@@ -14,7 +14,7 @@ from cloak.body import objects as body
 from cloak.result.reasons import result_reason
 from cloak.session import session
 from cloak.training import run_list
-from cloak.training.operators import resume_reason, train_reason
+from cloak.training.operators import run_reason, train_reason
 from conftest import LOGO_FACES, MODULE, TRAIN_THERE, elsewhere, folder_of, red_faces, run_job, wait_for
 from made import set_mode
 
@@ -210,7 +210,7 @@ def test_closing_blender_mid_run_and_resuming_from_the_saved_file(ready, monkeyp
     obj = bpy.data.objects["Body"]
     bpy.context.view_layer.objects.active = obj
     assert int(Path(folder_of(obj), "step.txt").read_text()) < 20
-    assert resume_reason(bpy.context) == ""
+    assert run_reason(bpy.context, "resumed") == ""
     bpy.ops.cloak.train_resume()
     assert run_job().state == "done" and red_faces(obj) == LOGO_FACES
 
