@@ -8,42 +8,32 @@ following the process that trains). `session` holds what is true of this process
 without a window.
 """
 
+from importlib import import_module
+
 import bpy
 
 from . import properties, translations
-from .body import operators as body_operators
-from .body import panel as body_panel
-from .logo import operators as logo_operators
-from .logo import overlay, paint, pick, stamp_operators
-from .logo import panel as logo_panel
-from .poses import panel as poses_panel
-from .result import eye, outputs, ring, wear
-from .result import operators as result_operators
-from .result import panel as result_panel
+from .logo import overlay, paint
+from .result import eye, ring
 from .session import session
 from .trainer import jobs, preferences
-from .trainer import operators as trainer_operators
-from .training import detectors, run_list
-from .training import operators as training_operators
-from .training import panel as training_panel
+from .training import run_list
 from .ui import drawing
 
 WITH_CLASSES = (
-    *(trainer_operators, body_operators, logo_operators, pick, paint, stamp_operators),
-    *(detectors, training_operators, result_operators, outputs),
-    *(body_panel, logo_panel, poses_panel, training_panel, result_panel, wear),
+    *("trainer.operators", "body.operators", "logo.operators", "logo.pick", "logo.paint", "logo.stamp_operators"),
+    *("training.detectors", "training.operators", "result.operators", "result.outputs"),
+    *("body.panel", "logo.panel", "poses.panel", "training.panel", "result.panel", "result.wear"),
 )
 """Modules whose classes are registered, in the order of the panels."""
 ROOMS = (properties, run_list, drawing)  # modules that register something before the classes
 WATCHERS = (overlay.HOOKS, ring.HOOKS, eye.HOOKS, paint, translations)
 """Objects that register something after the classes."""
-
-
 CLASSES = (
     preferences.CloakPreferences,
     *(
         cls
-        for module in WITH_CLASSES
+        for module in (import_module(f".{name}", __package__) for name in WITH_CLASSES)
         for name, cls in vars(module).items()
         if name.startswith("CLOAK_") and cls.__module__ == module.__name__
     ),

@@ -149,8 +149,7 @@ def _only_body(logo: str) -> bpy.types.Object | None:
     if active is not None and active.type == "MESH":
         return active
     meshes = [o for o in bpy.context.view_layer.objects if o.type == "MESH"]
-    wearing = [o for o in meshes if logo in logo_names(o.data)]
-    candidates = wearing or meshes
+    candidates = [o for o in meshes if logo in logo_names(o.data)] or meshes
     if len(candidates) > 1:
         raise InputError(f"--object: name the body, one of {', '.join(o.name for o in candidates)}")
     return candidates[0] if candidates else active
@@ -199,8 +198,7 @@ def train(options: argparse.Namespace, obj: bpy.types.Object, logo: str, python:
     if options.resume and folder.is_dir():
         done, begun = read_export(folder), runs.remembered_options(run)
         runs.require_same_topology(obj, done.topology)
-        kept = command_lines.differing_options(begun, words)
-        if kept:
+        if kept := command_lines.differing_options(begun, words):
             say(f"--resume keeps what the run was started with: {kept}")
         words = begun
     else:

@@ -21,8 +21,7 @@ OUTFIT = "Outfit"  # name of the colour attribute that holds the plain clothing 
 HEATMAP = "Cloak Heatmap"
 HEAT = "cloak_heat"  # float face attribute: the last heat map
 SLOTS = "material_index"  # Blender's own face attribute: the material slot of each face
-OWN_MATERIAL = "cloak_own_material"
-"""Integer face attribute: the material slot each face had before it was dressed."""
+OWN_MATERIAL = "cloak_own_material"  # integer face attribute: the material slot each face had before it was dressed
 GREY = 0.5
 HEAT_STOPS = ((0.05, 0.03, 0.20), (0.42, 0.07, 0.43), (0.83, 0.27, 0.30), (0.98, 0.60, 0.15), (0.99, 1.0, 0.75))
 """sRGB from no heat to the most."""
@@ -38,9 +37,6 @@ def linear_to_srgb(values: np.ndarray) -> np.ndarray:
     """Inverse of `srgb_to_linear`."""
     values = np.asarray(values, np.float32)
     return np.where(values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
-
-
-# --- the colour attribute --------------------------------------------------------------------------------------------
 
 
 def write_face_colors(obj: bpy.types.Object, name: str, colors: np.ndarray) -> None:
@@ -284,9 +280,6 @@ def heat_colors(heat: np.ndarray) -> np.ndarray:
     level = np.clip(heat / top, 0, 1) if top > 0 else np.zeros(len(heat))
     places = np.linspace(0, 1, len(HEAT_STOPS))
     return np.stack([np.interp(level, places, channel) for channel in np.transpose(HEAT_STOPS)], -1)
-
-
-# --- view transform --------------------------------------------------------------------------------------------------
 
 
 def view_transform_reason(scene: bpy.types.Scene) -> str:

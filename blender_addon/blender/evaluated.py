@@ -38,9 +38,8 @@ LOSES_FACES = {"FLUID", "MESH_TO_VOLUME", "OCEAN", "REMESH", "SKIN", "VOLUME_TO_
 def keeps_faces(obj: bpy.types.Object, evaluated: bpy.types.Mesh) -> bool:
     """Whether the evaluated faces are the mesh's own, in number, order and corners."""
     with current_mesh(obj) as mesh:
-        if len(evaluated.polygons) != len(mesh.polygons) or len(evaluated.vertices) != len(mesh.vertices):
-            return False
-        return all(map(np.array_equal, arrays.polygon_loops(evaluated), arrays.polygon_loops(mesh)))
+        same_loops = map(np.array_equal, arrays.polygon_loops(evaluated), arrays.polygon_loops(mesh))
+        return len(evaluated.vertices) == len(mesh.vertices) and all(same_loops)
 
 
 def changes_faces(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> bool:
@@ -132,9 +131,6 @@ def applied_copy(context: bpy.types.Context, obj: bpy.types.Object) -> bpy.types
     obj.hide_set(True)
     arrays.choose(context, copy)
     return copy
-
-
-# --- where a ray meets them ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

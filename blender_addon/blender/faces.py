@@ -24,12 +24,8 @@ NOT_LOGOS = {"sharp_face", "freestyle_face"}  # boolean face attributes that Ble
 
 def is_logo(attribute: bpy.types.Attribute) -> bool:
     """Whether a mesh attribute is a logo: a boolean per face that is not Blender's own."""
-    return (
-        attribute.domain == "FACE"
-        and attribute.data_type == "BOOLEAN"
-        and not attribute.name.startswith(".")
-        and attribute.name not in NOT_LOGOS
-    )
+    own = attribute.name.startswith(".") or attribute.name in NOT_LOGOS
+    return attribute.domain == "FACE" and attribute.data_type == "BOOLEAN" and not own
 
 
 def logo_names(mesh: bpy.types.Mesh) -> list[str]:
@@ -67,14 +63,10 @@ def require_logo(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 
 def _missing(obj: bpy.types.Object, name: str) -> str:
-    others = [o.name for o in bpy.data.objects if o.type == "MESH" and o != obj and name in logo_names(o.data)]
-    if others:
+    if others := [o.name for o in bpy.data.objects if o.type == "MESH" and o != obj and name in logo_names(o.data)]:
         return f"Logo '{name}' is on '{others[0]}', not on '{obj.name}': make '{others[0]}' the active object"
     have = ", ".join(logo_names(obj.data)) or "none"
     return f"'{obj.name}' has no logo '{name}' (it has: {have}): select faces in Edit Mode and press New from Selection"
-
-
-# --- reading and writing, in both modes ------------------------------------------------------------------------------
 
 
 HAS_LAYERS = hasattr(bmesh.types.BMLayerAccessFace, "bool")
@@ -139,9 +131,6 @@ def _select_edited(obj: bpy.types.Object, faces: np.ndarray) -> None:
         bm.faces[index].select_set(True)
     bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
     arrays.edited(obj)
-
-
-# --- making and changing logos ---------------------------------------------------------------------------------------
 
 
 def new_logo(obj: bpy.types.Object, name: str, mask: np.ndarray) -> str:

@@ -158,10 +158,7 @@ def mean_of_corners(counts: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def mesh_triangles(mesh: bpy.types.Mesh, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Blender's own triangulation: vertex indices [T, 3] and the polygon of each triangle [T], int32.
-
-    mask [P]: of these faces alone.
-    """
+    """Blender's own triangulation, of the faces of `mask` [P] alone: vertex indices [T, 3] and polygons [T], int32."""
     loops, face = triangle_corners(mesh)
     chosen = slice(None) if mask is None else mask[face]
     return corner_vertices(mesh)[loops[chosen]], face[chosen]

@@ -21,10 +21,8 @@ from ..files.errors import InputError
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The armature that deforms or carries the object."""
-    found = obj.find_armature()
-    if found is None and obj.parent is not None and obj.parent.type == "ARMATURE":
-        found = obj.parent
-    return found
+    carries = obj.parent is not None and obj.parent.type == "ARMATURE"
+    return obj.find_armature() or (obj.parent if carries else None)
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ def undress(obj: bpy.types.Object) -> None:
 
 def write_worn(garments: list[Garment], ids: np.ndarray, values: np.ndarray, dress: bool) -> None:
     """Write the garments' part of the colours [L, 3] of faces [L]; with `dress` also assign the cloak's material."""
-    for obj, garment in [(_worn_object(g), g) for g in garments]:
+    for obj, garment in [(_worn_object(g), g) for g in garments]:  # all of them are there, or nothing is written
         mine = (ids >= garment.first) & (ids < garment.first + garment.faces)
         local = ids[mine] - garment.first
         worn = colors.own_face_colors(obj)

@@ -16,8 +16,7 @@ from ..blender.faces import logo_names
 from ..blender.mesh_arrays import bmesh_of
 from ..files.errors import InputError
 
-ORIGINAL_FACE = "cloak_original_face"
-"""Integer face attribute that subdivision leaves: the face each one came from."""
+ORIGINAL_FACE = "cloak_original_face"  # integer face attribute that subdivision leaves: the face each one came from
 NO_BODY = "Choose a body first"
 
 
@@ -175,8 +174,8 @@ def of_the_body(reason: Callable[[bpy.types.Context, bpy.types.Object], str]) ->
     """A reason that asks about the active body; where there is none, why not."""
 
     @functools.wraps(reason)
-    def asked(context: bpy.types.Context) -> str:
-        return body_reason(context) or reason(context, active_body(context))
+    def asked(context: bpy.types.Context, *details: object) -> str:
+        return body_reason(context) or reason(context, active_body(context), *details)
 
     return asked
 
@@ -186,8 +185,7 @@ def logo_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there is no logo to train."""
     if logo_names(obj.data):
         return ""
-    others = [o.name for o in context.view_layer.objects if o.type == "MESH" and o != obj and logo_names(o.data)]
-    if others:
+    if others := [o.name for o in context.view_layer.objects if o.type == "MESH" and o != obj and logo_names(o.data)]:
         return f"No logo on '{obj.name}'; '{others[0]}' has one: click that, or make one here"
     return "Make a logo first"
 

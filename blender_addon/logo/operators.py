@@ -139,9 +139,6 @@ class CLOAK_OT_logo_mirror(BodyOperator, label="Mirror", needs=logo_reason):
         return f"Logo '{name}': {int(mirrored.sum()):,} faces mirrored{note}"
 
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
-
 class CLOAK_OT_logo_export(CloakOperator, ExportHelper, label="Export Face List", needs=logo_reason):
     """Write the active logo as a face list (.npy) with its sidecar (.json), for the command line"""
 
@@ -168,11 +165,6 @@ class CLOAK_OT_logo_import(BodyOperator, ImportHelper, label="Import Face List")
         return f"Logo '{obj.cloak.logo}': {int(faces.read_faces(obj, obj.cloak.logo).sum()):,} faces"
 
 
-def heatmap_reason(context: bpy.types.Context) -> str:
-    """Why the detector cannot be asked which faces it looks at."""
-    return upright_reason(context) or refusal(train_options, context.scene.cloak)
-
-
 @of_the_body
 def heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why no logo can be made of a heat map."""
@@ -189,8 +181,12 @@ def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return "Leave Edit Mode (Tab) to see the heat map" if context.mode != "OBJECT" else ""
 
 
-class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", needs=heatmap_reason):
+class CLOAK_OT_heatmap(CloakOperator, label="Heatmap"):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return upright_reason(context) or refusal(train_options, context.scene.cloak)
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak

@@ -28,11 +28,8 @@ OUTLINE = (1.0, 1.0, 1.0, 1.0)
 LIFT = 0.0008  # the tint floats this share of the body's size above the surface, so that the two do not flicker
 BLINK = 0.03  # longest computation, in seconds, that may run while drawing
 REST = 0.2  # seconds without a change after which what takes longer is computed
-
 MOVES = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}  # events of a mouse that moves
 ADDED, TAKEN = (0.2, 0.9, 1.0, 0.55), (0.05, 0.05, 0.05, 0.6)
-
-
 _Key = tuple[str, int, object]
 """What a kept value was computed from: the logo, its object, and whatever else may change the value."""
 

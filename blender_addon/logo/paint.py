@@ -39,8 +39,6 @@ touches; with X-Ray on, also those behind, all through the body"""
         options={"SKIP_SAVE"},
     )
 
-    # --- from a list of places ---
-
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         surface = read_surface(context, obj)
         painted = [self._dab(obj, surface, Vector(dab.location), dab.size) for dab in self.stroke]
@@ -65,8 +63,6 @@ touches; with X-Ray on, also those behind, all through the body"""
         else:
             name = take(obj, mask, "Logo", add=bool(faces.logo_names(obj.data)))
         return f"Logo '{name}': {int(mask.sum()):,} faces painted {'out' if removes else 'in'}"
-
-    # --- with the mouse ---
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.attempt(self._begin, context, event)
@@ -131,7 +127,7 @@ def _key(key: str, **modifiers: bool) -> dict[str, object]:
     return {"type": key, "value": "PRESS"} | modifiers
 
 
-class _PaintTool:
+class PaintTool:
     """Paint faces into the active logo"""
 
     bl_space_type = "VIEW_3D"
@@ -159,19 +155,10 @@ class _PaintTool:
         draw_circle_2d(xy, (1, 1, 1, 1), context.scene.cloak.brush_radius, segments=48)
 
 
-class PaintInEditMode(_PaintTool, bpy.types.WorkSpaceTool):
-    """Paint faces into the active logo"""
-
-    bl_context_mode = "EDIT_MESH"
-
-
-class PaintInObjectMode(_PaintTool, bpy.types.WorkSpaceTool):
-    """Paint faces into the active logo"""
-
-    bl_context_mode = "OBJECT"
-
-
-TOOLS = (PaintInEditMode, PaintInObjectMode)
+TOOLS = [
+    type(f"PaintIn{mode}", (PaintTool, bpy.types.WorkSpaceTool), {"bl_context_mode": mode})
+    for mode in ("EDIT_MESH", "OBJECT")
+]
 
 
 def register() -> None:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of step 2 that make a logo of what already belongs together: a material, a vertex group, a face set,
-seam islands."""
+"""Operators of step 2 that take what belongs together: a material, a vertex group, a face set, a seam island."""
 
 from collections.abc import Callable
 
@@ -18,7 +17,7 @@ from .operators import selected_faces, take
 
 Items = list[tuple[str, str, str]]  # of a menu: value, name, description
 MEMBER = 0.5  # weight from which a vertex counts as part of its group
-MAX_SETS = 64
+MAX_SETS, TITLES = 64, {".sculpt_face_set": "Face Set"}
 NOT_SETS = {"material_index", colors.OWN_MATERIAL, ORIGINAL_FACE}
 """Integer face attributes that Blender and Cloak keep for themselves."""
 
@@ -54,26 +53,23 @@ def face_sets(obj: bpy.types.Object) -> Items:
     found: Items = []
     with current_mesh(obj) as mesh:
         for name in [attribute.name for attribute in mesh.attributes if is_face_set(attribute)]:
-            title = "Face Set" if name == ".sculpt_face_set" else name
+            title = TITLES.get(name, name)
             values = np.unique(_integers(mesh, name))[:MAX_SETS].tolist()
             found += [(f"{value} {name}", f"{title} {value}", f"Faces whose '{name}' is {value}") for value in values]
     return found
 
 
 class PickOperator(BodyOperator):
-    """Base: `pick` returns a mask of the object's current mesh, and a name for the logo.
+    """Base: `pick(obj, mesh)` returns a mask of the object's current mesh, and a name for the logo.
 
     has: whether an object has something to pick. lacks: what to say where it has not.
     """
 
-    def __init_subclass__(cls, label: str, has: Callable[[bpy.types.Object], bool] = bool, lacks: str = "") -> None:
+    def __init_subclass__(cls, label: str, has: Callable = lambda obj: True, lacks: str = "") -> None:
         reason = lambda context: body_reason(context) or ("" if has(context.object) else lacks)
         super().__init_subclass__(label=label, needs=reason)
 
     add: props.switch("Add", "Add to the active logo instead of making a new one")
-
-    def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
-        raise NotImplementedError
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         with current_mesh(obj) as mesh:
@@ -129,8 +125,7 @@ class CLOAK_OT_logo_from_face_set(
 
     def pick(self, obj: bpy.types.Object, mesh: bpy.types.Mesh) -> tuple[np.ndarray, str]:
         value, _, name = self.face_set.partition(" ")
-        title = next(title for key, title, _ in face_sets(obj) if key == self.face_set)
-        return _integers(mesh, name) == int(value), title
+        return _integers(mesh, name) == int(value), f"{TITLES.get(name, name)} {value}"
 
 
 class CLOAK_OT_logo_from_island(PickOperator, label="From Seam Island"):

@@ -128,8 +128,6 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
     angle: props.number("Angle", "Turns the stamp against the clock", subtype="ANGLE")
     add: props.switch("Add", "Add to the active logo instead of making a new one")
 
-    # --- from numbers ---
-
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         self.lay(context, obj)
         return self.write(self._projection(), self.add)
@@ -145,8 +143,6 @@ class CLOAK_OT_stamp_drag(StampOperator, label="Place Stamp", needs=upright_reas
     def _projection(self) -> Projection:
         place, direction = np.array(self.place), np.array(self.direction)
         return laid(place, direction, self.height, self._placed.aspect, self.angle)
-
-    # --- with the mouse ---
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         return self.attempt(self._begin, context, event)

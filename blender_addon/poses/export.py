@@ -18,7 +18,7 @@ from ..blender.evaluated import carried_faces, changes_faces, keeps_faces, lost_
 from ..blender.faces import logo_mask, logo_names, require_logo
 from ..blender.mesh_arrays import evaluated_mesh, mesh_triangles, polygon_loops, to_world, topology, vertex_points
 from ..body.garments import Garment, worn_by
-from ..body.objects import active_body, body_reason, refusal, require_body, require_upright, scene_axes
+from ..body.objects import active_body, of_the_body, refusal, require_body, require_upright, scene_axes
 from ..exchange.bodies import Bodies
 from ..exchange.face_lists import write_face_list
 from ..exchange.scenes import write_scene
@@ -51,12 +51,10 @@ class Part:
         return len(self.loop_total) if self.own_face is None else int(self.own_face.max()) + 1
 
 
-def poses_reason(context: bpy.types.Context, choice: PoseChoice | None = None) -> str:
+@of_the_body
+def poses_reason(context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice | None = None) -> str:
     """Why the given poses (by default those of step 3) cannot be exported."""
-    reason = body_reason(context)
-    if reason:
-        return reason
-    obj, choice = active_body(context), choice or pose_choice(context.scene.cloak)
+    choice = choice or pose_choice(context.scene.cloak)
     reason = refusal(require_upright, obj) or refusal(require_faces, obj) or refusal(require_size, obj)
     reason = reason or refusal(list_poses, obj, choice)
     return reason or refusal(require_own_animation, [obj, *worn_by(obj)], choice) or modifiers_reason(obj)
@@ -73,26 +71,21 @@ def export_summary(context: bpy.types.Context) -> str:
     return text + (f"; the logo goes on over {', '.join(too)}" if too else "")
 
 
-def export_bodies(
-    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = "", worn: list | None = None
-) -> Bodies:
-    """Export the body and its clothing in every chosen pose; the logo may extend over the clothing.
-
-    worn: other objects than `worn_by` names. Leaves the scene as it was.
-    """
-    return _bodies_and_garments(context, obj, choice, worn_by(obj) if worn is None else worn, logo)[0]
+def export_bodies(context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str = "") -> Bodies:
+    """Export the body and its clothing in every chosen pose; the logo may extend over the clothing."""
+    return _bodies_and_garments(context, obj, choice, logo)[0]
 
 
 def _bodies_and_garments(
-    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, clothing: list[bpy.types.Object], logo: str
+    context: bpy.types.Context, obj: bpy.types.Object, choice: PoseChoice, logo: str
 ) -> tuple[Bodies, list[Garment]]:
-    """Bodies, and the clothing that wears the logo too: it is exported face by face, as the body is."""
+    """Bodies, and the clothing that wears the logo too, face by face as the body. Leaves the scene as it was."""
     require_body(obj)
-    require_upright(obj)
-    require_size(obj)
+    clothing = worn_by(obj)
     objects = [obj, *clothing]
-    for worn in clothing:
-        require_upright(worn)
+    for one in objects:
+        require_upright(one)
+    require_size(obj)
     wearing = [obj, *(o for o in clothing if logo and logo_mask(o, logo).any())]
     require_own_animation(objects, choice)
     poses = list_poses(obj, choice)
@@ -190,9 +183,6 @@ def _join(frames: list[list[Part]], names: list[str], outfits: np.ndarray, name:
     )
 
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Export:
     """What one export wrote into `folder`."""
@@ -223,7 +213,7 @@ def export(context: bpy.types.Context, obj: bpy.types.Object, logo: str, choice:
     mask = logo_mask(obj, logo) if worn_elsewhere else require_logo(obj, logo)
     if folder.exists():
         raise InputError(f"{folder}: exists already; choose another output folder")
-    bodies, garments = _bodies_and_garments(context, obj, choice, clothing, logo)
+    bodies, garments = _bodies_and_garments(context, obj, choice, logo)
     worn = [np.flatnonzero(logo_mask(bpy.data.objects[g.object], logo)) + g.first for g in garments]
     ids = np.concatenate([np.flatnonzero(mask), *worn])
     ids = np.intersect1d(ids, bodies.triangle_face)  # faces that a modifier takes away are not seen

@@ -32,8 +32,7 @@ class CLOAK_PT_poses(CloakPanel, label="3. Poses", closed=True, unfinished=poses
             column.prop(settings, "frame_step", text="Step")
         if no_body:
             return
-        reason = poses_reason(context)
-        if reason:
+        if reason := poses_reason(context):
             wrapped(column, context, reason, icon="ERROR")
             if modifiers_reason(active_body(context)):
                 column.operator("cloak.apply_copy")

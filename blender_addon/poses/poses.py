@@ -16,8 +16,7 @@ from ..body.garments import armature_of
 from ..files.errors import InputError
 
 MAX_POSES = 1000
-DISTANCE = 2.2
-"""Metres from the middle of the body to the training cameras, unless a settings file says otherwise."""
+DISTANCE = 2.2  # metres from the middle of the body to the training cameras, unless a settings file says otherwise
 SMALLEST, LARGEST = 0.2, 2 * DISTANCE
 """Metres: the largest extent of a body that is more than a few pixels, and that a camera does not stand inside of."""
 _CACHED = ("CLOTH", "SOFT_BODY")
@@ -100,9 +99,6 @@ def _curves(action: bpy.types.Action, owner: bpy.types.ID) -> list[bpy.types.FCu
     return [curve for bag in bags if bag is not None for curve in bag.fcurves]
 
 
-# --- what a camera can see of them -----------------------------------------------------------------------------------
-
-
 def extent(obj: bpy.types.Object) -> tuple[float, float, float]:
     """Width, depth and height of the body as it stands now, in metres."""
     low, high = box_of(obj)
@@ -146,9 +142,6 @@ def lying_warning(obj: bpy.types.Object) -> str:
         f"'{obj.name}' lies: it is {_length(max(width, depth))} long and {_length(height)} high. Detectors know people "
         "who stand, so there may be nothing to hide: turn it upright (Z is up), or choose other poses"
     )
-
-
-# --- stepping through them -------------------------------------------------------------------------------------------
 
 
 @contextmanager

@@ -17,7 +17,6 @@ from ..trainer.progress import finite
 from ..ui import props
 
 AROUND = 180  # an evaluation all around goes this many degrees to either side
-
 BARE = 256  # most empty backgrounds that are checked for false alarms
 
 

@@ -45,18 +45,18 @@ class Eye:
         self.viewpoint: Viewpoint | None = None  # viewpoint of the last answer
         self.region = 0  # the viewport that is looked from, by its address; 0 for any
         self._uid, self._folder = obj.session_uid, folder
-        self._python, self._device = local_python(), settings.device
-        self._look_with(judges(settings))
+        self._python = local_python()
+        self._look_with(judges(settings), settings.device)
         self._asked: tuple | None = None
         self._asked_from: Viewpoint | None = None
         self._shape: tuple = ()
         self._fitting: tuple[tuple, Path | None] = (), None
         self._exported: tuple = ()
 
-    def _look_with(self, specs: tuple[str, ...]) -> None:
+    def _look_with(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
         self.specs = specs
-        command = cloak_command(self._python, "look", "-", *options(specs, device=self._device))
+        command = cloak_command(self._python, "look", "-", *options(specs, device=device))
         self._onlooker = Onlooker(command, self._folder)
 
     @property
@@ -75,9 +75,8 @@ class Eye:
         if specs != self.specs:
             self._onlooker.stop()
             self.seen, self._asked = None, None
-            self._look_with(specs)
-        failure = self._onlooker.failure()
-        if failure:
+            self._look_with(specs, context.scene.cloak.device)
+        if failure := self._onlooker.failure():
             raise InputError(failure)
         if self.object is None:
             raise InputError("The body that was looked at is gone")
@@ -97,8 +96,7 @@ class Eye:
     def _ask(self, context: bpy.types.Context, obj: bpy.types.Object) -> None:
         viewpoint = self._looks_from(context, obj).sized(LONGEST)
         settings, run = context.scene.cloak, self._run(obj)
-        reason = worn_reason(obj)
-        if reason:
+        if reason := worn_reason(obj):
             raise InputError(reason)
         self._export(context, obj, run)
         background = {"background": settings.judging.eye_background}
@@ -120,7 +118,7 @@ class Eye:
         if self._fitting[0] != key:
             self._fitting = key, None
             with suppress(InputError):
-                if run is not None and trained_faces(run)[1] == topology(obj):
+                if key[-1] and trained_faces(run)[1] == topology(obj):
                     self._fitting = key, run
         return self._fitting[1]
 
@@ -159,9 +157,6 @@ def shape_digest(context: bpy.types.Context, objects: list[bpy.types.Object]) ->
         with evaluated_mesh(obj, graph) as (mesh, matrix):
             known += [to_world(vertex_points(mesh), matrix), np.array(len(mesh.polygons))]
     return sha256_arrays(*known)
-
-
-# --- the one eye of this Blender --------------------------------------------------------------------------------------
 
 
 def open_eye(eye: Eye) -> None:

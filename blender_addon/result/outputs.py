@@ -69,22 +69,11 @@ def film_reason(context: bpy.types.Context) -> str:
     return judged_reason(context) or poses_reason(context, PoseChoice())
 
 
-def camera_film_reason(context: bpy.types.Context) -> str:
-    """Why no film can be made with the scene's camera."""
-    return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
-
-
 @of_the_body
 def made_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """Why there is nothing to open that was made of the body's run."""
     reason = result_reason(context)
     return reason or ("" if made(run_of(obj)) else "Nothing was made of this run yet")
-
-
-@of_the_body
-def bake_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-    """Why there are no colours to bake."""
-    return "" if colors.CLOAK in obj.data.color_attributes else "Train, or load colours, first"
 
 
 class CLOAK_OT_print_sheets(CloakOperator, label="Print Sheets", needs=film_reason):
@@ -110,9 +99,13 @@ class CLOAK_OT_turntable(CloakOperator, label="Turntable", needs=film_reason):
         return film(context, self.bl_label, TURNTABLE, ["--camera=orbit", f"--seconds={seconds:g}"], PoseChoice())
 
 
-class CLOAK_OT_film(CloakOperator, label="Film with Camera", needs=camera_film_reason):
+class CLOAK_OT_film(CloakOperator, label="Film with Camera"):
     """Film the body along the way of the scene's camera, over the scene's frames, in own clothing and in the cloak, \
 with what the detector sees. The camera looks at the middle of the body, which with Poses > Current Pose stands still"""
+
+    @staticmethod
+    def needs(context: bpy.types.Context) -> str:
+        return film_reason(context) or refusal(of_camera, context.scene, active_body(context))
 
     def run(self, context: bpy.types.Context) -> str:
         obj, scene = active_body(context), context.scene
@@ -143,11 +136,16 @@ def film(context: bpy.types.Context, label: str, name: str, options: list[str], 
     return f"Filming into {place}" + run_cloak(label, words, folder, name, lambda job: f"Wrote {place.name}", True)
 
 
-class CLOAK_OT_bake(BodyOperator, label="Bake to Image", needs=bake_reason):
+class CLOAK_OT_bake(BodyOperator, label="Bake to Image"):
     """Bake the trained colours to an image and make a material of it that is an asset. Where the body has no UV map, \
 or one with too little room, Cloak makes one of its own"""
 
     size: props.whole("Size", "Texels along each side", 2048, min=16, max=8192)
+
+    @staticmethod
+    @of_the_body
+    def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        return "" if colors.CLOAK in obj.data.color_attributes else "Train, or load colours, first"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         done = bake.bake(obj, self.size, self.show)

@@ -169,9 +169,6 @@ def describe_all(found: Sequence[Verdict]) -> str:
     return f"Holds against {holding} of {len(found)} detectors. Worst, {name}: {worst.describe()}"
 
 
-# --- rendering -------------------------------------------------------------------------------------------------------
-
-
 def render_view(obj: bpy.types.Object, path: Path, azimuth: float, size: int = SIZE, samples: int = SAMPLES) -> None:
     """Render the body with transparent surroundings from one training camera into a PNG, in display colours."""
     scene = bpy.data.scenes.new("cloak render")
@@ -232,9 +229,6 @@ def _aim(scene: bpy.types.Scene, camera: bpy.types.Object, pivot: Vector, azimut
     camera.data.angle = math.radians(FIELD_OF_VIEW)
     camera.data.clip_start, camera.data.clip_end = distance / 100, distance * 100
     scene.camera = camera
-
-
-# --- backgrounds -----------------------------------------------------------------------------------------------------
 
 
 def _composite(path: Path, photograph: Path | None) -> None:

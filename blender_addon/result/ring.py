@@ -50,9 +50,8 @@ def arcs(sectors: Sequence[Sector]) -> list[Arc]:
     once = {sector.azimuth % 360: sector for sector in sectors}
     azimuths = sorted(once)
     found = []
-    for index, azimuth in enumerate(azimuths):
-        before = (azimuth - azimuths[index - 1]) % 360 or 360
-        after = (azimuths[(index + 1) % len(azimuths)] - azimuth) % 360 or 360
+    for last, azimuth, following in zip(azimuths[-1:] + azimuths, azimuths, azimuths[1:] + azimuths[:1], strict=False):
+        before, after = (azimuth - last) % 360 or 360, (following - azimuth) % 360 or 360
         # An azimuth at an end of what was evaluated reaches as far outwards as inwards.
         nearest = min(before, after, WIDEST)
         low, high = (gap if gap <= WIDEST else nearest for gap in (before, after))
@@ -71,7 +70,7 @@ def on_circle(azimuth: float | np.ndarray) -> np.ndarray:
     return np.stack([np.sin(turn), -np.cos(turn)], -1)
 
 
-def band(first: float, last: float, inner: float, outer: float) -> np.ndarray:
+def band_triangles(first: float, last: float, inner: float, outer: float) -> np.ndarray:
     """[n, 3, 2] triangles of a piece of a ring."""
     count = max(1, math.ceil((last - first) / STEP))
     turns = on_circle(np.linspace(first, last, count + 1))
@@ -82,18 +81,14 @@ def band(first: float, last: float, inner: float, outer: float) -> np.ndarray:
 
 def ring_triangles(sectors: Sequence[Sector]) -> tuple[np.ndarray, np.ndarray]:
     """Corners [3 n, 2] around the origin, in shares of the body's extent, and their colours [3 n, 4] sRGB."""
-    places, paints = [], []
+    places, paints = [np.zeros((0, 2))], [np.zeros((0, 4))]
     for arc in arcs(sectors):
         gap = min(0.5, 0.05 * (arc.last - arc.first))
-        shown = [(MIDDLE, OUTER, arc.sector.cloak)]
-        if arc.sector.clothing is not None:
-            shown.append((INNER, MIDDLE - 0.02, arc.sector.clothing))
-        for inner, outer, success in shown:
-            corners = band(arc.first + gap, arc.last - gap, inner, outer).reshape(-1, 2)
-            places.append(corners)
-            paints.append(np.tile((*color_of(success), OPAQUE), (len(corners), 1)))
-    empty = np.zeros((0, 2)), np.zeros((0, 4))
-    return (np.concatenate(places), np.concatenate(paints)) if places else empty
+        bands = ((MIDDLE, OUTER, arc.sector.cloak), (INNER, MIDDLE - 0.02, arc.sector.clothing))
+        for inner, outer, success in (band for band in bands if band[2] is not None):
+            places.append(band_triangles(arc.first + gap, arc.last - gap, inner, outer).reshape(-1, 2))
+            paints.append(np.tile((*color_of(success), OPAQUE), (len(places[-1]), 1)))
+    return np.concatenate(places), np.concatenate(paints)
 
 
 def stand(obj: bpy.types.Object) -> tuple[Vector, float]:

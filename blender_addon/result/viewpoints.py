@@ -112,8 +112,7 @@ def of_camera(scene: bpy.types.Scene, obj: bpy.types.Object) -> Viewpoint:
 
 
 def camera_frame(context: bpy.types.Context) -> tuple[float, float, float, float] | None:
-    """Where the scene's camera's picture lies in a viewport: left, bottom, right, top in pixels; None where it is not
-    looked through."""
+    """Where the camera's picture lies in a viewport: left, bottom, right, top in pixels; None where another view is."""
     view, holder = context.region_data, context.scene.camera
     if view is None or view.view_perspective != "CAMERA" or holder is None or holder.type != "CAMERA":
         return None

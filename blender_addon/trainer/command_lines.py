@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The `cloak` command lines that the add-on gives the trainer.
-
-Nothing here imports `cloak_core`; the two sides share files and exit codes only.
-"""
+"""The `cloak` command lines that the add-on gives the trainer; the two share files and exit codes, no import."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -16,13 +16,11 @@ from pathlib import Path
 
 from ..files.errors import InputError
 from .jobs import Job
-from .python import about_command, ask, candidates
+from .python import PYTHON, about_command, ask, candidates
 
 PYTHON_NEEDED, TORCH_NEEDED = (3, 11), (2, 14)
-PIP_FOR_OTHERS = (22, 3)
-"""From here on, pip can fill an environment that has none of its own: its option --python."""
+PIP_FOR_OTHERS = (22, 3)  # from here on, pip can fill an environment that has none of its own: its option --python
 GIGABYTES, GIGABYTES_WITHOUT_TORCH = 6.0, 0.6  # size on disk; torch, torchvision and CUDA take 5.4 GB of it
-
 _PROBE = """
 import importlib.util, json, platform, sys, venv
 from importlib.metadata import PackageNotFoundError, distribution
@@ -106,14 +104,10 @@ def find_base(chosen: str = "") -> Base:
     raise InputError("; ".join(reasons) or "No Python 3.11 or newer found: install one, then choose it here")
 
 
-# --- what is installed, and where -------------------------------------------------------------------------------------
-
-
 def find_source(chosen: str) -> Path:
     """What pip installs: the wheel or the folder of sources that was chosen, or the wheel that came with the add-on."""
     if not chosen:
-        wheels = sorted(Path(__file__).parent.glob("*.whl"))
-        if wheels:
+        if wheels := sorted(Path(__file__).parent.glob("*.whl")):
             return wheels[-1]
         raise InputError("Choose what to install: the trainer's wheel (.whl), or the folder of Cloak's sources")
     path = Path(chosen).expanduser()
@@ -144,7 +138,7 @@ def require_room(folder: Path, needed: float) -> None:
 
 def python_in(place: Path) -> str:
     """The Python of an environment."""
-    return str(place / "Scripts" / "python.exe" if os.name == "nt" else place / "bin" / "python")
+    return str(place / PYTHON)
 
 
 def install_commands(base: Base, place: Path, source: Path, share_torch: bool) -> list[list[str]]:
@@ -169,15 +163,12 @@ def sweep(folder: Path, keep: Path | None) -> threading.Thread:
     return thread
 
 
-# --- following it -----------------------------------------------------------------------------------------------------
-
-
 class InstallJob(Job):
     """The commands of an installation; what pip says last is its description."""
 
     def _describe_running(self) -> str:
-        said = [] if self._cancelled else self.tail(1)
-        return super()._describe_running() + (f": {said[-1][:80]}" if said else "")
+        said = "".join(f": {line[:80]}" for line in self.tail(1) if not self._cancelled)
+        return super()._describe_running() + said
 
     def tail(self, count: int) -> list[str]:
         """The last lines that the commands said."""
@@ -220,7 +211,6 @@ _DIAGNOSES = (
 def diagnosis(said: str, otherwise: str) -> str:
     """What went wrong, from all that the commands said, and what to do."""
     for pattern, words in _DIAGNOSES:
-        found = re.search(pattern, said)
-        if found:
+        if found := re.search(pattern, said):
             return words.format(what=found.groupdict().get("what") or "package")
     return otherwise

@@ -26,7 +26,7 @@ from .python import start_process
 
 TICK_SECONDS = 0.25
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
-OnEnd = Callable[["Job"], str | None]
+OnEnd = Callable[["Job"], str | None] | None
 """Called when a job has ended, successfully or not. It may return a message; an `InputError` fails the job."""
 
 
@@ -34,19 +34,11 @@ class Job:
     """Commands that run one after the other outside Blender; `poll` moves it on.
 
     `state` is "waiting" or "running", then "done", "stopped" or "failed"; `message` says the reason in one line.
-    events: the commands' progress log, if they keep one. process: a process that is already running; it needs the
-    methods `poll` and `terminate` of `subprocess.Popen`.
+    commands: lists of words. events: the commands' progress log, if they keep one.
     """
 
     def __init__(
-        self,
-        label: str,
-        commands: Sequence[list[str]],
-        folder: Path,
-        name: str,
-        on_end: OnEnd | None = None,
-        events: Path | None = None,
-        process: object = None,
+        self, label: str, commands: Sequence, folder: Path, name: str, on_end: OnEnd = None, events: Path | None = None
     ) -> None:
         self.label, self.state, self.message = label, "waiting", ""
         self.notice = ""  # warning to show while it runs
@@ -55,7 +47,7 @@ class Job:
         self.outputs: list[str] = []
         self.progress = Progress()
         self.on_tick: Callable[[Job], None] | None = None  # called at every look while it runs: live colours
-        self.on_end, self._commands, self._process = on_end, list(commands), process
+        self.on_end, self._commands, self._process = on_end, list(commands), None
         self.log = folder / f"{name}.log"  # what the commands said on standard error
         self._out = folder / f"{name}.out"
         self._events, self._cancelled = events, False
@@ -175,13 +167,14 @@ class Job:
 
 
 class TrainingJob(Job):
-    """One `cloak train` and its run folder: started by `command`, or found running as `process`."""
+    """One `cloak train` and its run folder: started by `command`, or found running as `process`.
+
+    process: it needs the methods `poll` and `terminate` of `subprocess.Popen`. It goes on when this Blender closes.
+    """
 
     def __init__(self, command: list[str], run: Path, folder: Path, process: object = None) -> None:
-        self.run = run
-        self.is_ours = process is None
-        """Whether this Blender started the trainer; only then it stops it when it closes."""
-        super().__init__("Training", [command], folder, "train", None, run / "events.jsonl", process)
+        super().__init__("Training", [command], folder, "train", None, run / "events.jsonl")
+        self.run, self.is_ours, self._process = run, process is None, process
 
     def _start(self, command: list[str]) -> subprocess.Popen:
         with contextlib.suppress(OSError):

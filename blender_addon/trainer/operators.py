@@ -17,8 +17,7 @@ from .jobs import Job, last_words, launch
 from .preferences import CLICK_SECONDS, INSTALLATION, chosen_python, local_python, preferences, use_python, user_folder
 from .python import INSTALL_LINE, Question, about_command, forget_answers, parse_about
 
-_bases: dict[str, Question] = {}
-"""Pythons that were asked whether they can make environments, by what was chosen."""
+_bases: dict[str, Question] = {}  # Pythons that were asked whether they can make environments, by what was chosen
 OFFLINE = "Blender's online access is off: Preferences > System > Network > Allow Online Access"
 
 
@@ -141,8 +140,7 @@ def _ended(job: InstallJob, place: Path) -> str:
             return "Installation cancelled: nothing of it is left"
         words = install.diagnosis(job.everything(), job.message)
         return _say(f"The trainer was not installed. {words} (log: {job.log})")
-    refused = refusal(describe_trainer, python, job)
-    if refused:
+    if refused := refusal(describe_trainer, python, job):
         install.sweep(folder, _in_use(folder))
         job.state = "failed"
         return _say(refused)

@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-TAIL_BYTES = 64 << 10
-"""Of an event log: some three hundred steps, more than the running mean of the success remembers."""
+TAIL_BYTES = 64 << 10  # of an event log: some three hundred steps, more than the running mean of the success remembers
 
 
 @dataclass(frozen=True)

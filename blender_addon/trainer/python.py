@@ -15,9 +15,9 @@ from typing import Any
 
 from ..files.errors import InputError
 
-INSTALL_LINE = "python3.11 -m venv .venv && .venv/bin/python -m pip install ."
-"""Run in the folder of Cloak's sources."""
-
+INSTALL_LINE = "python3.11 -m venv .venv && .venv/bin/python -m pip install ."  # run in the folder of Cloak's sources
+PYTHON = Path("Scripts", "python.exe") if os.name == "nt" else Path("bin", "python")
+"""Where an environment has its Python."""
 _PROBE = (
     "import importlib.util as u, sys; "
     "sys.exit(0 if all(u.find_spec(m) for m in ('cloak_core', 'torch', 'numpy')) else 9)"
@@ -30,8 +30,6 @@ device = torch.cuda.get_device_name(0) if torch.cuda.is_available() else "CPU, %
 print(json.dumps({"cloak": cloak_core.__version__, "torch": torch.__version__, "python": platform.python_version(),
                   "device": device}))
 """
-
-
 NO_WINDOW = {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {}
 """Options of subprocess that keep Windows from opening a console."""
 
@@ -60,14 +58,12 @@ def candidates() -> list[str]:
 
     `host-python` is the usual name of a wrapper that leaves a container.
     """
-    folder = Path(__file__).resolve().parents[2]
-    scripts, suffix = ("Scripts", ".exe") if os.name == "nt" else ("bin", "")
-    places = [os.environ.get("CLOAK_PYTHON", "")]
-    for root in (str(folder / ".venv"), os.environ.get("VIRTUAL_ENV", ""), os.environ.get("CONDA_PREFIX", "")):
-        places.append(str(Path(root, scripts, f"python{suffix}")) if root else "")
+    checkout, get = Path(__file__).resolve().parents[2], os.environ.get
+    roots = filter(None, (str(checkout / ".venv"), get("VIRTUAL_ENV"), get("CONDA_PREFIX")))
+    places = [get("CLOAK_PYTHON"), *(str(root / PYTHON) for root in map(Path, roots))]
     if Path(sys.executable).name.startswith("python"):
         places.append(sys.executable)
-    places += [shutil.which(name) or "" for name in ("host-python", "python3", "python", "python3.11")]
+    places += map(shutil.which, ("host-python", "python3", "python", "python3.11"))
     return list(dict.fromkeys(place for place in places if place and os.access(place, os.X_OK)))
 
 

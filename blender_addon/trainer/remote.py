@@ -141,7 +141,6 @@ def translated(remote: Remote, words: list[str]) -> tuple[list[str], list[tuple[
         path = Path(value)
         if path.is_absolute() and option in ("--out", "--events"):
             target = f"{remote.folder}/out-{hashlib.sha256(value.encode()).hexdigest()[:16]}/{plain(path.name)}"
-            remote.paths[value] = target
             written.append((path, target))
             if path.is_dir():  # to be resumed
                 remote.replace(remote.send(path), target)

@@ -10,7 +10,7 @@ from ..blender.faces import active_logo, logo_names
 from ..body.objects import active_body, body_reason, logo_reason, refusal
 from ..exchange.face_lists import read_face_list
 from ..files.errors import InputError
-from ..poses.export import Export, export, poses_reason, read_export
+from ..poses.export import export, poses_reason, read_export
 from ..properties import output_folder, pose_choice, train_options
 from ..session import session
 from ..trainer.command_lines import differing_options, train_command
@@ -100,23 +100,18 @@ def start(context: bpy.types.Context, begun: RunState | None = None) -> str:
     options += [f"--init={begun.path}"] if begun else []
     if obj.mode == "EDIT":
         bpy.ops.object.mode_set(mode="OBJECT")
-    _remove_failed_start()
+    for job in session.jobs:
+        if isinstance(job, TrainingJob) and not job.active and not job.run.exists():
+            runs.remove(job.run)  # what the last Start left whose training never began
     run = runs.new_run(output_folder(settings), obj.name, logo)
     done = export(context, obj, logo, pose_choice(settings), runs.input_folder(run))
     made_from, _, faces = obj.cloak.made_from.partition("|")
     options += [f"--made-from={made_from}"] if made_from and faces == read_face_list(done.face_list).topology else []
     runs.remember_options(run, options)
-    begin(obj, run, done, train_command(python, options, done.scene, done.face_list, run))
+    command = train_command(python, options, done.scene, done.face_list, run)
+    follow(obj, TrainingJob(command, run, done.folder))
     begins = f", from the colours of {begun.title}" if begun else ""
     return f"Training '{logo}' on {done.poses} poses of '{obj.name}' in {run}{begins}{waits(session.jobs[-1])}"
-
-
-def _remove_failed_start() -> None:
-    """Remove what the last Start left if its training never began."""
-    for job in session.jobs:
-        ended = isinstance(job, TrainingJob) and not job.active
-        if ended and not job.run.exists() and runs.input_folder(job.run).is_dir():
-            runs.remove(job.run)
 
 
 class CLOAK_OT_train_cancel(CloakOperator, label="Cancel", needs=lambda _: "" if busy() else "Nothing is running"):
@@ -140,18 +135,13 @@ class CLOAK_OT_train_resume(CloakOperator, label="Resume", needs=partial(run_rea
         done = read_export(runs.input_folder(state.path))
         kept = kept_reason(context)
         command = train_command(chosen_python(), list(state.options), done.scene, done.face_list, state.path)
-        begin(obj, state.path, done, [*command, "--resume"])
+        follow(obj, TrainingJob([*command, "--resume"], state.path, done.folder))
         return kept or f"Resuming {state.path}"
 
 
-def begin(obj: bpy.types.Object, run: Path, done: Export, command: list[str]) -> None:
-    """Launch the training of an export and wire its live colours."""
-    live = runs.LiveColors(obj, run, done.topology, read_face_list(done.face_list).ids)
-    follow(obj, TrainingJob(command, run, done.folder), live)
-
-
-def follow(obj: bpy.types.Object, job: TrainingJob, live: runs.LiveColors) -> None:
-    """Make a training a job, and its run the body's as soon as it runs."""
+def follow(obj: bpy.types.Object, job: TrainingJob) -> None:
+    """Launch a training, show its colours on the body, and make its run the body's as soon as it runs."""
+    live = runs.LiveColors(obj, job.run)
 
     def ended(job: Job) -> str | None:
         run_list.refresh(bpy.context)
@@ -169,13 +159,11 @@ on the body. When Blender closes it goes on"""
 
     def run(self, context: bpy.types.Context) -> str:
         run = selected_run(context).path
-        face_ids, topology = runs.trained_faces(run)
-        obj = runs.body_of(run, topology)
+        obj = runs.body_of(run, runs.trained_faces(run)[1])
         if obj is None:
             raise InputError(f"No body of this file has the faces that {run.name} is trained on: open its own file")
         context.view_layer.objects.active = obj
-        job = TrainingJob([], run, runs.side_folder(run), FoundTrainer(run))
-        follow(obj, job, runs.LiveColors(obj, run, topology, face_ids))
+        follow(obj, TrainingJob([], run, runs.side_folder(run), FoundTrainer(run)))
         return f"Following {run.name}"
 
 
@@ -184,8 +172,7 @@ class CLOAK_OT_run_stop(CloakOperator, label="Stop", needs=partial(run_reason, a
 
     def run(self, context: bpy.types.Context) -> str:
         run = selected_run(context).path
-        job = session.training_of(run)
-        if job is not None:
+        if job := session.training_of(run):
             job.cancel()
         else:
             request_stop(run)

@@ -49,8 +49,7 @@ class CLOAK_PT_train(CloakPanel, label="4. Train"):
         row.operator("cloak.train_start", icon="PLAY")
         row.operator("cloak.train_resume")
         row.operator("cloak.train_extend")
-        kept = kept_reason(context)
-        if kept:
+        if kept := kept_reason(context):
             wrapped(self.layout, context, kept)
         self.progress(context, "Training")
 
@@ -129,8 +128,7 @@ class CLOAK_PT_runs(CloakPanel, label="Runs"):
         side.operator("cloak.run_stop", text="", icon="PAUSE")
         side.separator()
         side.operator("cloak.run_delete", text="", icon="TRASH")
-        state = run_list.selected(context)
-        if state is not None:
+        if state := run_list.selected(context):
             self._chosen(context, state)
         if not body_reason(context):
             settings_column(self.layout, active_body(context).cloak, "run")

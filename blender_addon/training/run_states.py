@@ -40,8 +40,7 @@ class RunState:
     evaluation: Evaluation | None = None
     checks: tuple[Verdict, ...] = ()  # of its latest render check, by detector
     why: str = ""  # of a failed run: the reason in one line
-    begun: float = 0.0
-    """Seconds since the epoch: when it was started; two that run keep their places in the list."""
+    begun: float = 0.0  # seconds since the epoch: when it was started; two that run keep their places in the list
 
     @property
     def title(self) -> str:
@@ -105,8 +104,7 @@ def _read(run: Path) -> RunState:
     folder = input_folder(run)
     names = {}
     with contextlib.suppress(InputError):  # half an input: the run can still be looked at, but not resumed
-        done = export_of(run)
-        if done:
+        if done := export_of(run):
             names = {"object": done.object, "logo": done.logo, "options": tuple(remembered_options(run))}
     progress = read_events(run / "events.jsonl")
     state, why = progress.outcome or FAILED, progress.why

@@ -116,9 +116,10 @@ def remove(run: Path) -> None:
 
 def trained_faces(run: Path) -> tuple[np.ndarray, str]:
     """Ids [L] of the faces a run trains, and the topology of the body they belong to."""
-    if not run.is_dir():
+    done = export_of(run)
+    if not done and not run.is_dir():
         raise InputError(f"{run}: no such run folder")
-    face_list, done = read_face_list(run / "logo.npy"), export_of(run)
+    face_list = read_face_list(done.face_list if done else run / "logo.npy")
     expected = done.topology if done else face_list.topology
     if expected is None:
         raise InputError(f"{run / 'logo.json'}: names no topology, so the colours cannot be matched to a mesh")
@@ -139,12 +140,12 @@ def import_colors(context: bpy.types.Context, obj: bpy.types.Object, run: Path) 
     """Bring a run's colours onto the object as colour attribute and material, all or nothing; returns how many."""
     require_body(obj)
     require_object_mode(obj, "Leave Edit Mode (Tab) to see the colours on the model")
-    face_ids, expected = trained_faces(run)
+    count = len(trained_faces(run)[0])
     if not (run / "colors.npy").exists():
         raise InputError(f"{run}: no colours yet; wait for the first step")
-    values = read_colors(run / "colors.npy", count=len(face_ids))
-    LiveColors(obj, run, expected, face_ids).write(context, obj, values, dress=True)
-    return len(face_ids)
+    values = read_colors(run / "colors.npy", count=count)
+    LiveColors(obj, run).write(context, obj, values, dress=True)
+    return count
 
 
 class LiveColors:
@@ -153,12 +154,11 @@ class LiveColors:
     The body is found again by what it is, should the file have been reverted, opened again, or changed.
     """
 
-    def __init__(self, obj: bpy.types.Object, run: Path, body_topology: str, face_ids: np.ndarray) -> None:
-        self._run, self._topology, self._all, self._name = run, body_topology, face_ids, obj.name
+    def __init__(self, obj: bpy.types.Object, run: Path) -> None:
+        self._all, self._topology = trained_faces(run)
         done = export_of(run)
-        self._garments = done.garments if done else []
-        self._given, self._refused, self._last = False, "", time.monotonic()
-        self._looked = -1
+        self._run, self._name, self._garments = run, obj.name, done.garments if done else []
+        self._given, self._refused, self._last, self._looked = False, "", time.monotonic(), -1
         self._use(obj)
 
     def _use(self, obj: bpy.types.Object) -> None:

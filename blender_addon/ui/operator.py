@@ -15,7 +15,7 @@ WITH_UNDO = {"REGISTER", "UNDO"}  # of operators that change the mesh and have e
 
 
 class CloakOperator(bpy.types.Operator):
-    """Base: `run` does the work and returns what to say, "" for nothing. CLOAK_OT_name is `bpy.ops.cloak.name`."""
+    """Base: `run(context)` does the work and returns what to say, "" for nothing. CLOAK_OT_x is `bpy.ops.cloak.x`."""
 
     bl_options = PLAIN
 
@@ -36,9 +36,6 @@ class CloakOperator(bpy.types.Operator):
         if needs is not None:
             cls.needs = staticmethod(needs)
 
-    def run(self, context: bpy.types.Context) -> str:
-        raise NotImplementedError
-
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.attempt(self.run, context)
 
@@ -57,7 +54,7 @@ class CloakOperator(bpy.types.Operator):
 
 
 class BodyOperator(CloakOperator):
-    """Base of operators that change the active body: `change` does the work and returns what to say.
+    """Base of operators that change the active body: `change(context, obj)` does the work and returns what to say.
 
     What may take longer calls `self.show(fraction)`, 0 to 1: the mouse pointer counts up.
     """
@@ -68,9 +65,6 @@ class BodyOperator(CloakOperator):
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
         return body_reason(context)
-
-    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        raise NotImplementedError
 
     def run(self, context: bpy.types.Context) -> str:
         with progress_cursor(context) as self.show:

@@ -2,7 +2,6 @@
 """What the panels are drawn with."""
 
 import textwrap
-from collections.abc import Callable
 
 import bpy
 
@@ -50,16 +49,10 @@ class CloakPanel(bpy.types.Panel):
     bl_region_type = "UI"
     bl_category = "Cloak"
 
-    def __init_subclass__(
-        cls,
-        label: str,
-        inside: str = "",
-        closed: bool = False,
-        unfinished: Callable[[bpy.types.Context], str] = lambda context: "it never is",
-    ) -> None:
+    def __init_subclass__(cls, label: str, inside: str = "", closed: bool = False, unfinished: object = None) -> None:
         """inside: the panel that it is part of; it is closed at first, as with `closed`.
 
-        unfinished: why the next steps cannot have what they need of this one; without a reason its header gets a tick.
+        unfinished(context): why the next steps cannot have what they need of this one; "" gives its header a tick.
         """
         cls.bl_label, cls.unfinished = label, staticmethod(unfinished)
         if inside:
@@ -68,7 +61,7 @@ class CloakPanel(bpy.types.Panel):
             cls.bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header(self, context: bpy.types.Context) -> None:
-        if not self.unfinished(context):
+        if self.unfinished and not self.unfinished(context):
             self.layout.label(icon="CHECKMARK")
 
     def gate(self, context: bpy.types.Context, reason: str) -> bpy.types.UILayout:
@@ -89,7 +82,7 @@ class CloakPanel(bpy.types.Panel):
             if job.label in labels and job.active:
                 self._active(context, number, job)
         job = session.job_of(*labels)
-        if job is not None and not job.active and job.message:
+        if job and not job.active and job.message:
             bad = job.state == "failed" or job.is_bad_news
             wrapped(self.layout, context, job.message, icon="ERROR" if bad else "CHECKMARK")
 

@@ -14,12 +14,7 @@ class Hooks:
     "POST_PIXEL"); without a window nothing is drawn. closing: called at the end.
     """
 
-    def __init__(
-        self,
-        *handlers: tuple[str, Callable],
-        drawing: tuple[tuple[Callable, str], ...] = (),
-        closing: Callable[[], None] = lambda: None,
-    ) -> None:
+    def __init__(self, *handlers: tuple, drawing: tuple = (), closing: Callable = lambda: None) -> None:
         self._handlers, self._drawing, self._closing = handlers, drawing, closing
         self._drawn: list[object] = []
 

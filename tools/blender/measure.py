@@ -112,7 +112,7 @@ def measure_colors(obj: bpy.types.Object, ids: np.ndarray, run: Path) -> dict:
     figures = {"import_colors": summary(imports)}
     colors.undress(obj)
     obj.data.attributes.remove(obj.data.attributes["Cloak"])
-    live = runs.LiveColors(obj, run, topology(obj), ids)
+    live = runs.LiveColors(obj, run)
 
     def update(show) -> tuple[float, float]:
         return timed_with_new_colors(lambda: live.update(bpy.context) and show())

@@ -43,7 +43,7 @@ def of_classes() -> Iterator[str]:
                 yield from (prop.name, prop.description)
                 for item in getattr(prop, "enum_items", ()) if prop.type == "ENUM" else ():
                     yield from (item.name, item.description)
-    yield from (paint.PaintInEditMode.bl_label, paint.PaintInEditMode.bl_description)
+    yield from (paint.PaintTool.bl_label, paint.PaintTool.bl_description)
 
 
 def of_drawing() -> Iterator[str]:

@@ -191,7 +191,7 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
     import os
 
     obj, run = dressed_body(tmp_path)
-    live = runs.LiveColors(obj, run, mesh_arrays.topology(obj), np.array([3, 4, 50]))
+    live = runs.LiveColors(obj, run)
     obj.name = "Renamed"
     assert live.update(bpy.context) and not live.update(bpy.context)
     write_colors(run / "colors.npy", np.tile(np.float32([0, 1, 0]), (3, 1)))

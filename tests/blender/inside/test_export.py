@@ -195,7 +195,7 @@ def test_one_logo_goes_on_over_body_and_shirt(levels, tmp_path):
         assert np.allclose(colors.read_face_colors(shirt, "Cloak")[[7, 9, 80]], trained[2:], atol=1e-5)
         assert colors.is_dressed(obj) and colors.is_dressed(shirt) and not colors.is_dressed(trousers)
 
-    live = runs.LiveColors(obj, run, done.topology, face_list.ids)
+    live = runs.LiveColors(obj, run)
     assert live.update(bpy.context)
     check()
     garments.undress(obj)
