@@ -47,11 +47,12 @@ AXES = {
     "tv_weight": "weight of total variation",
     "clean_recall": f"clean recall at {THRESHOLD:g} (%)",
     "false_alarms": f"false alarms at {THRESHOLD:g} (%)",
+    "pattern_alarms": "alarms on cloth (%)",
     "threshold": "detection threshold",
     "within": "mean CIEDE2000 from the print, at most (100: no bound)",
 }
 """What columns are called along an axis."""
-PERCENT = ("area_share", "clean_recall", "false_alarms")
+PERCENT = ("area_share", "clean_recall", "false_alarms", "pattern_alarms")
 """Columns shown in per cent along an axis."""
 MOST_MARKERS = 30
 """Points of a control's line that are marked."""
