@@ -56,7 +56,7 @@ def train_in_blender(python: str, arguments: Sequence[str], run: Path) -> None:
 
 
 def follow(events: Path, running: Callable[[], bool], tell: Callable[[dict], None]) -> None:
-    """Tell the steps of a growing log, each once, until `running` says no; those that were there before are skipped."""
+    """Report each new step of a growing event log once, while `running()` is true; earlier steps are skipped."""
     told, alive = _last_step(events), True
     while alive:
         alive = running()

@@ -17,11 +17,14 @@ from jaxtyping import Float, Float32
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from cloak_core.scene.pictures import perspective
+
 TEXTURE = 96
 """Height and width of a texture, pixels."""
 Texture = Float32[np.ndarray, "3 h w"]
 Quad = Float[np.ndarray, "4 2"]
 """Corners in pixels: top left, top right, bottom right, bottom left."""
+UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
 class FlatCloth:
@@ -183,19 +186,11 @@ def _covers(alpha: Float[Tensor, "H W"], boxes: Sequence[Sequence[float]]) -> bo
     return False
 
 
-def _homography(quad: Quad) -> np.ndarray:
-    """The projective map from pixels to the unit square whose corners are the quad's (direct linear transform)."""
-    rows, target = [], []
-    for (x, y), (u, v) in zip(quad, ((0, 0), (1, 0), (1, 1), (0, 1)), strict=True):
-        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y], [0, 0, 0, x, y, 1, -v * x, -v * y]]
-        target += [u, v]
-    return np.append(np.linalg.solve(np.array(rows), np.array(target, float)), 1).reshape(3, 3)
-
-
 def _coordinates(quad: Quad, height: int, width: int) -> Float[Tensor, "H W 2"]:
     """Where in the unit square each pixel lies; beyond it outside the quad."""
     y, x = np.mgrid[0.5:height, 0.5:width]
-    mapped = np.stack([x, y, np.ones_like(x)], -1) @ _homography(quad).T
+    projection = np.append(perspective(np.array(quad, float), UNIT_SQUARE), 1).reshape(3, 3)
+    mapped = np.stack([x, y, np.ones_like(x)], -1) @ projection.T
     return torch.from_numpy(mapped[..., :2] / np.where(mapped[..., 2:] > 1e-6, mapped[..., 2:], np.nan))
 
 

@@ -16,7 +16,7 @@ from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
-from cloak_core.files.reading import read_json
+from cloak_core.files.reading import is_number, read_json
 from cloak_core.files.writing import write_json
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.selection import split_selection
@@ -81,18 +81,14 @@ def read_history(run: Path) -> History:
     return History(
         losses=losses,
         success=_points(steps, "success"),
-        step=int(max((e["step"] for e in steps if _is_number(e.get("step"))), default=0)),
-        seconds=float(max((e["time"] for e in events if _is_number(e.get("time"))), default=0.0)),
+        step=int(max((e["step"] for e in steps if is_number(e.get("step"))), default=0)),
+        seconds=float(max((e["time"] for e in events if is_number(e.get("time"))), default=0.0)),
         outcome=str(ends[-1].get("outcome", "")) if ends else "",
     )
 
 
 def _points(steps: list[dict], key: str) -> list[tuple[float, float]]:
-    return [(float(e["step"]), float(e[key])) for e in steps if _is_number(e.get("step")) and _is_number(e.get(key))]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return [(float(e["step"]), float(e[key])) for e in steps if is_number(e.get("step")) and is_number(e.get(key))]
 
 
 @contextmanager

@@ -1,9 +1,9 @@
 """Read pickles of plain values, arrays and inert records, and run nothing that they say.
 
 Python's own reader, `pickle._Unpickler` (the one in Python, which joblib and pandas derive theirs from, too), calls
-whatever a pickle names, sets attributes of anything, and hands numpy states that numpy trusts. Here every opcode that
-calls, fills or imports something has a step of its own, those that nobody needs are unknown, no object of a foreign
-class exists, and neither the reads nor the memory exceed what the file's size allows.
+whatever a pickle names, sets attributes of anything, and hands numpy states that numpy trusts. So every opcode that
+calls, fills or imports something has its own method here, and opcodes that nobody needs are refused. No object of a
+foreign class is made. The number of reads is limited, and the memory to a multiple of the file's size.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def plain_key(value: object) -> object:
 
 
 class _Bounded:
-    """A file of which so many reads are made at most, and never for more than it holds: a length may be anything."""
+    """A file that is read `MAX_READS` times at most, and never beyond its end: a pickle may claim any length."""
 
     def __init__(self, file: io.BufferedIOBase) -> None:
         self.file, start, self.left = file, file.tell(), MAX_READS

@@ -115,6 +115,11 @@ def read_toml(path: str | os.PathLike) -> dict:
     return record
 
 
+def is_number(value: object) -> bool:
+    """Whether a value read from JSON or TOML is a finite number; true and false are none."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
 def _check_integers(value: object) -> None:
     """ValueError: an integer beyond 64 bits in a record, which neither arrays nor messages can take."""
     if isinstance(value, int) and not -(1 << 63) <= value < 1 << 64:

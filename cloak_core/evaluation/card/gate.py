@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from xml.etree import ElementTree
 
 from cloak_core.evaluation.card.leaderboard import is_too_short, name_of
 from cloak_core.files.errors import InputError
-from cloak_core.files.reading import read_toml
+from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
 
 SIDES = ("min", "max")
@@ -36,7 +35,7 @@ def read_gate(path: Path) -> list[Bound]:
         raise InputError(f"{path}: expected the tables [min] and [max]; found {', '.join(tables)}")
     found = [(figure, side, value) for side, table in tables.items() for figure, value in _flat(table)]
     for figure, side, value in found:
-        if not _is_number(value):
+        if not is_number(value):
             raise InputError(f"{path}: {side} {figure} is {value!r}, not a number")
     if not found:
         raise InputError(f"{path}: holds no bound; expected the tables [min] and [max]")
@@ -52,8 +51,8 @@ def check(card: dict, bounds: list[Bound]) -> dict[Bound, str]:
     figures, said, short = dict(_flat(card)), {}, _short_attacks(card)
     for bound in bounds:
         value = figures.get(bound.figure)
-        kept = _is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
-        found = f"is {value:g}" if _is_number(value) else "was not measured"
+        kept = is_number(value) and (value >= bound.value if bound.side == "min" else value <= bound.value)
+        found = f"is {value:g}" if is_number(value) else "was not measured"
         steps = next((n for place, n in short.items() if f"{bound.figure}.".startswith(f"{place}.")), None)
         if kept and bound.side == "max" and steps:
             kept, found = False, f"{found} after {steps} updates of the cloak, too few to say"
@@ -102,7 +101,3 @@ def _row_name(row: object, index: int) -> str:
     if isinstance(row, dict) and "asked" in row:
         return f"{100 * row['asked']:g}"
     return str(row["name"]) if isinstance(row, dict) and "name" in row else str(index)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -128,7 +128,7 @@ def _judged(
         "left_out": people.left_out,
         "false_alarms": {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors},
         "operating_points": points,
-        "fit": {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in fits[0].quality},
+        "fit": {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in sorted(fits[0].quality)},
     }
 
 
