@@ -9,7 +9,8 @@ coverage_rms: the same of the coverage; gradient_smooth, gradient_white: relativ
 a smooth and for a white-noise upstream gradient; starved: share of the faces with more than 0.02 px^2 visible that
 receive no gradient. From visibility alone, with the same light on both sides, none but the surface's own colour:
 image_visibility and gradient_visibility (smooth), and hidden: the share of all weight that goes to faces that are
-invisible in that pixel. given_up: pixels of too many pieces to be exact, which are sampled 64 x 64.
+invisible in that pixel. given_up: pixels of too many pieces to be exact, which are sampled 64 x 64. Nothing is compared
+in pixels that the reference gave up.
 """
 
 from __future__ import annotations
@@ -144,7 +145,7 @@ class Judge:
     """The errors of a view against the reference."""
 
     def __init__(self, scene: Scene, exact: Reference) -> None:
-        self.camera, self.exact, self.areas = scene.camera, exact.matrix, exact.areas
+        self.camera, self.exact, self.areas, self.crowded = scene.camera, exact.matrix, exact.areas, exact.crowded
         self.colors = smooth_colors(scene.bodies)
         self.black = torch.zeros(self.camera.width * self.camera.height, 3)
         generator = torch.Generator().manual_seed(0)
@@ -159,9 +160,9 @@ class Judge:
         """flat: the same without light."""
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", CrowdedPixels)
-            ours = matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count)
+            ours = self._matrix(cache)
         given_up = sum(warning.message.pixels for warning in caught if warning.category is CrowdedPixels)
-        areas = matrix_of(flat.build([(0, self.camera)])[0], self.exact.face_count)
+        areas = self._matrix(flat)
         seen = torch.zeros(ours.face_count).double().index_add_(0, ours.face, ours.weight.double()) > 0
         return {
             "image_rms": self._image_rms(ours, self.exact),
@@ -174,6 +175,9 @@ class Judge:
             "hidden": self._hidden(areas),
             "given_up": float(given_up),
         }
+
+    def _matrix(self, cache: ViewCache) -> Matrix:
+        return matrix_of(cache.build([(0, self.camera)])[0], self.exact.face_count).without(self.crowded)
 
     def _image_rms(self, ours: Matrix, exact: Matrix) -> float:
         return self._rms(ours, ours.image(self.colors, self.black) - exact.image(self.colors, self.black))

@@ -100,6 +100,12 @@ class Matrix:
         result = torch.zeros(self.face_count, 3, dtype=torch.float64)
         return result.index_add_(0, self.face, self.weight.double().unsqueeze(1) * upstream.double()[self.pixel])
 
+    def without(self, pixels: Int64[Tensor, " C"]) -> Matrix:
+        """The same view with nothing to see in these pixels."""
+        kept = ~torch.isin(self.pixel, pixels)
+        coverage, specular = (values.index_fill(0, pixels, 0) for values in (self.coverage, self.specular))
+        return Matrix(self.pixel[kept], self.face[kept], self.weight[kept], coverage, specular, self.face_count)
+
 
 def matrix_of(view: View, face_count: int) -> Matrix:
     """Make the matrix of a view."""
@@ -119,6 +125,8 @@ class Reference:
     """Without light: weights are shares of pixels, and there is no highlight."""
     visible: Float64[Tensor, " F"]
     """Pixels of each face that are visible."""
+    crowded: Int64[Tensor, " C"]
+    """Pixels of too many pieces to be exact: they are empty here, and nothing is compared in them."""
     how: str
     """`EXACT`, and how many crowded pixels it leaves out if any."""
 
@@ -128,11 +136,11 @@ def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Re
     cache, key, twin = ViewCache(bodies), [(pose, camera)], TwinLight(bodies, camera, light, pose)
     screen = cache.screen(key)
     flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
-    found, crowded = [], 0
+    found, crowded = [], [torch.zeros(0, dtype=torch.int64)]
     for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
         triangle = parts.triangles.ids[parts.pieces.owner]
         found.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
-        crowded += len(parts.pieces.place[parts.crowded].unique())
+        crowded.append(parts.pieces.place[parts.crowded].unique())
     nothing = torch.zeros(0, dtype=torch.int64)
     pixel, triangle, sums = (
         torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *found, strict=True)
@@ -143,8 +151,9 @@ def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Re
     coverage, specular = (_sums(pixel, t, camera.height * camera.width) for t in (area, highlight))
     matrix = Matrix(pixel, face, weight, coverage, specular, bodies.face_count)
     areas = replace(matrix, weight=area, specular=torch.zeros_like(coverage))
-    how = EXACT + (f", without {crowded} crowded pixels" if crowded else "")
-    return Reference(matrix, areas, _sums(face, area, bodies.face_count), how)
+    left_out = torch.cat(crowded)
+    how = EXACT + (f", without {len(left_out)} crowded pixels" if len(left_out) else "")
+    return Reference(matrix, areas, _sums(face, area, bodies.face_count), left_out, how)
 
 
 def _integrate(parts: Parts, triangle: Int64[Tensor, " P"], twin: TwinLight, width: int) -> Float64[Tensor, "3 P"]:
