@@ -83,6 +83,7 @@ def test_colours_of_a_finished_run_start_another(old: Path, capsys: pytest.Captu
     assert code == 0 and result["step"] == 1, said
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_evaluated_and_reported(old: Path, capsys: pytest.CaptureFixture) -> None:
     assert told(["report", str(old / "done")], capsys)[0] == 0
     options = ["--angles", "0", "--images-per-view", "2", "--size", "96", "--shift", "8", "--resamples", "100"]

@@ -81,6 +81,7 @@ def loaded_by(path: Path) -> set[str]:
     return names_imported(tree, path)
 
 
+@pytest.mark.slow
 def test_no_files_import_each_other_in_a_circle():
     """An import inside a function counts, too: it only hides the circle. `__init__` files count as themselves."""
     name_of = lambda path: ".".join(("cloak_core", *path.relative_to(CORE).with_suffix("").parts)).removesuffix(

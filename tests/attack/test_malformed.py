@@ -95,6 +95,7 @@ def test_any_value_of_any_setting_is_taken_or_refused_by_name(name, value):
         assert "\n" not in str(error).replace(repr(value), "")
 
 
+@pytest.mark.slow
 @quick
 @given(st.lists(st.binary(max_size=60) | json_values.map(lambda v: json.dumps(v).encode()), max_size=6))
 def test_any_event_log_is_read_and_rewound(tmp_path, lines):
@@ -105,6 +106,7 @@ def test_any_event_log_is_read_and_rewound(tmp_path, lines):
     read_events(path)
 
 
+@pytest.mark.slow
 @quick
 @given(st.binary(max_size=300), json_values)
 def test_any_checkpoint_is_read_or_named(tmp_path, data, record):

@@ -9,6 +9,7 @@ from cloak_core.bench.intervals import ASKED, Design, coverage, designs, least_w
 from cloak_core.evaluation.intervals import clustered_rate
 
 
+@pytest.mark.slow
 def test_designs_draw_the_rate_they_promise() -> None:
     for design in (Design(16, 12, 1, 0.966, 2.0, 0.0), Design(8, 6, 3, 0.97, 0.5, 0.1)):
         rng = np.random.default_rng(0)

@@ -10,8 +10,16 @@ from cloak_core.render.rasterizer import area_fragments
 from cloak_core.render.screen import GRID
 from cloak_core.render.types import Window
 
+SLOW_CASES = (
+    "hostile: strips, twins, folds, giants",
+    "overlap: a thin shell, both sides",
+    "strips of 0 to 3 grid steps and thinner",
+)
 
-@pytest.mark.parametrize("name", stability.CASES)
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW_CASES)) for name in stability.CASES]
+)
 def test_no_case_differs(name: str) -> None:
     case = stability.CASES[name](np.random.default_rng(0))
     assert stability.mismatches(case, 1) == 0 and stability.depth_error(case, 40) < 1.01
@@ -26,6 +34,7 @@ def test_no_check_fails(name: str) -> None:
     assert found is None if name == "CPU against CUDA" and not torch.cuda.is_available() else found[0] == 0
 
 
+@pytest.mark.slow
 def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     some = {name: stability.CASES[name] for name in ("closed mesh", "image 1 x 1")}
     checks = {"one wrong": lambda: (1, ""), "absent": lambda: None}
@@ -50,7 +59,7 @@ def test_a_missing_triangle_is_a_mismatch(name: str) -> None:
     [
         (hostile_cases.needles, 300),
         (hostile_cases.hairs, 300),
-        (hostile_cases.planes, 50),
+        pytest.param(hostile_cases.planes, 50, marks=pytest.mark.slow),
         (hostile_cases.specks, 5000),
     ],
 )

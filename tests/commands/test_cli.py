@@ -171,6 +171,7 @@ def help_of(name: str, capsys: pytest.CaptureFixture) -> dict[str, list[str]]:
     return flags_of(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_help_has_headings_and_choices(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     shown = help_of("train", capsys)

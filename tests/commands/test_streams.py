@@ -109,6 +109,7 @@ def test_standard_output_that_is_closed() -> None:
     assert (done.returncode, done.stderr) == (2, "cloak: standard output: closed, and --json writes there\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("descriptors", [(2,), (0, 1, 2)])
 def test_standard_error_that_is_closed(descriptors: tuple[int, ...], tmp_path: Path) -> None:
     """No file that is opened becomes standard error."""

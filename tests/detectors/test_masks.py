@@ -58,6 +58,7 @@ def test_a_mask_covers_every_place_of_the_patch(length: int, patch: int) -> None
         assert any(begin <= at and at + patch <= end for begin, end in placed)
 
 
+@pytest.mark.slow
 def test_what_is_certified_holds_for_every_place_and_content_of_the_patch() -> None:
     inner = Fragile()
     defended, body = defend(inner, f"masked={PATCH}"), torch.tensor([BODY])
@@ -131,6 +132,7 @@ def test_it_stands_before_any_spec_and_asks_for_a_whole_number() -> None:
         load_detector("masked=0:builtin")
 
 
+@pytest.mark.slow
 def test_the_command_certifies_people_in_photographs(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     people = write_people(tmp_path / "people", 2)
     with pytest.raises(SystemExit) as caught:

@@ -123,6 +123,7 @@ def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     assert before.max() < 1e-3 and bool((after < before).all())
 
 
+@pytest.mark.slow
 def test_preprocessing_equals_the_image_processor(tmp_path: Path) -> None:
     save("Detr", tmp_path)
     processor = transformers.DetrImageProcessor(size={"shortest_edge": 80, "longest_edge": 110}, do_pad=False)

@@ -96,6 +96,7 @@ def test_the_card_is_what_the_schema_says(made: tuple[Path, dict, list]) -> None
         validate("assess", '{"format": "cloak card 1", "files": []}')
 
 
+@pytest.mark.slow
 def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) -> None:
     out, card, told = made
     assert json.loads((out / "glow/card.json").read_text()) == json.loads(json.dumps(card, allow_nan=False))

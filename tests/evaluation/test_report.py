@@ -227,6 +227,7 @@ def test_labels_of_several_detectors_stand_apart() -> None:
     assert len(tops) == 4 and all(b - a >= 26 for a, b in itertools.pairwise(tops))
 
 
+@pytest.mark.slow
 def test_single_images_are_not_joined_to_a_trend() -> None:
     results = made_results()
     single = results.images.drop_duplicates(["control", "angle"])

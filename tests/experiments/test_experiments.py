@@ -44,6 +44,7 @@ def test_a_module_of_declarations_is_an_experiment() -> None:
         assert experiment.title and experiment.caption.endswith(".") and experiment.figures
 
 
+@pytest.mark.slow
 def test_transfer_writes_everything(split: DataSplit, finished: tuple[Path, dict], tmp_path: Path) -> None:
     out, record = finished
     folder = out / "transfer"

@@ -100,6 +100,7 @@ def test_vertices_that_a_file_parts_at_seams_are_sewn_all_the_same():
     assert [mark.name for mark in whole] == [mark.name for mark in parted]
 
 
+@pytest.mark.slow
 def test_an_allowance_surrounds_the_pieces_and_takes_room(tmp_path):
     body = sleeve()
     ids, colors = np.arange(body.face_count), np.full((body.face_count, 3), 0.5, np.float32)

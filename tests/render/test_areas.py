@@ -120,6 +120,7 @@ def test_areas_are_those_of_exact_fractions(make: object, seed: int, path: str) 
     assert sum(exact.values()) > 0.5 and min(exact.values()) < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["loops", "torch"])
 def test_hundreds_of_small_pieces_in_a_pixel_are_exact(path: str) -> None:
     """Small triangles that hide and pierce each other, all in the one pixel."""

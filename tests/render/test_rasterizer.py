@@ -120,6 +120,7 @@ def test_equal_depths_go_to_the_lower_id_across_chunks(monkeypatch: pytest.Monke
         assert (rasterize(screen, triangles, 4).triangles() == 0).all()
 
 
+@pytest.mark.slow
 def test_small_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(8)
     screen = random_screen(rng, 60, 20, 12, GRID)
