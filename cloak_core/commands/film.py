@@ -78,13 +78,14 @@ class Film(Detecting):
 def _table(spec: str, told: dict, result: dict) -> Table:
     takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
     table = Table(title=f"{spec}: {result['frames']} frames{takes}")
-    for head in ("", "threshold", "hidden", "longest run", "first sight", "tracks"):
-        table.add_column(head, justify="right" if head else "left", min_width=9 if head else 8)
+    for head in ("", "threshold", "hidden", "renamed", "gone", "longest run", "first sight", "tracks"):
+        table.add_column(head, justify="right" if head else "left")
     own = result["operating_points"][spec]
     for control, x in told.items():
         for suffix, threshold in (("", result["threshold"]), ("_own", own)):
-            hidden, sight = x[f"hidden{suffix}"], x[f"first_sight_m{suffix}"]
+            shares = (share(x[f"{outcome}{suffix}"]) for outcome in ("hidden", "renamed", "gone"))
+            sight = x[f"first_sight_m{suffix}"]
             metres = "–" if sight is None else f"{sight:.1f} m"
             tracks = str(x["tracks"]) if suffix else ""  # they are made at the detector's own threshold
-            table.add_row(control, f"{threshold:g}", share(hidden), str(x[f"longest_run{suffix}"]), metres, tracks)
+            table.add_row(control, f"{threshold:g}", *shares, str(x[f"longest_run{suffix}"]), metres, tracks)
     return table

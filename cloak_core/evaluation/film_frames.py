@@ -45,13 +45,16 @@ class _Drawing:
         self.detectors, self.settings = results.detectors, settings
         self.text = max(9, settings.size // 26)
         self.gap, self.head = max(2, settings.size // 100), round(1.9 * self.text)
-        self.scores, self.boxes, self.tracks = {}, {}, {}
+        self.scores, self.boxes, self.others, self.tracks = {}, {}, {}, {}
         for spec in self.detectors:
             for control in SIDES:
                 rows = results.rows(spec, control, take=0)
                 own = operating_point(rows)
                 self.scores[spec, control] = rows["score"].to_numpy()
                 self.boxes[spec, control] = frame_boxes(results, rows, min(own, settings.threshold))
+                # What stands on the body instead of a person, where the detector tells; NaN is above no threshold.
+                told = zip(rows["other"], rows["other_name"], strict=True)
+                self.others[spec, control] = [name if score > own else "" for score, name in told]
                 tracked = track(frame_boxes(results, rows, own), settings) if settings.track else ()
                 # By frame and index of a box: the number of the box's track.
                 self.tracks[spec, control] = {(i, b): one.number for one in tracked for i, b in one.boxes.items()}
@@ -70,7 +73,7 @@ class _Drawing:
             frame.paste(pictures[control], (left, self.head))
             name = SERIES[control]
             draw.text((left + self.gap, middle), name.label, name.color, _font(self.text, bold=True), "lm")
-            shade = SOFT if verdict == VERDICTS[0] else COLORS[0]
+            shade = SOFT if verdict.startswith(VERDICTS[0]) else COLORS[0]
             draw.text((left + size - self.gap, middle), verdict, shade, _font(self.text), "rm")
         frame.paste(self.strip, (0, self.head + size))
         x = self._x(index)
@@ -93,7 +96,10 @@ class _Drawing:
                 low = min(y2 + 3, picture.height - 1.3 * self.text)
                 place = (x1, low if d % 2 else max(2, y1 - 1.4 * self.text))
                 self._label(draw, place, f"{score:.2f}" + (f"  track {number}" if number else ""), color, picture.width)
-        return VERDICTS[verdict]
+        if verdict:
+            return VERDICTS[verdict]
+        others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
+        return VERDICTS[0] + (f", but: {', '.join(others)}" if others else "")
 
     def _label(self, draw: ImageDraw.ImageDraw, corner: tuple, words: str, color: str, width: int) -> None:
         """Write words on a ground of their own, inside the picture."""

@@ -22,7 +22,15 @@ from jaxtyping import Bool, Float
 from cloak_core.detectors.scoring import box_iou
 from cloak_core.evaluation.results import CORNERS, TRUE_BOX, Results
 from cloak_core.evaluation.settings import FilmSettings
-from cloak_core.evaluation.statistics import finite, hidden, operating_point, rate, rate_record, share
+from cloak_core.evaluation.statistics import (
+    finite,
+    hidden,
+    operating_point,
+    outcome_record,
+    rate,
+    rate_record,
+    share,
+)
 
 CLUSTERS = ("take", "background")
 """Frames of one take, and those before one background, succeed and fail together."""
@@ -46,7 +54,7 @@ def summarize_film(results: Results, settings: FilmSettings, approaches: bool) -
     told = detectors[spec][results.controls[0]]
     return {
         "frames": len(first),
-        **{key: told[key] for key in ("hidden", "longest_run", "first_sight_m", "tracks")},
+        **{key: told[key] for key in ("hidden", "renamed", "gone", "longest_run", "first_sight_m", "tracks")},
         "takes": int(first["take"].max()) + 1,
         "threshold": settings.threshold,
         "left_out": int((~in_picture(first)).sum()),
@@ -59,9 +67,10 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
     """Figures of one detector and control, at the film's threshold and (`_own`) at the detector's own.
 
     hidden: share of frames without any reported person; hidden_iou: without one on the body; conditional: hidden where
-    the same frame in own clothing is not; ci95: over takes, null for a single one. longest_run: frames in a row with a
-    person, the median over takes. first_sight_m: distance of a take's first one where the camera approaches, likewise
-    (takes without any are counted in never_seen). tracks: confirmed at the detector's own threshold, in all takes.
+    the same frame in own clothing is not; renamed, gone, named: see `outcome_record`; ci95: over takes, null for a
+    single one. longest_run: frames in a row with a person, the median over takes. first_sight_m: distance of a take's
+    first one where the camera approaches, likewise (takes without any are counted in never_seen). tracks: confirmed at
+    the detector's own threshold, in all takes.
     """
     threshold, own, body = settings.threshold, operating_point(frames), in_picture(frames)
     shown = frames[body]
@@ -73,6 +82,7 @@ def film_record(results: Results, frames: pd.DataFrame, settings: FilmSettings, 
         "hidden_own": finite(share(shown, own)),
         "hidden_iou": finite(share(shown, threshold, "score_on")),
         "conditional": finite(share(seen_clean, threshold)),
+        **outcome_record(shown, threshold),
         "ci95": hits["ci95"],
         "n": len(shown),
     }
@@ -136,8 +146,17 @@ def frame_rows(results: Results, threshold: float) -> list[dict]:
 
 def _frame_verdicts(results: Results, rows: pd.DataFrame, threshold: float) -> list[dict]:
     boxes: Sequence[np.ndarray] = frame_boxes(results, rows, min(threshold, operating_point(rows)))
-    columns = zip(rows["score"], hidden(rows, threshold), boxes, strict=True)
-    return [{"score": round(float(s), 4), "hidden": bool(h), "boxes": b.round(4).tolist()} for s, h, b in columns]
+    columns = zip(rows["score"], hidden(rows, threshold), rows["other"], rows["other_name"], boxes, strict=True)
+    return [
+        {
+            "score": round(float(score), 4),
+            "hidden": bool(gone),
+            "other": finite(other, 4),
+            "other_name": name or None,
+            "boxes": mine.round(4).tolist(),
+        }
+        for score, gone, other, name, mine in columns
+    ]
 
 
 @dataclass(eq=False)

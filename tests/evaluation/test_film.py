@@ -49,6 +49,23 @@ class NoGreen(Detector):
         return Detections(box.expand(count, 1, 4), score[:, None].float())
 
 
+class KiteWhereGreen(Detector):
+    """Finds whatever is not white: a kite where anything is purely green, else a person."""
+
+    def __init__(self) -> None:
+        super().__init__("kites", "kites")
+        self.operating_point, self.class_names = 0.3, ("person", "kite")
+
+    def forward(self, images: Tensor) -> Detections:
+        green = ((images[:, 1] > 0.4) & (images[:, [0, 2]].amax(1) < 0.3)).flatten(1).any(1)
+        boxes = torch.zeros(len(images), 1, 4)
+        for box, image in zip(boxes[:, 0], images, strict=True):
+            y, x = torch.nonzero(image.mean(0) < 0.95, as_tuple=True)
+            box[:] = torch.stack([x.min(), y.min(), x.max() + 1, y.max() + 1])
+        kite = torch.where(green, 0.8, 0.0)[:, None]
+        return Detections(boxes, 0.9 - kite, other=kite, other_class=torch.ones(len(images), 1, dtype=torch.int64))
+
+
 def chosen(**given: object) -> FilmSettings:
     """Settings, whole numbers where the command line would have made floats of them."""
     whole = {"size", "outfit", "batch", "samples", "track_hits", "track_misses", "follow"}
@@ -67,11 +84,12 @@ def white() -> Backgrounds:
     return Backgrounds(["white"], lambda index, height, width: np.full((height, width, 3), 255, np.uint8))
 
 
-def film(logo: Logo, white: Backgrounds, out: Path, **settings: object) -> dict:
+def film(logo: Logo, white: Backgrounds, out: Path, detector: Detector | None = None, **settings: object) -> dict:
     bodies = sample_bodies("unseen").select_poses([0, 1])
     green = np.tile(np.array([[0, 1, 0]], np.float32), (len(logo), 1))
     asked = chosen(**{"size": SIZE, "samples": 1, "fps": 5.0, "seconds": 1.0} | settings)
-    return make_film(Cloaked(green, logo, bodies, white), {"nogreen": NoGreen()}, out, asked)
+    detector = detector or NoGreen()
+    return make_film(Cloaked(green, logo, bodies, white), {detector.spec: detector}, out, asked)
 
 
 def test_paths_end_where_they_should() -> None:
@@ -152,6 +170,18 @@ def test_a_film_counts_what_the_detector_sees(logo: Logo, white: Backgrounds, tm
     frame = np.asarray(Image.open(pictures[0])).astype(int)[20:60]
     green = (frame[..., 1] > 100) & (frame[..., [0, 2]].max(-1) < 30)
     assert green[:, SIZE + 2 :].sum() > 20 > green[:, :SIZE].sum()  # the cloak is on the right
+
+
+def test_a_film_says_what_stands_there_instead(logo: Logo, white: Backgrounds, tmp_path: Path) -> None:
+    told = film(logo, white, tmp_path / "film", detector=KiteWhereGreen())
+    assert (told["hidden"], told["renamed"], told["gone"]) == (1.0, 1.0, 0.0)
+    cloaked, clothed = told["detectors"]["kites"]["logo"], told["detectors"]["kites"]["clothing"]
+    assert cloaked["named"] == {"kite": 5} and cloaked["renamed_own"] == 1.0
+    assert (clothed["renamed"], clothed["gone"], clothed["named"]) == (0.0, 0.0, {})
+    by_frame = json.loads((tmp_path / "film/film.json").read_text())["by_frame"]
+    assert by_frame[0]["detectors"]["kites"]["logo"]["other_name"] == "kite"
+    silent = film(logo, white, tmp_path / "silent")
+    assert silent["renamed"] is None and silent["gone"] is None
 
 
 def test_first_sight_is_the_distance_of_the_first_frame_that_sees(

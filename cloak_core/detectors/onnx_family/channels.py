@@ -2,7 +2,7 @@
 
 Exporters write a shuffle as reshape, transpose, reshape and split; each of them is a copy in torch, and what follows
 is laid out anew. Here the order is found by sending the channels' numbers through such nodes. What it is worth: forward
-and backward of eight images of 416 x 416 on one thread take 0.84 (NanoDet-m) and 0.81 (FastestDet) of the time without it.
+and backward of eight images of 416 x 416 on one thread take 0.84 (NanoDet-m) and 0.81 (FastestDet) of the time without.
 """
 
 from __future__ import annotations
