@@ -14,6 +14,7 @@ from cloak_core.commands.base import Command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_worn
+from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.settings import EvaluateSettings
 
 
@@ -99,23 +100,29 @@ def show_success(result: dict) -> None:
     """
     if len(result["detectors"]) > 1:
         out.print(matrix(result))
+    from cloak_core.evaluation.report.words import instead, percent
+
+    threshold = result.get("settings", {}).get("threshold", THRESHOLD)
     for spec, measured in result["detectors"].items():
-        out.print(success_table(spec, measured, result.get("operating_points", {}).get(spec, 0)))
+        out.print(success_table(spec, measured, threshold, result.get("operating_points", {}).get(spec, 0)))
+        if told := instead(measured["logo"]):
+            out.print(f"No person in {percent(measured['logo']['success'])} at {threshold:g}. {told}")
         out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
 
 
-def success_table(spec: str, measured: dict, own: float) -> Table:
+def success_table(spec: str, measured: dict, threshold: float, own: float) -> Table:
     """Make the table of one detector; `own`: the detector's own threshold."""
-    table = Table(title=f"success against {spec}: the rendered person is not reported")
-    heads = {"": None, "success": "success", "95 %": None, f"at its own {own:g}": "success_own", "renamed": "renamed"}
-    heads |= {"IoU ≥ 0.5": "success_iou", "if found clean": "conditional", "AP50": "ap50", "images": None}
+    rates = {name: told for name, told in measured.items() if isinstance(told, dict) and "success" in told}
+    images = next(iter(rates.values()))["n"]
+    table = Table(title=f"{spec}: share of {images} images in which no person is reported")
+    heads = {"": None, f"at {threshold:g}": "success", "95 %": None, f"own {own:g}": "success_own"}
+    heads |= {"renamed": "renamed", "gone": "gone", "on body": "success_iou", "AP50": "ap50"}
     for head in heads:
         table.add_column(head, justify="right" if head else "left", min_width=9 if head == "95 %" else None)
-    for name, rates in measured.items():
-        if isinstance(rates, dict) and "success" in rates:
-            low, high = rates["ci95"]
-            words = {"": name, "95 %": f"{low:.2f}–{high:.2f}", "images": str(rates["n"])}
-            table.add_row(*(share(rates.get(key)) if key else words[head] for head, key in heads.items()))
+    for name, told in rates.items():
+        low, high = told["ci95"]
+        words = {"": name, "95 %": f"{low:.2f}–{high:.2f}"}
+        table.add_row(*(share(told.get(key)) if key else words[head] for head, key in heads.items()))
     return table
 
 

@@ -68,8 +68,12 @@ class Film(Detecting):
             )
 
     def show(self, result: dict) -> None:
+        from cloak_core.evaluation.report.words import instead, percent
+
         for spec, told in result["detectors"].items():
             out.print(_table(spec, told, result))
+            if said := instead(told["logo"]):
+                out.print(f"No person in {percent(told['logo']['hidden'])} at {result['threshold']:g}. {said}")
         if result["left_out"]:
             out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
         out.print(f"wrote {result['out']} and {result['numbers']}")
@@ -78,7 +82,7 @@ class Film(Detecting):
 def _table(spec: str, told: dict, result: dict) -> Table:
     takes = "" if result["takes"] == 1 else f" in {result['takes']} takes"
     table = Table(title=f"{spec}: {result['frames']} frames{takes}")
-    for head in ("", "threshold", "hidden", "renamed", "gone", "longest run", "first sight", "tracks"):
+    for head in ("", "at", "hidden", "renamed", "gone", "longest run", "first sight", "tracks"):
         table.add_column(head, justify="right" if head else "left")
     own = result["operating_points"][spec]
     for control, x in told.items():

@@ -69,15 +69,17 @@ class Wear(Detecting):
 
 def show_worn(result: dict, threshold: float | int) -> None:
     """Show a table for each detector: who is not found in what."""
+    from cloak_core.evaluation.report.words import most_named
+
     for spec, told in result["detectors"].items():
         point = result["operating_points"][spec]
         table = Table(title=f"{spec}: share of people who are not found")
-        for head in ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone"):
+        for head in ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone", "as"):
             table.add_column(head, justify="right" if head else "left")
         for name, s in told.items():
             low, high = s["ci95"]
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
-            table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest)
+            table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s))
         out.print(table)
     left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
     out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")

@@ -13,7 +13,7 @@ from PIL import Image
 from cloak_core.evaluation.report import plots
 from cloak_core.evaluation.report.page import _environment
 from cloak_core.evaluation.report.run_report import make_report
-from cloak_core.evaluation.report.words import duration, interval, percent, short_name
+from cloak_core.evaluation.report.words import duration, instead, interval, most_named, percent, short_name
 from cloak_core.evaluation.trained_run import History
 from cloak_core.files.errors import InputError
 from tests.evaluation.made_evaluation import made_results, write_run
@@ -235,3 +235,22 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
         figure = plots.evaluation_figures(replace(results, images=images), "builtin", 0.6)["Success by angle"]
         lines = [line for line in figure.axes[0].get_lines() if len(line.get_xdata()) == 5]
         assert lines and all((line.get_linestyle() != "None") == joined for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("rates", "said", "names"),
+    [
+        (
+            {"renamed": 0.61, "renamed_own": 0.5, "named": {"dog": 12, "kite": 1}},
+            'In 61 % something else is reported there, mostly "dog".',
+            "dog 12, kite 1",
+        ),
+        ({"renamed": 0.0, "named": {}}, "Nothing else is reported there.", ""),
+        ({"renamed": None, "named": None}, "", ""),
+        ({}, "", ""),
+    ],
+)
+def test_a_headline_says_what_stands_there_instead(rates: dict, said: str, names: str) -> None:
+    assert (instead(rates), most_named(rates)) == (said, names)
+    if "renamed_own" in rates:
+        assert instead(rates, own=True) == "In 50 % something else is reported there."

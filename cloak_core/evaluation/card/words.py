@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cloak_core.evaluation.card.leaderboard import at_least, is_too_short, name_of, worn_rows
 from cloak_core.evaluation.card.protocol import AGAINST
-from cloak_core.evaluation.report.words import interval, percent
+from cloak_core.evaluation.report.words import instead, interval, percent
 
 HALF, GOOD = 0.5, 0.9
 ALWAYS = (
@@ -16,16 +16,17 @@ ALWAYS = (
 
 
 def headline(card: dict) -> str:
-    """Say in one sentence how well people hide, at the threshold at which the detector is run; photographs first."""
+    """Say how well people hide and what is seen instead, at the detector's own threshold; photographs first."""
     name, rows, black = name_of(card), card["white_box"], card["black_box"]
     photographs = worn_rows(card)
     if photographs:
         worn, row = max(photographs.items(), key=lambda pair: pair[1]["success_own"])
         own = percent(card["photographs"]["rows"]["clothing"]["success_own"])
         hidden = f"{'at least ' if _is_unsure(card) else ''}{percent(row['success_own'])}"
-        return (
-            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}; "
-            f"in their own clothing it misses {own} of them."
+        return _joined(
+            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}.",
+            instead(row, own=True),
+            f"In their own clothing it misses {own} of them.",
         )
     if not rows and black["counted"]:
         return f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
@@ -36,8 +37,15 @@ def headline(card: dict) -> str:
     what, hidden = f"on {percent(row['area'])} of the body", percent(row["success_own"])
     own = f"In their own clothing it misses {percent(row['clothing_own'])} of the same."
     if half is None:
-        return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}. {own}"
-    return f"A cloak {what}, made against {name}, hides {hidden} of people from it. {own}"
+        best = f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}."
+        return _joined(best, instead(row, own=True), own)
+    return _joined(
+        f"A cloak {what}, made against {name}, hides {hidden} of people from it.", instead(row, own=True), own
+    )
+
+
+def _joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
 
 
 def _is_unsure(card: dict) -> bool:

@@ -29,6 +29,25 @@ def interval(bounds: list[float | None]) -> str:
     return "–" if low is None or high is None else f"{percent(low).removesuffix(' %')} – {percent(high)}"
 
 
+def instead(rates: dict, own: bool = False) -> str:
+    """Say of figures (`statistics.outcome_record`) what is reported in a hidden person's place; "" where untold.
+
+    own: at the detector's own threshold, where the names are not counted.
+    """
+    share = rates.get("renamed_own" if own else "renamed")
+    if share is None:
+        return ""
+    if not share:
+        return "Nothing else is reported there."
+    names = [] if own else list(rates.get("named") or {})
+    return f"In {percent(share)} something else is reported there" + (f', mostly "{names[0]}".' if names else ".")
+
+
+def most_named(rates: dict) -> str:
+    """List what is reported in hidden people's places, the most frequent first: "dog 12, kite 1"; "" for none."""
+    return ", ".join(f"{name} {count}" for name, count in (rates.get("named") or {}).items())
+
+
 def degrees(angle: float | None) -> str:
     """Format an angle: -10.0 -> "−10°"; nothing for none."""
     return "" if angle is None else f"{angle:g}°".replace("-", "−")
