@@ -75,7 +75,7 @@ def show_worn(result: dict, threshold: float | int) -> None:
         point = result["operating_points"][spec]
         table = Table(title=f"{spec}: share of people who are not found")
         for head in ("", f"at {threshold:g}", "95 %", f"own {point:g}", "renamed", "gone", "as"):
-            table.add_column(head, justify="right" if head else "left")
+            table.add_column(head, justify="right" if head else "left", overflow="fold")  # a name is whole on two lines
         for name, s in told.items():
             low, high = s["ci95"]
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
