@@ -98,15 +98,15 @@ def show_success(result: dict) -> None:
 
     White box: the colours were trained against this detector; black box: they were not.
     """
-    if len(result["detectors"]) > 1:
-        out.print(matrix(result))
     from cloak_core.evaluation.report.words import instead, percent
 
+    if len(result["detectors"]) > 1:
+        out.print(matrix(result))
     threshold = result.get("settings", {}).get("threshold", THRESHOLD)
     for spec, measured in result["detectors"].items():
         out.print(success_table(spec, measured, threshold, result.get("operating_points", {}).get(spec, 0)))
-        if told := instead(measured["logo"]):
-            out.print(f"No person in {percent(measured['logo']['success'])} at {threshold:g}. {told}")
+        logo = measured["logo"]
+        out.print(f"no person in {percent(logo['success'])} at {threshold:g}{instead(logo)}")
         out.print(f"false alarms on bare backgrounds: {result['false_alarms'][spec]:.1%}")
 
 

@@ -72,8 +72,8 @@ class Film(Detecting):
 
         for spec, told in result["detectors"].items():
             out.print(_table(spec, told, result))
-            if said := instead(told["logo"]):
-                out.print(f"No person in {percent(told['logo']['hidden'])} at {result['threshold']:g}. {said}")
+            logo = told["logo"]
+            out.print(f"no person in {percent(logo['hidden'])} at {result['threshold']:g}{instead(logo)}")
         if result["left_out"]:
             out.print(f"in {result['left_out']} of {result['frames']} frames the body was not in the picture")
         out.print(f"wrote {result['out']} and {result['numbers']}")

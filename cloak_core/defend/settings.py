@@ -59,7 +59,7 @@ class HardenSettings:
     """Width and height of the rendered images, pixels."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the network while it learns and is attacked; what is written has float32 either way. bfloat16 takes
-    less than half the time on GPUs and on processors made for it (AMX), and ten times as long on those without."""
+    less than half the time on GPUs and on processors made for it (AMX); with AVX2 alone it takes ten times as long."""
     checkpoint_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between checkpoints."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0

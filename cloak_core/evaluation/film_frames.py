@@ -70,18 +70,24 @@ class _Drawing:
         for side, control in enumerate(SIDES):
             left, middle = side * (size + self.gap), self.head / 2
             verdict = self._draw_boxes(pictures[control], index, control)
+            words = VERDICTS[verdict] + ("" if verdict else self._instead(index, control))
             frame.paste(pictures[control], (left, self.head))
             name = SERIES[control]
             draw.text((left + self.gap, middle), name.label, name.color, _font(self.text, bold=True), "lm")
-            shade = SOFT if verdict.startswith(VERDICTS[0]) else COLORS[0]
-            draw.text((left + size - self.gap, middle), verdict, shade, _font(self.text), "rm")
+            shade = COLORS[0] if verdict else SOFT
+            draw.text((left + size - self.gap, middle), words, shade, _font(self.text), "rm")
         frame.paste(self.strip, (0, self.head + size))
         x = self._x(index)
         draw.line((x, self.head + size + 1, x, frame.height - 1), fill=INK, width=max(1, self.text // 8))
         return frame
 
-    def _draw_boxes(self, picture: Image.Image, index: int, control: str) -> str:
-        """Draw every detector's boxes, thinly those above its own threshold alone; return the verdict in words."""
+    def _instead(self, index: int, control: str) -> str:
+        """Name what is reported on the body though no person is; "" for nothing."""
+        others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
+        return f", but: {', '.join(others)}" if others else ""
+
+    def _draw_boxes(self, picture: Image.Image, index: int, control: str) -> int:
+        """Draw every detector's boxes, thinly those above its own threshold alone; return which of `VERDICTS` it is."""
         draw, verdict = ImageDraw.Draw(picture), 0
         for d, spec in enumerate(self.detectors):
             color = COLORS[d % len(COLORS)]
@@ -96,10 +102,7 @@ class _Drawing:
                 low = min(y2 + 3, picture.height - 1.3 * self.text)
                 place = (x1, low if d % 2 else max(2, y1 - 1.4 * self.text))
                 self._label(draw, place, f"{score:.2f}" + (f"  track {number}" if number else ""), color, picture.width)
-        if verdict:
-            return VERDICTS[verdict]
-        others = sorted({self.others[spec, control][index] for spec in self.detectors} - {""})
-        return VERDICTS[0] + (f", but: {', '.join(others)}" if others else "")
+        return verdict
 
     def _label(self, draw: ImageDraw.ImageDraw, corner: tuple, words: str, color: str, width: int) -> None:
         """Write words on a ground of their own, inside the picture."""

@@ -242,10 +242,10 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
     [
         (
             {"renamed": 0.61, "renamed_own": 0.5, "named": {"dog": 12, "kite": 1}},
-            'In 61 % something else is reported there, mostly "dog".',
+            '; in 61 % something else is reported there, mostly "dog"',
             "dog 12, kite 1",
         ),
-        ({"renamed": 0.0, "named": {}}, "Nothing else is reported there.", ""),
+        ({"renamed": 0.0, "named": {}}, "; nothing else is reported there", ""),
         ({"renamed": None, "named": None}, "", ""),
         ({}, "", ""),
     ],
@@ -253,4 +253,4 @@ def test_single_images_are_not_joined_to_a_trend() -> None:
 def test_a_headline_says_what_stands_there_instead(rates: dict, said: str, names: str) -> None:
     assert (instead(rates), most_named(rates)) == (said, names)
     if "renamed_own" in rates:
-        assert instead(rates, own=True) == "In 50 % something else is reported there."
+        assert instead(rates, own=True) == "; in 50 % something else is reported there"

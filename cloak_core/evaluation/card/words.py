@@ -23,10 +23,9 @@ def headline(card: dict) -> str:
         worn, row = max(photographs.items(), key=lambda pair: pair[1]["success_own"])
         own = percent(card["photographs"]["rows"]["clothing"]["success_own"])
         hidden = f"{'at least ' if _is_unsure(card) else ''}{percent(row['success_own'])}"
-        return _joined(
-            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}.",
-            instead(row, own=True),
-            f"In their own clothing it misses {own} of them.",
+        return (
+            f"In photographs, {hidden} of people who wear {_worn(worn)} are hidden from {name}"
+            f"{instead(row, own=True)}; in their own clothing it misses {own} of them."
         )
     if not rows and black["counted"]:
         return f"Cloaks made against other detectors hide up to {percent(black['success_own'])} of people from {name}."
@@ -35,17 +34,10 @@ def headline(card: dict) -> str:
     half = next((row for row in rows if row["success_own"] >= HALF), None)
     row = half or max(rows, key=lambda row: row["success_own"])
     what, hidden = f"on {percent(row['area'])} of the body", percent(row["success_own"])
-    own = f"In their own clothing it misses {percent(row['clothing_own'])} of the same."
+    rest = f"{instead(row, own=True)}. In their own clothing it misses {percent(row['clothing_own'])} of the same."
     if half is None:
-        best = f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}."
-        return _joined(best, instead(row, own=True), own)
-    return _joined(
-        f"A cloak {what}, made against {name}, hides {hidden} of people from it.", instead(row, own=True), own
-    )
-
-
-def _joined(*sentences: str) -> str:
-    return " ".join(filter(None, sentences))
+        return f"No cloak that was tried hid half of the people from {name}: the best, {what}, hid {hidden}{rest}"
+    return f"A cloak {what}, made against {name}, hides {hidden} of people from it{rest}"
 
 
 def _is_unsure(card: dict) -> bool:

@@ -42,9 +42,9 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     formats = (words.percent, words.interval, words.degrees, words.control_label, words.short_name)
-    formats += (words.instead, words.most_named)
+    formats += (words.duration, words.instead, words.most_named, words.plain)
     environment.filters["record"] = lambda value: value if isinstance(value, dict) else {}
-    environment.filters |= {write.__name__: write for write in (*formats, words.duration, words.plain)}
+    environment.filters |= {write.__name__: write for write in formats}
     return environment
 
 

@@ -30,17 +30,17 @@ def interval(bounds: list[float | None]) -> str:
 
 
 def instead(rates: dict, own: bool = False) -> str:
-    """Say of figures (`statistics.outcome_record`) what is reported in a hidden person's place; "" where untold.
+    """Say, as the end of a sentence, what is reported in hidden people's places; "" where the detector does not tell.
 
-    own: at the detector's own threshold, where the names are not counted.
+    rates: figures of `statistics.outcome_record`. own: at the detector's own threshold, where no names are counted.
     """
     share = rates.get("renamed_own" if own else "renamed")
     if share is None:
         return ""
     if not share:
-        return "Nothing else is reported there."
+        return "; nothing else is reported there"
     names = [] if own else list(rates.get("named") or {})
-    return f"In {percent(share)} something else is reported there" + (f', mostly "{names[0]}".' if names else ".")
+    return f"; in {percent(share)} something else is reported there" + (f', mostly "{names[0]}"' if names else "")
 
 
 def most_named(rates: dict) -> str:
