@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -27,7 +28,7 @@ class Wear(Detecting):
 
     colors: Positional[tuple[str, ...]]
     """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres), FILE.png@patch=0.3
-    (a patch on the chest)."""
+    (a patch on the chest). '*.png@tile=0.5' is every such file."""
     people: str
     """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
@@ -53,7 +54,7 @@ class Wear(Detecting):
         detectors = self.by_spec(self.detector)
         with counted("dressing") as tell:
             return wear(
-                self.colors,
+                [one for color in self.colors for one in expanded(color)],
                 self.people,
                 detectors,
                 self.backgrounds,
@@ -65,6 +66,13 @@ class Wear(Detecting):
 
     def show(self, result: dict) -> None:
         show_worn(result, self.settings.threshold)
+
+
+def expanded(color: str) -> list[str]:
+    """List the pictures that *.png@tile=0.5 names, which no shell expands; any other text as it is."""
+    pattern, _, form = color.rpartition("@")
+    found = [] if Path(pattern).exists() else sorted(glob.glob(pattern))
+    return [f"{file}@{form}" for file in found] or [color]
 
 
 def show_worn(result: dict, threshold: float | int) -> None:

@@ -11,6 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
+from cloak_core.commands.wear import expanded
 from cloak_core.detectors.protocol import Detections
 from cloak_core.evaluation.measure import measure
 from cloak_core.evaluation.renderer import EvaluationRenderer
@@ -107,6 +108,14 @@ def test_a_patch_lies_on_the_chest_alone(people, red):
     fit = fit_people(people)[0]
     patch, cloth = (read_clothes(f"{red}@{kind}").on(fit, 0)[0].sum() for kind in ("patch=0.3", "tile=0.3"))
     assert 0.3 * (0.3 * fit.scale) ** 2 < patch < 1.1 * (0.3 * fit.scale) ** 2 and patch < 0.4 * cloth
+
+
+def test_a_pattern_of_names_is_every_picture_with_one(tmp_path):
+    for name in ("b.png", "a.png", "c.jpg"):
+        (tmp_path / name).touch()
+    assert expanded(f"{tmp_path}/*.png@tile=0.5") == [f"{tmp_path}/{name}@tile=0.5" for name in ("a.png", "b.png")]
+    as_they_are = ("zoo:transfer-people", "runs/first", f"{tmp_path}/none*.png@patch=0.3", f"{tmp_path}/a.png")
+    assert [expanded(color) for color in as_they_are] == [[color] for color in as_they_are]
 
 
 def test_a_cloth_repeats_every_so_many_metres(people, tmp_path):
