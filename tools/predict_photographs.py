@@ -6,12 +6,17 @@ COLORS are those of `cloak wear`. Each is worn by the people, and in every setti
 --scene that has its logo's mesh (a run of another mesh: by its own unseen bodies; pictures: as cloth on shirt and
 trousers of the first scene). DIR keeps what was measured, so that a stopped call goes on. DIR/correlation.json has the
 success of every texture and, for each setting, Spearman's rank correlation of its mean over the detectors with that on
-photographs, and a 95 % interval by bootstrap over textures.
+photographs, and a 95 % interval by bootstrap over textures; DIR/correlation.png draws some settings.
+
+    python tools/predict_photographs.py --draw CORRELATION.json PICTURE.png
+
+draws such a file again.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +25,7 @@ from scipy.stats import spearmanr
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.cloaked import Cloaked, cloth_colors, open_cloaked
 from cloak_core.evaluation.evaluate import evaluate
+from cloak_core.evaluation.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_along_x, percent_axis, style
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import read_run
 from cloak_core.evaluation.wearing.clothes import CLOTHES, PictureClothes, read_clothes
@@ -41,6 +47,8 @@ RENDERS: dict[str, tuple[np.ndarray, dict]] = {
     "around, Cycles in a studio": (AROUND, {"cycles": "studio"}),
 }
 """Azimuths and what differs from the default settings of `cloak evaluate`."""
+DRAWN = ("front", "around, 208 pixels")
+"""Settings of the figure: the one that misleads most and the one to judge with."""
 RATES = ("success", "success_own")
 CONTROLS = ("clothing", "grey")
 
@@ -74,18 +82,46 @@ def on_renders(worn: Cloaked, detectors: dict, controls: tuple[str, ...], out: P
     return found
 
 
+def means(textures: dict[str, dict], name: str, rate: str) -> np.ndarray:
+    """Average over the detectors, of every texture in a setting of renders and on photographs: [textures, 2]."""
+    mean = lambda seen: np.mean([said[rate] for said in seen.values()])
+    return np.array([[mean(texture[name]), mean(texture["photographs"])] for texture in textures.values()])
+
+
 def rank(textures: dict[str, dict], name: str, rate: str) -> dict:
     """Correlate a setting's ranks of the textures with those on photographs."""
-    mean = lambda seen: np.mean([said[rate] for said in seen.values()])
-    pairs = np.array([[mean(texture[name]), mean(texture["photographs"])] for texture in textures.values()])
+    pairs = means(textures, name, rate)
     draws = np.random.default_rng(0).integers(len(pairs), size=(2000, len(pairs)))
     values = [spearmanr(*pairs[draw].T).statistic for draw in draws]
     spread = [round(float(x), 4) for x in np.nanquantile(values, (0.025, 0.975))]
     return {"spearman": round(float(spearmanr(*pairs.T).statistic), 4), "ci95": spread}
 
 
+def draw(record: dict, path: Path) -> None:
+    """Draw success on photographs against success on renders: a point for each texture and threshold."""
+    with style():
+        figure, axes = new_figure(1.5 * WIDTH, 0.75 * WIDTH, columns=len(DRAWN))
+        for axis, name in zip(axes, DRAWN, strict=True):
+            for k, (rate, label) in enumerate(zip(RATES, ("at 0.6", "at the own thresholds"), strict=True)):
+                x, y = means(record["textures"], name, rate).T
+                axis.scatter(
+                    x,
+                    y,
+                    s=16,
+                    color=CYCLE[k],
+                    marker=MARKERS[k],
+                    label=f"{label}: rank correlation {record['rank'][name][rate]['spearman']:.2f}",
+                )
+            percent_along_x(axis, f"hidden on renders, {name}")
+            percent_axis(axis, "hidden on photographs")
+            axis.legend(loc="upper left", bbox_to_anchor=(0, 1.18))
+        figure.savefig(path, dpi=150)
+
+
 def main() -> None:
     """Measure every texture, then correlate."""
+    if sys.argv[1:2] == ["--draw"]:
+        return draw(read_json(Path(sys.argv[2])), Path(sys.argv[3]))
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("colors", nargs="+")
     parser.add_argument("--people", required=True)
@@ -115,6 +151,7 @@ def main() -> None:
     counts = {key: photographs[key] for key in ("people", "photographs")}
     record = counts | {"rank": ranks, "textures": textures}
     write_json(given.out / "correlation.json", record)
+    draw(record, given.out / "correlation.png")
     for name, said in ranks.items():
         print(name, said)
 
