@@ -11,7 +11,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --maxprocesse
 demo: .venv/.installed
 	$(BIN)/python -m cloak_core demo --out runs/demo
 
-# The inner loop: what takes under half a second.
+# The inner loop: tests whose cases take less than about a second together.
 check: .venv/.installed-test
 	$(PYTEST) -m "not slow and not long" --ignore tests/blender
 

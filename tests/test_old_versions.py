@@ -49,6 +49,7 @@ def train(old: Path, out: str, *more: str) -> list[str]:
     return ["train", "--scene", str(old / "scene"), "--logo", str(old / "logo.npy"), "--out", str(old / out), *more]
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_with_the_same_settings(
     old: Path, capsys: pytest.CaptureFixture, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -62,6 +63,7 @@ def test_a_stopped_run_goes_on_with_the_same_settings(
     assert "began with other code" in caplog.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "named"),
     [

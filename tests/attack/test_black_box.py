@@ -113,6 +113,7 @@ def test_surrogates_lead_a_search_even_where_they_are_wrong_about_the_side(tmp_p
         run(tmp_path / "led", [Asked()], resume=True, query_prior=[Blue(2)], **SHORT)
 
 
+@pytest.mark.slow
 def test_a_prior_gives_gradients_and_leads_a_search_alone(tmp_path):
     with pytest.raises(InputError, match="--query-prior asked: gives no gradients"):
         run(tmp_path / "a", [Asked()], black_box_queries=68, query_prior=[Asked()], **HOW)

@@ -46,6 +46,7 @@ def by_hand(detectors, combine) -> tuple[torch.Tensor, torch.Tensor]:
     return loss.detach(), torch.autograd.grad(loss, images)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("microbatch", [None, 1, 2, 5, 7])
 @pytest.mark.parametrize(
     ("changes", "combine"),

@@ -47,6 +47,7 @@ def _as_file(folder: Path) -> None:
     (folder / "previews").write_text("")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [

@@ -225,6 +225,7 @@ def from_command_line(tmp_path: Path, toml: str, *options: str) -> TrainSettings
     return command.settings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("toml", "options", "wanted"),
     [
@@ -248,6 +249,7 @@ def test_preset_file_and_flags_are_merged_before_they_are_checked(tmp_path, toml
     assert {name: record[name] for name in wanted} == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("toml", "options", "words"),
     [

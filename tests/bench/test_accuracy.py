@@ -25,6 +25,7 @@ def record() -> dict:
     return accuracy.measure(scene, 1, 1, {kind.module: "missing: not asked for" for kind in PEERS})
 
 
+@pytest.mark.slow
 def test_every_number_of_samples_and_areas_are_measured(record) -> None:
     names = [point["name"] for point in record["points"]]
     assert names == ["ours-1", "ours-4", "ours-16", "ours-64", "ours-area"]

@@ -8,6 +8,7 @@ from cloak_core.scene.cameras import Camera
 from cloak_core.scene.people.samples import sample_bodies
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [4, "area"])
 def test_one_way_is_timed_alone(way: object) -> None:
     result = run_bench_views(sphere(80), samples=way, threads=1, repeats=1, camera=Camera(width=24, height=24))

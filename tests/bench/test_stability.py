@@ -10,16 +10,9 @@ from cloak_core.render.rasterizer import area_fragments
 from cloak_core.render.screen import GRID
 from cloak_core.render.types import Window
 
-SLOW_CASES = (
-    "hostile: strips, twins, folds, giants",
-    "overlap: a thin shell, both sides",
-    "strips of 0 to 3 grid steps and thinner",
-)
 
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW_CASES)) for name in stability.CASES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", stability.CASES)
 def test_no_case_differs(name: str) -> None:
     case = stability.CASES[name](np.random.default_rng(0))
     assert stability.mismatches(case, 1) == 0 and stability.depth_error(case, 40) < 1.01
@@ -45,6 +38,7 @@ def test_the_record_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result["by_case"]["absent"]["cases"] == 0 and "not run" in result["by_case"]["absent"]["remark"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shared edges through samples", "closed mesh", "fans of huge triangles"])
 def test_a_missing_triangle_is_a_mismatch(name: str) -> None:
     case = stability.CASES[name](np.random.default_rng(0))
@@ -54,6 +48,7 @@ def test_a_missing_triangle_is_a_mismatch(name: str) -> None:
     assert stability.mismatches(broken, 1) > 0 and stability.area_mismatches(broken) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "count"),
     [

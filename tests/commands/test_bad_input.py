@@ -73,6 +73,7 @@ def refuse(line: str, capsys: pytest.CaptureFixture) -> str:
 TRAIN = "train --scene scene --logo logo.npy --out run --steps 1 "
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -119,6 +120,7 @@ def test_an_unknown_section_is_named_with_its_line(here, capsys):
     assert re.search(r"net.cfg:12: \[nonsense\]", refuse(TRAIN + "--detector darknet:net.cfg:x", capsys))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ids", "words"),
     [

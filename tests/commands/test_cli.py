@@ -37,6 +37,7 @@ def scene(tmp_path):
     return write_scene(tmp_path / "scene", Bodies(vertices=vertices, triangles=triangles, name="tetrahedron"))
 
 
+@pytest.mark.slow
 def test_json_alone_on_standard_output(scene):
     done = cloak("scene", "info", scene, "--json")
     assert done.returncode == 0
@@ -67,6 +68,7 @@ DO_SOMETHING_BARE = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(cli.COMMANDS) - DO_SOMETHING_BARE))
 def test_the_bare_form_of_a_command_says_what_it_needs(name, capsys):
     with pytest.raises(SystemExit) as end:
@@ -100,6 +102,7 @@ def test_nothing_is_overwritten(scene):
     assert "exists already" in bad("scene", "sample", "--out", scene)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_every_command_has_help_and_json(name, capsys):
     with pytest.raises(SystemExit) as end:
@@ -110,6 +113,7 @@ def test_every_command_has_help_and_json(name, capsys):
     assert not re.search(r"\(default[^)]*\)\.? \(default", " ".join(text.split()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_the_example_in_the_help_is_a_command(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
@@ -132,6 +136,7 @@ def test_help_shows_the_options_that_are_taken(name, capsys):
     assert flags == {action.option_strings[-1] for action in parser._actions if action.option_strings}
 
 
+@pytest.mark.slow
 def test_help_of_training_is_short(capsys):
     with pytest.raises(SystemExit):
         cli.parse("train", ["--help"])
@@ -139,6 +144,7 @@ def test_help_of_training_is_short(capsys):
     assert sum(line.startswith("  --") for line in text.splitlines()) == 21 and "--help-all" in text
 
 
+@pytest.mark.slow
 def test_help_names_every_command():
     done = cloak("--help")
     assert done.returncode == 0
@@ -197,6 +203,7 @@ def test_help_has_headings_and_choices(capsys, monkeypatch):
     assert "--preset {paper,reference,best,transfer,photographs}" in help_of("reproduce", capsys)["Experiments"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["train", "evaluate", "reproduce", "demo", "sweep", "detectors check", "logo heatmap"],

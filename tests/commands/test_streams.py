@@ -20,6 +20,7 @@ def cloak(line: str, **options: object) -> subprocess.CompletedProcess:
     return subprocess.run(command, stderr=subprocess.PIPE, check=False, cwd=Path(__file__).parents[2], **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["--version", "scene info sample:train[0:1] --json", "scene info --help"])
 def test_a_full_disk_is_one_line(line: str) -> None:
     with open("/dev/full", "w") as full:
@@ -29,6 +30,7 @@ def test_a_full_disk_is_one_line(line: str) -> None:
     assert said == "cloak: standard output: cannot be written (No space left on device)\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["--help", "scene info sample:train[0:1]"])
 def test_a_reader_who_has_had_enough_is_no_error(line: str) -> None:
     reading, writing = os.pipe()
@@ -64,6 +66,7 @@ def test_the_version_as_json(line: str, capsys: pytest.CaptureFixture) -> None:
     assert not end.value.code and json.loads(capsys.readouterr().out) == {"version": __version__}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["--help --json", "--json --help", "train --help --json"])
 def test_help_is_help(line: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as end:
@@ -101,6 +104,7 @@ def closed(line: str, *descriptors: int) -> subprocess.CompletedProcess:
     return subprocess.run(command, shell=True, capture_output=True, text=True, check=False, cwd=root)
 
 
+@pytest.mark.slow
 def test_standard_output_that_is_closed() -> None:
     """Words for people are lost, which is what they asked for; JSON is not lost in silence."""
     done = closed("scene info sample:train[0:1]", 1)

@@ -174,6 +174,7 @@ def heads(folder: Path, shape: list[int]) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dimensions", [4, 5])
 def test_raw_heads_of_yolo(dimensions: int, tmp_path: Path) -> None:
     path = heads(tmp_path, [0] * dimensions)

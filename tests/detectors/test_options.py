@@ -91,6 +91,7 @@ def test_a_missing_compiler_is_one_line(spec: str, monkeypatch: pytest.MonkeyPat
         load_detector(spec, person_class="1", compiled=True)(images())
 
 
+@pytest.mark.slow
 def test_the_command_line_says_which_class(spec: str, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     Image.new("RGB", (80, 60), (90, 120, 30)).save(tmp_path / "in.png")
     arguments = ["detectors", "check", spec, "--image", str(tmp_path / "in.png"), "--json"]

@@ -80,6 +80,7 @@ def suppressed_one_by_one(rows: torch.Tensor, nms: float) -> torch.Tensor:
     return torch.stack(kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nms", [0.25, 0.45, 0.5])
 @pytest.mark.parametrize("seed", range(20))
 def test_suppression_is_the_plain_loop(seed: int, nms: float) -> None:

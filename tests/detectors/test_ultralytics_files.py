@@ -164,6 +164,7 @@ def small(**changes: object) -> nn.Module:
     return model
 
 
+@pytest.mark.slow
 def test_checkpoints_that_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 

@@ -123,6 +123,7 @@ def test_the_originals_of_families(tmp_path: Path) -> None:
     assert original_of(Fake()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["builtin", "darknet"])
 def test_our_own_families(family: str, tmp_path: Path) -> None:
     spec = "builtin@64" if family == "builtin" else write_tiny(tmp_path)
@@ -159,6 +160,7 @@ def test_transformers(name: str, tmp_path: Path) -> None:
 EXAMPLE = Path(__file__).parents[2] / "examples" / "my_detector.py"
 
 
+@pytest.mark.slow
 def test_the_worked_example() -> None:
     report = verify(load_detector(f"python:{EXAMPLE}:load"), images(4, 90, 120))
     assert report["failed"] == [] and report["white_box"] and report["layout"] == "python"
@@ -192,6 +194,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert "FAILED" in said.out and "unchanged, bit by bit" in said.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -25,6 +25,7 @@ def test_a_picture_repeats_as_cloth() -> None:
     assert np.array_equal(colors[:, 0] > 0.5, right >= 0.2) and not colors[:, 1:].any()
 
 
+@pytest.mark.slow
 def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

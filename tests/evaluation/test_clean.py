@@ -1,6 +1,7 @@
 """Clean recall and false alarms, counted on a detector whose answers are known."""
 
 import numpy as np
+import pytest
 import torch
 
 from cloak_core.detectors.protocol import Detections, Detector
@@ -51,6 +52,7 @@ def test_the_detectors_own_point_counts_beside():
     assert result["clean_recall_own"] == result["false_alarms_own"] == 0 < result["clean_recall"]
 
 
+@pytest.mark.slow
 def test_renders_to_check_detectors_on():
     images = clean_renders(3, (40, 64))
     assert images.shape == (3, 3, 40, 64) and images.dtype == torch.uint8 and len(images.unique()) > 50

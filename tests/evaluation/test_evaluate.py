@@ -139,6 +139,7 @@ def test_controls_are_painted_onto_one_canvas(bodies: Bodies, logo: Logo, monkey
     assert drawn == [4, 4]  # of 8 images in batches of 4: once each, not once for each of 4 controls
 
 
+@pytest.mark.slow
 def test_same_seed_same_result_whatever_the_batch(bodies: Bodies, logo: Logo) -> None:
     run = lambda **changes: evaluate(in_green(logo, bodies), {"spec": GreenBlind()}, ANGLES, replace(SMALL, **changes))[
         "detectors"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 import torch
 from torch import Tensor
 
@@ -68,6 +69,7 @@ class SeesBright(Detector):
         return Detections(boxes, scores, other=other, other_class=torch.tensor([[1, 2, 1]]).repeat(count, 1))
 
 
+@pytest.mark.slow
 def test_photographs_are_evaluated_and_reported(tmp_path: Path) -> None:
     renderer = Photographs()
     assert isinstance(renderer, EvaluationRenderer)

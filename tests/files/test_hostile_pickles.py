@@ -96,6 +96,7 @@ def test_keys_that_take_ages_to_hash(bomb: str, tmp_path: Path) -> None:
         refused(BOMBS[bomb](60), "a tuple as a key", tmp_path)
 
 
+@pytest.mark.slow
 def test_what_grows_beyond_the_file(tmp_path: Path) -> None:
     for bomb in ("a text encoded over and over", "one array's bytes for many"):
         refused(BOMBS[bomb](20_000), "far more memory than the file", tmp_path)

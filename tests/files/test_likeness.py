@@ -43,6 +43,7 @@ COPIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", COPIES)
 def test_copies_of_a_picture_are_found_and_no_other(how: str) -> None:
     pictures = [scene(seed) for seed in range(8)]

@@ -70,6 +70,7 @@ def test_finds_the_person(name: str, at_least: float, shared: Path) -> None:
     assert box_iou(best[:4], PERSON_BOX).item() > 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 @pytest.mark.parametrize("animals", ["dog.jpg", "horses.jpg"])
 def test_animals_are_no_people(name: str, animals: str, shared: Path) -> None:
