@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -128,6 +129,7 @@ class Assess(Splitting, Detecting, Sharing):
         from cloak_core.evaluation.card.leaderboard import folder_names
         from cloak_core.scene.photographs.people import load_people
 
+        began = time.monotonic()
         self.prepare()
         budget, specs, patterns = self._budget(), tuple(dict.fromkeys(self.specs)), self._patterns()
         people = None if self.people is None else load_people(self.people, self.images)
@@ -136,7 +138,9 @@ class Assess(Splitting, Detecting, Sharing):
             err.print(f"assessing {spec}")
             store = self._store(spec, detector, budget)
             folder, zoo = self.out / names[spec], self.zoo or None
-            cards[names[spec]] = Assessment(store, budget, folder, zoo, WorkProgress(), people, patterns).run()
+            assessment = Assessment(store, budget, folder, zoo, WorkProgress(), people, patterns, began)
+            cards[names[spec]] = assessment.run()
+            began = time.monotonic()
         return cards
 
     def _store(self, spec: str, detector: Detector, budget: Budget) -> RunStore:

@@ -244,6 +244,10 @@ def test_each_part_gets_its_share_of_the_time_that_is_left(tmp_path: Path, monke
     assert again.total == pytest.approx(60 + 100 + 100 * shares["c"]), "what is left is told of what will be done"
     with Work({"a": (0.0, 60.0)}, tmp_path / "other.json", "x").part("a") as share:
         assert share == 1.0, "any time"
+    late = Work(costs, tmp_path / "late.json", "x", minutes=1.0, rate=0.1, prepared=41.0)
+    with late.part("a") as share:
+        assert share == 0.5, "13 s are left of 54, and 26 expected"
+    assert late.seconds == 41.0
 
 
 def test_small_cloaks_are_dropped_where_the_time_is_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,6 +60,8 @@ class Assessment:
     """People in photographs, to be dressed in the largest cloak and in the patterns."""
     patterns: Sequence[str] = ()
     """Pictures to be worn as cloth that repeats: FILE.png@tile=METRES."""
+    began: float = field(default_factory=time.monotonic)
+    """`time.monotonic()` before materials and detector were loaded; that counts towards the budget's minutes."""
     shown: dict[str, tuple[Trained, tuple[float, ...], dict]] = field(default_factory=dict, init=False)
     """What pictures may be taken of, by part: a cloak, its test azimuths and evaluation settings."""
 
@@ -77,7 +79,7 @@ class Assessment:
         rate = self._seconds_per_image() if budget.minutes else 0.0
         smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []
         told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate, smaller
-        work = Work(self._costs(), self.folder / "spent.json", *told)
+        work = Work(self._costs(), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
         with work.part("clean") as share:

@@ -101,11 +101,8 @@ def _figures(draw: Callable[..., dict], what: object) -> dict[str, Markup]:
 def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
     """Prepare for the template what pictures.json tells, with the pictures as data."""
     shot = lambda part, told: page.shot(folder / place_of(part), [card["spec"]], told)
-    areas = [f"area {row['asked']:.0%}" for row in card["white_box"]]
-    zoo = [f"zoo {row['name']}" for row in card["black_box"]["zoo"]]
     hidden = pictures.get("hidden", {})
-    smallest = next((part for part in (*areas, *zoo) if hidden.get(part)), None)
-    parts = [part for part in dict.fromkeys((smallest, "circle")) if part and hidden.get(part)]
+    parts = _parts_with_pairs(card, hidden)
     pair = lambda part, told: dict(told, own=shot(part, told["clothing"]), worn=shot(part, told["logo"]))
     cloaks = [(told, folder / place_of(told["part"])) for told in pictures.get("cloaks", [])]
     return {
@@ -116,28 +113,39 @@ def _pictures(card: dict, pictures: dict, folder: Path) -> dict:
     }
 
 
+def _parts_with_pairs(card: dict, hidden: Mapping[str, Sequence]) -> list[str]:
+    """Choose the parts whose hidden bodies are shown: the smallest cloak that hides anybody, else the zoo's first one;
+    and the circle. `hidden` has what is hidden in each part."""
+    areas = [f"area {row['asked']:.0%}" for row in card["white_box"]]
+    zoo = [f"zoo {row['name']}" for row in card["black_box"]["zoo"]]
+    smallest = next((part for part in (*areas, *zoo) if hidden.get(part)), "circle")
+    return [part for part in dict.fromkeys((smallest, "circle")) if hidden.get(part)]
+
+
 # --- the pictures beside a card
 
 
 def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> dict:
     """Write pictures into `folder` (replacing what is there) and return what they show, ready for JSON.
 
-    `missed`: own clothing, the lowest scores not above the detector's own threshold; `hidden`: per part of the attack,
-    cloaked bodies that it does not report though it is surest of them in own clothing; `alarms`: bare scenes with the
-    surest false alarms; `cloaks`: the cloaks themselves, from the front and from behind.
+    `missed`: own clothing, the lowest scores not above the detector's own threshold; `hidden`: by part of the attack,
+    where the page shows it, cloaked bodies that it does not report though it is surest of them in own clothing;
+    `alarms`: bare scenes with the surest false alarms; `cloaks`: the cloaks themselves, from the front and from behind.
     """
     shutil.rmtree(folder, ignore_errors=True)
     with written(folder):
         folder.mkdir(parents=True)
     spec, own, detectors = card["spec"], card["operating_point"], store.split.detectors
     found: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
+    results = {part: store.evaluate([worn], angles, **settings) for part, (worn, angles, settings) in shown.items()}
+    trials = {part: hidden_trials(results[part].rows(spec, LOGO), own) for part in shown if part != "clean"}
+    paired = _parts_with_pairs(card, trials)
     for part, (worn, angles, settings) in shown.items():
         renderer = store.renderer(worn, angles, store.evaluate_settings(**settings))
-        results = store.evaluate([worn], angles, **settings)
         place = folder / place_of(part)
         place.mkdir()
         if part == "clean":
-            rows, bare = results.rows(spec, CLOTHING), results.rows(spec, NOBODY)
+            rows, bare = results[part].rows(spec, CLOTHING), results[part].rows(spec, NOBODY)
             for trial in first_by(rows[hidden(rows, own)], SHOWN, ascending=True)["image"].tolist():
                 shots = draw_trial(place, renderer, trial, (CLOTHING,), detectors, own)
                 found["missed"].append(describe(renderer, trial) | shots)
@@ -145,8 +153,8 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
                 shot = write_shot(place / f"bare-{index:05d}.jpg", renderer.bare([index]), detectors, own)
                 found["alarms"].append({"background": renderer.background_names[index], "bare": shot})
         else:
-            trials = hidden_trials(results.rows(spec, LOGO), own)
-            found["hidden"][part] = [draw_pair(place, renderer, trial, detectors, own) for trial in trials]
+            if part in paired:
+                found["hidden"][part] = [draw_pair(place, renderer, trial, detectors, own) for trial in trials[part]]
             flat = {side: write_flat(place, side, renderer.flat_view(angle, 320)) for side, angle in SIDES.items()}
             found["cloaks"].append({"part": part} | flat)
     return found

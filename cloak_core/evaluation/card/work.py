@@ -39,11 +39,13 @@ class Work:
         minutes: float | None = None,
         rate: float = 0.0,
         optional: Sequence[str] = (),
+        prepared: float = 0.0,
     ) -> None:
         """costs: by part, the images of its trainings (one for each seed) and of its evaluations.
 
         minutes: the time for all; rate: seconds that an image takes, as long as nothing was measured; optional: parts
-        that are dropped, the first one first, where an attack would get less than `ENOUGH` of its full size.
+        that are dropped, the first one first, where an attack would get less than `ENOUGH` of its full size; prepared:
+        seconds that this call took so far.
         """
         self.costs, self.on_work, self.seeds, self.optional = costs, on_work, seeds, optional
         self.minutes, self._rate = minutes, rate
@@ -52,13 +54,16 @@ class Work:
         earlier = read_json(file) if file.exists() else {}
         if earlier.get("asked") == asked:
             self._record |= earlier
+        self._record.setdefault("prepared", 0.0)
+        if len(self._record["done"]) < len(costs):
+            self._record["prepared"] += prepared
         self._name, self._before, self._ended, self._steps, self._began = "", 0.0, 0, 1, 0.0
         self._share = 1.0
 
     @property
     def seconds(self) -> float:
-        """Time of all parts, over all calls."""
-        return round(sum(self._record["seconds"].values(), 0.0), 1)
+        """Time of all parts and of what was loaded for them, over all calls."""
+        return round(self._record["prepared"] + sum(self._record["seconds"].values()), 1)
 
     @property
     def shares(self) -> dict[str, float]:
