@@ -96,7 +96,7 @@ def test_hiding_everything_counts_any_class_on_the_body():
         objective([detector], hide="everything").forward_backward(IMAGES)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("how", [{}, {"black_box_queries": 600, "microbatch": 3}])
 def test_hiding_the_person_alone_renames_it_and_hiding_everything_does_not(tmp_path, how):
     """Of a detector that takes blue for dogs: hidden from all classes it is neither red nor blue."""

@@ -128,7 +128,7 @@ def test_colours_are_those_that_are_photographed_and_their_gradient_is_right():
     torch.testing.assert_close(sent.grad, torch.tensor([0.6, 0.48, 0.6]).expand(40, 3), atol=1e-4, rtol=0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("preset", ["best", "transfer"])
 def test_a_run_ends_with_few_colours_and_goes_on_to_the_same_bits(tmp_path, preset):
     scheme = PRESETS[preset] | {

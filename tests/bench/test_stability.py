@@ -11,7 +11,7 @@ from cloak_core.render.screen import GRID
 from cloak_core.render.types import Window
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", stability.CASES)
 def test_no_case_differs(name: str) -> None:
     case = stability.CASES[name](np.random.default_rng(0))
@@ -20,7 +20,7 @@ def test_no_case_differs(name: str) -> None:
 
 
 # The million triangles have a test of their own, in test_rasterizer.py.
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in stability.CHECKS if "million" not in name])
 def test_no_check_fails(name: str) -> None:
     found = stability.CHECKS[name]()

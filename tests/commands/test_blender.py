@@ -30,7 +30,7 @@ def write_wall(folder: Path) -> None:
     write_scene(folder, Bodies(points, triangles, regions={"left": np.array([False, False, False, True])}, name="Wall"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_scene_goes_through_blender_and_the_report_shows_it(blender: str, tmp_path: Path) -> None:
     write_wall(tmp_path / "scene")
     (tmp_path / "settings.toml").write_text(

@@ -146,7 +146,7 @@ def load():
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_a_detector_writes_on_the_descriptor_stays_out_of_the_json(tmp_path: Path) -> None:
     from PIL import Image
 
@@ -189,7 +189,7 @@ cli.main(sys.argv[1:])
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "line", "left"),
     [
@@ -218,7 +218,7 @@ def test_little_memory_is_one_line(module: str, line: str, left: int, tmp_path: 
 OLD_RUN = Path(__file__).parents[1] / "old_versions" / "v0.1.0" / "done"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_folder_whose_name_is_not_utf_8(tmp_path: Path) -> None:
     folder = os.fsencode(tmp_path) + b"/run-\xff"
     shutil.copytree(os.fsencode(OLD_RUN), folder)

@@ -244,7 +244,7 @@ def test_every_other_cloak_is_seen_from_one_side(student: Student) -> None:
     assert abs(np.angle(seen[0].mean())) < np.radians(15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_drawn_logos_are_of_many_kinds_and_none_is_one_that_judges() -> None:
     bodies, rng = sample_bodies("train"), np.random.default_rng(0)
     areas = face_areas(bodies)

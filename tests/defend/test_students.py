@@ -85,7 +85,7 @@ def disturb(student: Student) -> None:
         weights += 0.05 * weights.std(correction=0) * torch.randn(weights.shape, generator=generator)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("spec", [*TORCHVISION, *ULTRALYTICS], indirect=True)
 def test_a_student_learns_what_its_teacher_says_and_is_written_as_its_like(spec: str, tmp_path: Path) -> None:
     student, batch = open_student(spec), images(2, 64, 64)
@@ -144,7 +144,7 @@ def hardened(spec: str, out: Path, resume: bool = False) -> HardenResult:
     return harden(settings, open_student(spec), box_bodies(), noise_backgrounds(), out, resume=resume)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("spec", [TORCHVISION[0], ULTRALYTICS[0]], indirect=True)
 def test_a_stopped_hardening_goes_on_to_the_same_bits(
     spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -58,7 +58,7 @@ def test_a_mask_covers_every_place_of_the_patch(length: int, patch: int) -> None
         assert any(begin <= at and at + patch <= end for begin, end in placed)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_certified_holds_for_every_place_and_content_of_the_patch() -> None:
     inner = Fragile()
     defended, body = defend(inner, f"masked={PATCH}"), torch.tensor([BODY])

@@ -102,7 +102,7 @@ def test_another_layout_that_is_asked_for_is_not_cut(tmp_path: Path) -> None:
         load_detector(f"onnx:{end_to_end(tmp_path / 'e.onnx')}:nanodet")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["yolov10n", "yolo26n"])
 def test_what_ultralytics_exports(name: str, tmp_path: Path) -> None:
     """Random weights, exported as the package does it, whose biases are equal and so written once."""

@@ -111,7 +111,7 @@ QUICK = {
 """Two-stage, one-stage, SSD; the others are slow by number."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in model_names()]
 )
@@ -146,7 +146,7 @@ def test_equals_the_models_own(name: str, tmp_path: Path, monkeypatch: pytest.Mo
     torch.testing.assert_close(gradient, expected, rtol=1e-3, atol=float(1e-4 * expected.abs().max()))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [*sorted(QUICK), *(pytest.param(name, marks=pytest.mark.long) for name in ("fcos_resnet50_fpn",))]
 )
@@ -179,7 +179,7 @@ KINDS = (
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.long) if name == "ssd300_vgg16" else name for name in KINDS]
 )
@@ -206,7 +206,7 @@ def test_proposal_scores_reach_the_images(tmp_path: Path) -> None:
     assert bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = Case("retinanet_resnet50_fpn", tmp_path).load()
     batch = images(1, 120, 150)
@@ -225,7 +225,7 @@ def test_input_size_and_cut_candidates(tmp_path: Path, monkeypatch: pytest.Monke
     assert fixed(batch).boxes.shape[0] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_frozen_batch_norm_of_official_checkpoints(tmp_path: Path) -> None:
     """Files without step counts are frozen batch norm; torchvision runs these with epsilon 0."""
     name = "retinanet_resnet50_fpn"

@@ -70,7 +70,7 @@ def save(name: str, folder: Path):
     return model
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_equals_the_library(name: str, tmp_path: Path) -> None:
     model = save(name, tmp_path)
@@ -95,7 +95,7 @@ def test_equals_the_library(name: str, tmp_path: Path) -> None:
     assert bool(gradient.isfinite().all()) and bool((gradient.abs().amax(dim=(1, 2, 3)) > 0).all())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["Detr", "RTDetr"])
 def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
     save(name, tmp_path)
@@ -107,7 +107,7 @@ def test_tells_the_best_other_class(name: str, tmp_path: Path) -> None:
     others_are_the_rest(load, 3, 1, images(2, 64, 96, seed=2))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_a_gradient_step_lowers_the_score(name: str, tmp_path: Path) -> None:
     """As the model is, and fully fooled."""

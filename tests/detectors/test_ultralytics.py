@@ -78,7 +78,7 @@ def said(model: nn.Module, batch: torch.Tensor, person: int) -> tuple[torch.Tens
     return corners(rows[..., :4]), rows[..., 4 + person]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*FAMILIES, *OTHERS])
 def test_says_what_the_package_says(name: str) -> None:
     side = 2 * SIDE if "p6" in name else SIDE
@@ -98,7 +98,7 @@ def test_says_what_the_package_says(name: str) -> None:
     torch.testing.assert_close(found.boxes, torch.cat([o.boxes for o in one]), atol=2e-3, rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tells_the_best_other_class(small: Path) -> None:
     assert load_detector(f"ultralytics:{small}").class_names == ("cat", "person", "dog")
     assert load_detector(f"ultralytics:yolov8n.yaml@{SIDE}").class_names == COCO
@@ -206,7 +206,7 @@ def test_a_description_of_ones_own(tmp_path: Path) -> None:
     assert [m for m in detector.modules() if isinstance(m, nn.ReLU)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_averaged_model_counts(small: Path, tmp_path: Path) -> None:
     path = save(lively("yolov8n", 3), tmp_path / "mid.pt", train_args={"imgsz": 64})
     content = torch.load(path, weights_only=False)
@@ -231,7 +231,7 @@ def test_a_file_whose_batch_norm_was_folded_already(small: Path, tmp_path: Path)
     torch.testing.assert_close(found.scores, expected(batch).scores, atol=1e-6, rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["yolov10n", *long("yolov8n-rtdetr", "yolov9t", "yolo26n", "yolo26n-pose")])
 def test_a_file_of_any_family(name: str, tmp_path: Path) -> None:
     torch.save({"model": lively(name, 1 if "pose" in name else 80)}, tmp_path / "a.pt")

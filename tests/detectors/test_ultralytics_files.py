@@ -249,7 +249,7 @@ print(json.dumps({"online": u.ONLINE, "settings": str(u.SETTINGS_FILE), "modules
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_reaches_no_network_and_leaves_the_process_as_it_was(tmp_path: Path) -> None:
     torch.save({"model": small(names=["person", "cat"])}, tmp_path / "a.pt")
     home = tmp_path / "home"

@@ -145,7 +145,7 @@ def test_torchvision(name: str, tmp_path: Path) -> None:
     assert report["failed"] == [] and report["parity_scores"] < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["DFine", "Yolos", *[pytest.param(name, marks=pytest.mark.long) for name in ("Detr", "ConditionalDetr")]]
 )

@@ -30,7 +30,7 @@ def renderer() -> BodyRenderer:
     return made
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_matching_light_gives_our_images_and_natural_light_does_not(
     renderer: BodyRenderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,7 +68,7 @@ def test_without_blender_one_line_says_what_is_missing(monkeypatch: pytest.Monke
         require_blender()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_evaluation_in_cycles_is_ours_in_the_matching_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {"size": 96, "shift": 4, "images_per_view": 2, "controls": ("grey",), "bare": 1, "resamples": 100}
     asked = ("zoo:builtin-sample", "sample:unseen[0]", "procedural:test:2")

@@ -12,6 +12,7 @@ from tests.scene.photographs.made_people import write_people
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_run_on_photographs_is_trained_and_judged(tmp_path):
     path = write_people(tmp_path / "people", 4)
     given = {"steps": 2, "batch": 2, "size": 64, "translation": 5}

@@ -53,7 +53,7 @@ def dealt(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return np.repeat(range(6), 84), np.concatenate([rng.permutation(256), rng.permutation(256)])[:504]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("design", [crossed, dealt])
 @pytest.mark.parametrize("body_sd, background_sd, mean", [(1.0, 0.5, 0.0), (1.0, 0.5, 2.5), (0.0, 1.0, 2.5)])
 def test_coverage(design: Callable, body_sd: float, background_sd: float, mean: float) -> None:
@@ -77,7 +77,7 @@ def test_coverage(design: Callable, body_sd: float, background_sd: float, mean: 
         assert binomial / 200 <= 0.6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed_sd, body_sd, background_sd, mean", [(1.0, 1.0, 0.5, 0.0), (1.5, 0.5, 0.5, 2.0)])
 def test_coverage_over_trainings(seed_sd: float, body_sd: float, background_sd: float, mean: float) -> None:
     """3 trainings x 4 bodies x 12 backgrounds: a bootstrap that takes trainings for more images covers less."""

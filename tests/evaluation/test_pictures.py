@@ -50,7 +50,7 @@ def test_the_worst_ten_in_order_each_in_its_surest_image() -> None:
     assert len(worst_trials(made_results(bodies=MANY, score=score).rows("builtin", "logo"), 0.6)) == WORST == 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_report_shows_them(tmp_path: Path) -> None:
     text = make_report(write_run(tmp_path / "run", results=made_results(bodies=MANY[:6]))).read_text("utf-8")
     assert "Of 6 bodies in their poses" in text and "success 25" in text

@@ -109,7 +109,7 @@ def test_surrogates_are_all_but_the_judged_network_and_if_asked_its_siblings(tmp
         matrix(tmp_path, surrogates=("yolo:a", "yolo:b"), cross_family_only=True).surrogates_for("yolo:a")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
     people = load_people(write_people(tmp_path / "people", 4))
     seen, kept = people.halves()

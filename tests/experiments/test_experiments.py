@@ -44,7 +44,7 @@ def test_a_module_of_declarations_is_an_experiment() -> None:
         assert experiment.title and experiment.caption.endswith(".") and experiment.figures
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_transfer_writes_everything(split: DataSplit, finished: tuple[Path, dict], tmp_path: Path) -> None:
     out, record = finished
     folder = out / "transfer"
@@ -116,7 +116,7 @@ def test_figures_come_from_the_numbers_alone(
     assert "not a cloak experiment" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in names()]
 )

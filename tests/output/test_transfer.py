@@ -32,7 +32,7 @@ def neighbourhood(body: Bodies, ids: np.ndarray) -> np.ndarray:
     return np.union1d(ids, pairs[touching])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_there_and_back(body: Bodies, other: Bodies) -> None:
     ids = select_region(body, "chest+thighs")
     colors = np.random.default_rng(1).random((len(ids), 3)).astype(np.float32)
@@ -56,7 +56,7 @@ def test_a_body_onto_itself_is_the_same_logo(body: Bodies) -> None:
     assert np.allclose(same.colors, 0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_person_and_mesh(body: Bodies, shared) -> None:
     target = read_scene(shared / "data" / "bodies_anny.npz")
     ids = select_region(body, "chest+thighs")

@@ -11,7 +11,7 @@ from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from tests.real.test_detectors_real import spec_of
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "size", "recall"), [("yolo-lite", None, 0.85), ("yolo-fastest-xl", 416, 0.9), ("yolov3-nano", 416, 0.85)]
 )

@@ -84,7 +84,7 @@ def make_stand_ins(folder: Path, shared: Path, people: int = 2, scenes: int = 2,
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stand_ins_are_judged_as_what_they_are(shared: Path, tmp_path: Path) -> None:
     pytest.importorskip("av")
     pytest.importorskip("onnx2torch")

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.slow
 LARGE = [pytest.param(name, marks=pytest.mark.long) for name in ("yolov8n", "nanodet_m")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["yolov5n", "ssd_mobilenet_v1", "fastestdet", *LARGE])
 def test_a_real_file(shared, name: str) -> None:
     path = shared / "data" / "detectors" / f"{name}.onnx"

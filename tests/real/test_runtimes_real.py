@@ -17,6 +17,7 @@ TWINS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spec", TWINS)
 def test_says_what_its_onnx_twin_says(shared, spec: str) -> None:
     pytest.importorskip({"openvino": "openvino", "tflite": "ai_edge_litert"}[spec.partition(":")[0]])
@@ -44,6 +45,7 @@ def test_keeps_what_a_detector_promises(shared, spec: str) -> None:
     assert report["failed"] == [], report["checks"]
 
 
+@pytest.mark.long
 def test_a_real_file_tells_what_else_it_sees(shared) -> None:
     pytest.importorskip("onnx2torch", reason="pip install 'cloak-core[onnx]'")
     detector = load_detector(f"onnx:{shared / 'data' / 'detectors' / 'yolov5n.onnx'}")

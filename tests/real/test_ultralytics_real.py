@@ -27,6 +27,7 @@ def anchors_last(rows: Float[Tensor, "N ..."], side: int) -> Float[Tensor, "N ..
     return torch.cat([level.unflatten(0, (ANCHORS, -1)).transpose(0, 1).flatten(0, 1) for level in levels])
 
 
+@pytest.mark.long
 def test_the_original_pickle_is_its_onnx_twin(shared) -> None:
     folder, photos = shared / "data" / "detectors", sorted((shared / "data" / "photos").glob("*.jpg"))
     detector = load_detector(f"ultralytics:{folder / 'yolov5n.pt'}")
@@ -50,6 +51,7 @@ def test_the_original_pickle_stretched(shared) -> None:
     assert found["max_person"] == pytest.approx(0.789, abs=0.05)  # of the twin, with another resampling
 
 
+@pytest.mark.long
 def test_the_original_pickle_is_written_again_with_other_numbers(shared, tmp_path) -> None:
     spec = f"ultralytics:{shared / 'data' / 'detectors' / 'yolov5n.pt'}@64"
     student = open_student(spec)

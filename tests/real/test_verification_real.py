@@ -26,7 +26,7 @@ def spec(name: str, shared: Path) -> str:
     return f"onnx:{file}"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in REAL])
 def test_real_detectors_keep_what_they_promise(name: str, shared: Path) -> None:
     detector = load_detector(spec(name, shared))
