@@ -1,6 +1,7 @@
 """What a card lets people wear beside trained cloaks: published patterns, on renders and in photographs."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from PIL import Image
 from cloak_core.evaluation.card import assess
 from cloak_core.evaluation.card.assess import Assessment
 from cloak_core.evaluation.cloaked import cloth_colors
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.cloth import cloth_coordinates
 from cloak_core.scene.people.samples import sample_bodies
-from cloak_core.scene.photographs.people import People
+from cloak_core.scene.photographs.people import People, Person
 from tests.evaluation.test_card import TINY, Glow, make_store
 
 
@@ -32,7 +34,8 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
     Image.fromarray(np.full((8, 8, 3), 255, np.uint8)).save(tmp_path / "white.png")
     spec, worn = f"{tmp_path}/white.png@tile=0.5", []
 
-    def judge(clothes: list, people: People, detectors: dict, backgrounds: object) -> dict:
+    def judge(clothes: list, people: People, detectors: dict, backgrounds: object, settings: WearSettings) -> dict:
+        assert not settings.bare, "false alarms are counted elsewhere"
         worn.extend(one.name for one in clothes)
         return {"people": len(people), "left_out": {}, "detectors": {name: {"clothing": {}} for name in detectors}}
 
@@ -45,3 +48,22 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
     one.shown["area 76%"] = (one._worn(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")), (0.0,), {})
     told = one._photographs(1.0)
     assert worn == ["made against it", "white@tile=0.5"] and told["rows"].keys() == {"clothing"}
+
+
+@pytest.mark.slow
+def test_people_cost_what_dressing_them_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, calls = [0.0], []
+    monkeypatch.setattr(assess, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def judge(clothes: list, people: People, *_: object, **__: object) -> dict:
+        calls.append(len(people))
+        now[0] += 16.0 if len(calls) > 1 else 99.0  # the first time compiles
+        return {}
+
+    monkeypatch.setattr(assess, "wear_and_judge", judge)
+    people = People((object.__new__(Person),) * 30, {})
+    one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
+    images = 30 * (3 + 2)
+    assert one._costs(0.0)["people"] == (0.0, images) and not calls, "any time"
+    assert one._costs(0.5)["people"] == (0.0, images * 4), "16 s for two people in four garments: 2 s each"
+    assert one._costs(4.0)["people"] == (0.0, images), "the detector is slower"

@@ -23,9 +23,10 @@ from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
 from cloak_core.evaluation.results import Results
+from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.store import MEASUREMENT_VERSION, TRAINING_VERSION, RunStore, Trained
 from cloak_core.evaluation.trained_run import read_run, seen_in_training, trained_against
-from cloak_core.evaluation.wearing.clothes import CONTROLS, LogoClothes, read_clothes
+from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, LogoClothes, read_clothes
 from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -79,7 +80,7 @@ class Assessment:
         rate = self._seconds_per_image() if budget.minutes else 0.0
         smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []
         told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate, smaller
-        work = Work(self._costs(), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
+        work = Work(self._costs(rate), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
         with work.part("clean") as share:
@@ -115,6 +116,14 @@ class Assessment:
         self.detector(images).scores.cpu()
         return (time.monotonic() - started) / len(images)
 
+    def _seconds_per_worn_image(self) -> float:
+        """Clock two people in photographs, dressed and judged, the second time."""
+        people = replace(self.people, people=self.people.people[:2])
+        self._wear([], people)
+        started = time.monotonic()
+        self._wear([], people)
+        return (time.monotonic() - started) / (len(people) * (1 + len(CONTROLS)))
+
     # --- what there is to do
 
     @cached_property
@@ -133,7 +142,8 @@ class Assessment:
                 raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
         return found
 
-    def _costs(self) -> dict[str, tuple[float, float]]:
+    def _costs(self, rate: float) -> dict[str, tuple[float, float]]:
+        """By part, images to train on and to look at; rate: seconds of an image, 0 where time is not limited."""
         budget, poses = self.budget, self.split.unseen.pose_count
         batch, places = self.store.train_settings().run.batch, poses * budget.images_per_view * budget.seeds
         looks = (len(BESIDE) + 1) * places
@@ -145,7 +155,9 @@ class Assessment:
             costs["circle"] = 2 * steps, looks * len(budget.circle_angles) + 2 * steps / TRAINED
         front = looks / budget.seeds * len(budget.front_angles)
         if self.people is not None:
-            costs["people"] = 0.0, float(len(self.people) * (len(CONTROLS) + 2 + len(self.patterns)))
+            # To dress somebody in a photograph may take longer than to look at the picture.
+            worn = max(1.0, self._seconds_per_worn_image() / rate) if rate and len(self.people) else 1.0
+            costs["people"] = 0.0, worn * len(self.people) * (len(CONTROLS) + 2 + len(self.patterns))
         if self.patterns:
             costs["patterns"] = 0.0, front * len(self.patterns)
         return costs | {"zoo": (0.0, front * len(self.entries))}
@@ -221,8 +233,12 @@ class Assessment:
             worn, _, _ = self.shown[_name(self.budget.areas[-1])]
             position = logo_positions(self.split.bodies.topology, worn.logo.face_ids)
             clothes.insert(0, LogoClothes(protocol.AGAINST, position, worn.colors))
-        told = wear_and_judge(clothes, people, {self.spec: self.detector}, self.split.unseen_backgrounds)
+        told = self._wear(clothes, people)
         return {"people": told["people"], "left_out": told["left_out"], "rows": told["detectors"][self.spec]}
+
+    def _wear(self, clothes: Sequence[Clothes], people: People) -> dict:
+        judges = {self.spec: self.detector}
+        return wear_and_judge(clothes, people, judges, self.split.unseen_backgrounds, settings=WearSettings(bare=0))
 
     def _pattern(self, spec: str, part: float) -> dict:
         """Show it a published pattern as cloth for shirt and trousers, from the front."""
