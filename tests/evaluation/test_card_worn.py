@@ -63,7 +63,6 @@ def test_people_cost_what_dressing_them_takes(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(assess, "wear_and_judge", judge)
     people = People((object.__new__(Person),) * 30, {})
     one = Assessment(make_store(tmp_path, Glow("glow")), TINY, tmp_path / "glow", [], None, people)
-    images = 30 * (3 + 2)
-    assert one._costs(0.0)["people"] == (0.0, images) and not calls, "any time"
-    assert one._costs(0.5)["people"] == (0.0, images * 4), "16 s for two people in four garments: 2 s each"
-    assert one._costs(4.0)["people"] == (0.0, images), "the detector is slower"
+    assert one._worn_image(0.5) == 4, "16 s for two people in four garments: 2 s each"
+    assert calls == [2, 2] and one._worn_image(4.0) == 1, "the detector is slower"
+    assert one._costs(4.0)["people"] == (0.0, 4 * 30 * (3 + 2))

@@ -78,9 +78,10 @@ class Assessment:
         """Make the card. `Stopped` where a training was stopped in order: the same call goes on from there."""
         budget = self.budget
         rate = self._seconds_per_image() if budget.minutes else 0.0
+        worn = self._worn_image(rate) if rate and self.people is not None and len(self.people) else 1.0
         smaller = [_name(area) for area in budget.areas[:-1]] + ["circle"] if self.white_box else []
         told = self._asked(), self.on_work, budget.seeds, budget.minutes, rate, smaller
-        work = Work(self._costs(rate), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
+        work = Work(self._costs(worn), self.folder / "spent.json", *told, prepared=time.monotonic() - self.began)
         self.store.on_event, self.store.on_images = work.on_event, work.on_images
         card = self._head()
         with work.part("clean") as share:
@@ -116,13 +117,14 @@ class Assessment:
         self.detector(images).scores.cpu()
         return (time.monotonic() - started) / len(images)
 
-    def _seconds_per_worn_image(self) -> float:
-        """Clock two people in photographs, dressed and judged, the second time."""
+    def _worn_image(self, rate: float) -> float:
+        """Clock two people in photographs, dressed and judged, the second time: the cost of a picture, in images that
+        take `rate` seconds. To dress somebody may take longer than to look at the picture."""
         people = replace(self.people, people=self.people.people[:2])
         self._wear([], people)
         started = time.monotonic()
         self._wear([], people)
-        return (time.monotonic() - started) / (len(people) * (1 + len(CONTROLS)))
+        return max(1.0, (time.monotonic() - started) / (len(people) * (1 + len(CONTROLS)) * rate))
 
     # --- what there is to do
 
@@ -142,8 +144,8 @@ class Assessment:
                 raise InputError(f"{name}: made for another topology than scene '{self.split.bodies.name}'")
         return found
 
-    def _costs(self, rate: float) -> dict[str, tuple[float, float]]:
-        """By part, images to train on and to look at; rate: seconds of an image, 0 where time is not limited."""
+    def _costs(self, worn: float) -> dict[str, tuple[float, float]]:
+        """By part, images to train on and to look at; worn: what a picture of somebody dressed counts."""
         budget, poses = self.budget, self.split.unseen.pose_count
         batch, places = self.store.train_settings().run.batch, poses * budget.images_per_view * budget.seeds
         looks = (len(BESIDE) + 1) * places
@@ -155,8 +157,6 @@ class Assessment:
             costs["circle"] = 2 * steps, looks * len(budget.circle_angles) + 2 * steps / TRAINED
         front = looks / budget.seeds * len(budget.front_angles)
         if self.people is not None:
-            # To dress somebody in a photograph may take longer than to look at the picture.
-            worn = max(1.0, self._seconds_per_worn_image() / rate) if rate and len(self.people) else 1.0
             costs["people"] = 0.0, worn * len(self.people) * (len(CONTROLS) + 2 + len(self.patterns))
         if self.patterns:
             costs["patterns"] = 0.0, front * len(self.patterns)
