@@ -13,7 +13,7 @@ from rich.table import Table
 from tyro.conf import UseAppendAction
 
 from cloak_core.attack.settings.components import Hide
-from cloak_core.commands.base import Stopped, err, out
+from cloak_core.commands.base import Stopped, err, out, share
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions
 from cloak_core.files.errors import InputError
@@ -180,7 +180,9 @@ class Transfer(Splitting, Detecting, Sharing):
     def show(self, result: dict) -> None:
         for name, told in result["rungs"].items():
             out.print(_table(name, told))
-            out.print(f"mean {told['mean']:.2f}, worst {told['worst']:.2f}; at 0.25 mean {told['mean_025']:.2f}")
+            images = " or ".join(str(n) for n in sorted({cell["n"] for cell in told["matrix"].values()}))
+            means = f"mean {told['mean']:.2f}, worst {told['worst']:.2f}; at 0.25 mean {told['mean_025']:.2f}"
+            out.print(f"{means}; {images} images each")
         for path in result["files"]:
             out.print(f"wrote {path}")
         if result.get("stopped"):
@@ -188,15 +190,18 @@ class Transfer(Splitting, Detecting, Sharing):
 
 
 def _table(ablation: str, told: dict) -> Table:
+    from cloak_core.evaluation.report.plots import MARKS
     from cloak_core.evaluation.report.words import short_name
 
-    table = Table(title=f"{ablation}: success, judged by a detector that training left out")
-    for column in ("judged by", "kin", "at 0.6", "95 %", "at its own", "at 0.25", "random", "clothing", "images"):
-        wide = 9 if column in ("kin", "95 %") else None
-        table.add_column(column, justify="left" if column in ("judged by", "kin") else "right", min_width=wide)
+    caption = f"{MARKS['stranger'].strip()} no sibling among its surrogates"
+    table = Table(title=f"{ablation}: success, judged by a detector that training left out", caption=caption)
+    table.add_column("judged by", min_width=11, overflow="fold")
+    heads = {"at 0.6": "success", "95 %": None, "renamed": "renamed", "gone": "gone", "own": "success_own"}
+    heads |= {"random": "random", "clothing": "clothing"}
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
     for spec, cell in told["matrix"].items():
         low, high = cell["ci95"]
-        shares = (f"{cell[key]:.2f}" for key in ("success_own", "success_025", "random", "clothing"))
-        name = short_name(spec)
-        table.add_row(name, cell["kin"], f"{cell['success']:.2f}", f"{low:.2f}–{high:.2f}", *shares, str(cell["n"]))
+        shares = (share(cell[key]) if key else f"{low:.2f}–{high:.2f}" for key in heads.values())
+        table.add_row(short_name(spec) + MARKS[cell["kin"]], *shares)
     return table

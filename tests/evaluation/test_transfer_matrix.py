@@ -151,6 +151,10 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     assert "a.onnx" in text and "secret" not in text and "| onnx red | stranger |" in text
     assert "- yolo a: trained on onnx red, yolo b" in text
     assert all(path.stat().st_size > 1000 for path in files[:2])
+    told = [cell | {"renamed": 0.123, "gone": 0.456} for cell in cells]
+    assert "| 12 % | 46 % |" in show(told, tmp_path / "told", "table")[-1].read_text()
+    earlier = [{key: value for key, value in cell.items() if key not in ("renamed", "gone")} for cell in cells]
+    assert "| – | – |" in show(earlier, tmp_path / "earlier", "table")[-1].read_text()
 
 
 def test_the_circle_has_its_places():

@@ -241,8 +241,8 @@ def heat_map(
 def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
     """Plot success at 0.6 of every ablation by every judged detector, and below it the controls on the same images.
 
-    ladder: the cells of a leave-one-out matrix by ablation. A single ablation is also shown at the other thresholds.
-    The last column is the mean.
+    ladder: the cells of a leave-one-out matrix by ablation. A single ablation is also shown at the other thresholds,
+    and with the images in which nothing at all is reported on the body. The last column is the mean.
     """
     last = {cell["judged"]: cell for own in ladder.values() for cell in own}
     kinds = {"": " at 0.6", "_own": " at its own", "_025": " at 0.25"} if len(ladder) == 1 else {"": ""}
@@ -251,6 +251,8 @@ def transfer_map(ladder: Mapping[str, Sequence[dict]]) -> Figure:
         for ablation, own in ladder.items()
         for suffix, words in kinds.items()
     }
+    if len(ladder) == 1:
+        rows["nothing reported at 0.6"] = {name: cell.get("gone") for name, cell in last.items()}
     for control in ("random", CLOTHING):
         rows[SERIES[control].label] = {name: cell[control] for name, cell in last.items()}
     shares = pd.DataFrame(rows, index=list(last), dtype=float).T
