@@ -8,7 +8,8 @@ latter is what it should say of the former.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -48,7 +49,7 @@ class FlatCloth:
         return np.ascontiguousarray(colors[self._face].T.reshape(3, TEXTURE, TEXTURE))
 
 
-def random_texture(rng: np.random.Generator, picture: Float[Tensor, "3 H W"] | None = None) -> Texture:
+def random_texture(rng: np.random.Generator, picture: Callable[[], Float[Tensor, "3 H W"]] | None = None) -> Texture:
     """Draw a pattern that nobody trained.
 
     Noise, blocks, stripes, checks, blobs of a few colours, smooth colours of one or several scales, a single colour,
@@ -74,9 +75,10 @@ def random_texture(rng: np.random.Generator, picture: Float[Tensor, "3 H W"] | N
         return (0.5 + rng.uniform(0.1, 0.5) * smooth).clip(0, 1).astype(np.float32)
     if kind == 6:
         return np.broadcast_to(rng.random((3, 1, 1)).astype(np.float32), (3, TEXTURE, TEXTURE))
-    side = int(rng.integers(min(picture.shape[1:]) // 6, min(picture.shape[1:]) // 2))
-    y, x = (int(rng.integers(length - side)) for length in picture.shape[1:])
-    print_of = picture[:, y : y + side, x : x + side]
+    whole = picture()
+    side = int(rng.integers(min(whole.shape[1:]) // 6, min(whole.shape[1:]) // 2))
+    y, x = (int(rng.integers(length - side)) for length in whole.shape[1:])
+    print_of = whole[:, y : y + side, x : x + side]
     return _enlarged(print_of.numpy()[list(rng.permutation(3))], "bilinear")
 
 
@@ -85,9 +87,31 @@ def _enlarged(cells: np.ndarray, mode: str) -> Texture:
     return F.interpolate(image, (TEXTURE, TEXTURE), mode=mode)[0].numpy()
 
 
+@dataclass(frozen=True)
+class Layer:
+    """One piece of cloth in a picture: where it is in the rectangle that it needs of it."""
+
+    area: tuple[slice, slice]
+    """Rows and columns of the picture."""
+    alpha: Float[Tensor, "h w"]
+    """How much of each pixel it covers."""
+    place: Float[Tensor, "h w 2"]
+    """What each pixel shows of the texture, -1 to 1 across and down."""
+
+    def laid_on(
+        self, picture: Float[Tensor, "3 H W"], texture: Texture, light: Float[Tensor, "H W"]
+    ) -> Float[Tensor, "3 h w"]:
+        """The picture's area with the cloth in this light on it."""
+        grid = self.place.nan_to_num(-1)[None]
+        cloth = F.grid_sample(
+            torch.from_numpy(np.array(texture))[None], grid, padding_mode="border", align_corners=False
+        )[0]
+        return picture[:, *self.area] * (1 - self.alpha) + (cloth * light[self.area]).clamp(0, 1) * self.alpha
+
+
 def draw_decoy(
     picture: Float[Tensor, "3 H W"],
-    textures: Sequence[Texture],
+    textures: Iterator[Texture],
     rng: np.random.Generator,
     silhouette: Float[Tensor, "H W"] | None = None,
     keep_clear: Sequence[Sequence[float]] = (),
@@ -95,30 +119,31 @@ def draw_decoy(
 ) -> Float[Tensor, "3 H W"]:
     """Draw patterned cloth into a picture, as one of `SHAPES` or on a dummy.
 
-    picture: [0, 1], unchanged. textures: what the cloth may show. silhouette: a body's coverage of pixels, for dummies.
-    keep_clear: boxes (xyxy, pixels) of people, of whom the cloth hides no more than a tenth. flat: an upright panel
-    and nothing else.
+    picture: [0, 1], unchanged. textures: what cloth shows, one after the other; a rack needs several. silhouette: a
+    body's coverage of pixels, for dummies. keep_clear: boxes (xyxy, pixels) of people, of whom the cloth hides no more
+    than a tenth. flat: an upright panel and nothing else.
     """
     height, width = picture.shape[1:]
     for _ in range(8):
         if silhouette is not None and rng.random() < DUMMIES:
-            layers = [(_dummy_mask(silhouette), _whole(height, width))]
+            layers = [_dummy(silhouette)]
         else:
             shape = _panel if flat else SHAPES[rng.choice(len(SHAPES), p=ODDS)]
-            layers = [(None, quad) for quad in shape(rng, height, width)]
-        alphas = [_quad_mask(quad, height, width) if mask is None else mask for mask, quad in layers]
-        if not _covers(torch.stack(alphas).amax(0), keep_clear):
+            layers = [_layer(quad, height, width) for quad in shape(rng, height, width)]
+        covered = torch.zeros(height, width)
+        for layer in layers:
+            covered[layer.area] = torch.maximum(covered[layer.area], layer.alpha)
+        if not _covers(covered, keep_clear):
             break
     else:
         return picture
-    shown, texture = picture.clone(), textures[rng.integers(len(textures))]
+    shown, texture = picture.clone(), next(textures)
     light = _folds(rng, height, width) * _shading(picture, rng)
-    for alpha, (_, quad) in zip(alphas, layers, strict=True):
+    for layer in layers:
         if len(layers) > 3 and rng.random() < 0.5:  # a rack holds different garments
-            texture = textures[rng.integers(len(textures))]
-        cloth = _warped(torch.from_numpy(np.array(texture)), quad, height, width)
+            texture = next(textures)
         bright = light * float(rng.uniform(0.6, 1.0))
-        shown = shown * (1 - alpha) + (cloth * bright).clamp(0, 1) * alpha
+        shown[:, *layer.area] = layer.laid_on(shown, texture, bright)
     return shown
 
 
@@ -172,10 +197,6 @@ def _quad(rng: np.random.Generator, x: float, y: float, wide: float, tall: float
     return corners + (x, y) + rng.uniform(-askew, askew, (4, 2)) * (wide, tall)
 
 
-def _whole(height: int, width: int) -> Quad:
-    return np.array([[0, 0], [width, 0], [width, height], [0, height]], float)
-
-
 def _covers(alpha: Float[Tensor, "H W"], boxes: Sequence[Sequence[float]]) -> bool:
     """Whether more than a tenth of any box is hidden."""
     height, width = alpha.shape
@@ -186,34 +207,30 @@ def _covers(alpha: Float[Tensor, "H W"], boxes: Sequence[Sequence[float]]) -> bo
     return False
 
 
-def _coordinates(quad: Quad, height: int, width: int) -> Float[Tensor, "H W 2"]:
-    """Where in the unit square each pixel lies; beyond it outside the quad."""
-    y, x = np.mgrid[0.5:height, 0.5:width]
+def _layer(quad: Quad, height: int, width: int) -> Layer:
+    """A quad of cloth, as far as the picture shows it."""
+    low, high = np.floor(quad.min(0)), np.ceil(quad.max(0))
+    (left, top), (right, bottom) = np.clip([low, high], 0, (width, height)).astype(int)
+    y, x = np.mgrid[top + 0.5 : bottom, left + 0.5 : right]
     projection = np.append(perspective(np.array(quad, float), UNIT_SQUARE), 1).reshape(3, 3)
     mapped = np.stack([x, y, np.ones_like(x)], -1) @ projection.T
-    return torch.from_numpy(mapped[..., :2] / np.where(mapped[..., 2:] > 1e-6, mapped[..., 2:], np.nan))
+    place = torch.from_numpy(mapped[..., :2] / np.where(mapped[..., 2:] > 1e-6, mapped[..., 2:], np.nan))
+    alpha = ((place >= 0) & (place <= 1)).all(-1).float()
+    return Layer((slice(top, bottom), slice(left, right)), alpha, place.float() * 2 - 1)
 
 
-def _quad_mask(quad: Quad, height: int, width: int) -> Float[Tensor, "H W"]:
-    place = _coordinates(quad, height, width)
-    return ((place >= 0) & (place <= 1)).all(-1).float()
-
-
-def _warped(texture: Float[Tensor, "3 h w"], quad: Quad, height: int, width: int) -> Float[Tensor, "3 H W"]:
-    grid = _coordinates(quad, height, width).nan_to_num(-1).float() * 2 - 1
-    return F.grid_sample(texture[None], grid[None], padding_mode="border", align_corners=False)[0]
-
-
-def _dummy_mask(silhouette: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
-    """A body without head and lower legs: a garment on a dummy."""
+def _dummy(silhouette: Float[Tensor, "H W"]) -> Layer:
+    """A body without head and lower legs: a garment on a dummy, cut of a cloth over the whole picture."""
+    height, width = silhouette.shape
+    whole = _layer(np.array([[0, 0], [width, 0], [width, height], [0, height]], float), height, width)
     rows = torch.nonzero(silhouette.amax(1) > 0.5).flatten()
     if not len(rows):
-        return silhouette
+        return replace(whole, alpha=silhouette)
     top, tall = int(rows[0]), int(rows[-1] - rows[0]) + 1
     mask = torch.zeros_like(silhouette)
     shown = slice(top + round(0.17 * tall), top + round(0.62 * tall))
     mask[shown] = silhouette[shown]
-    return mask
+    return replace(whole, alpha=mask)
 
 
 def _folds(rng: np.random.Generator, height: int, width: int) -> Float[Tensor, "H W"]:

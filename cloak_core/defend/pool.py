@@ -5,7 +5,7 @@ Everything drawn is a function of (seed, turn), so that a hardening that was sto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +46,7 @@ SAMPLES = 4
 GIVEN, GOES_ON = 0.5, 0.75
 """How many new cloaks are given ones, where there are some; how many others begin with the colours that earlier ones of
 their slot ended with on the same faces. A cloak's life is short: without this none would ever be strong."""
-WHOLE_BODY = 4
+WHOLE_BODY = 2
 """One cloak in this many covers the whole body, the largest logo that an attacker has. Without this rule the largest of
 200 drawn logos covered four fifths of a body, and the hardened detector fell to a cloak over all of it."""
 FINISH = 240
@@ -54,7 +54,7 @@ FINISH = 240
 KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
 SHOWN, UNTRAINED = 4, 4
-"""Textures of a decoy: of finished cloaks, and of patterns that nobody trained, beside those of the cloaks as they are:
+"""How often a decoy shows a finished cloak, and a pattern that nobody trained, where each cloak as it is counts once:
 their colours must not decide either."""
 MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
@@ -203,19 +203,24 @@ class Pool:
         for k in range(len(shown)):
             without[k], people = self._parts.draw(rng, photograph=bool(k % 2))
             clear = self._people_in(without[k]) if people else ()
-            shown[k] = draw_decoy(without[k], self._textures(rng), rng, self._silhouette(rng), clear)
+            shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
         return Decoys(shown.to(self.device), without.to(self.device))
 
-    def _textures(self, rng: np.random.Generator) -> list[Texture]:
-        cloaks = [self.cloaks[slot] for slot in sorted(self.cloaks)]  # a resumed hardening made them in another order
-        worn = [cloak.texture() for cloak in cloaks]
-        if self.finished:
-            worn += [self.finished[k] for k in rng.integers(len(self.finished), size=SHOWN)]
-        if self.given:
-            chosen = self.given[rng.integers(len(self.given))]
-            worn.append(self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32)))
-        print_of, _ = self._parts.draw(rng, photograph=False)
-        return worn + [random_texture(rng, print_of) for _ in range(UNTRAINED)]
+    def textures(self, rng: np.random.Generator) -> Iterator[Texture]:
+        """Draw what decoys show: cloaks as they are, finished and given ones, and patterns that nobody trained."""
+        slots = sorted(self.cloaks)  # a resumed hardening made them in another order
+        odds = np.cumsum([len(slots), SHOWN if self.finished else 0, bool(self.given), UNTRAINED])
+        while True:
+            kind = np.searchsorted(odds, rng.integers(odds[-1]), side="right")
+            if kind == 0:
+                yield self.cloaks[slots[rng.integers(len(slots))]].texture()
+            elif kind == 1:
+                yield self.finished[rng.integers(len(self.finished))]
+            elif kind == 2:
+                chosen = self.given[rng.integers(len(self.given))]
+                yield self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32))
+            else:
+                yield random_texture(rng, lambda: self._parts.draw(rng, photograph=False)[0])
 
     def _flat(self, logo: Logo) -> FlatCloth:
         return FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import repeat
 
 import numpy as np
 import pandas as pd
@@ -76,7 +77,7 @@ def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, se
         plain = backgrounds.image(image % len(backgrounds), (size, size)).float() / 255
         textures = _flat_textures(cloaks, clothes, np.random.default_rng([seed, 0xF1A7, image]))
         shown = [
-            draw_decoy(plain, [texture], np.random.default_rng([seed, 0xF1A8, image]), flat=True)
+            draw_decoy(plain, repeat(texture), np.random.default_rng([seed, 0xF1A8, image]), flat=True)
             for texture in textures.values()
         ]
         scores = max_person_score(detector(torch.stack([plain, *shown]).to(detector.device))).cpu().numpy()
@@ -110,8 +111,8 @@ def _pictures(
     for number in range(count):
         plain = backgrounds.image(number % len(backgrounds), (size, size)).float() / 255
         worn = bool(cloaks) and number % 2 == 0
-        texture = cloaks[rng.integers(len(cloaks))] if worn else random_texture(rng, plain)
-        yield draw_decoy(plain, [texture], rng), plain, CLOAK if worn else RANDOM
+        texture = cloaks[rng.integers(len(cloaks))] if worn else random_texture(rng, lambda plain=plain: plain)
+        yield draw_decoy(plain, repeat(texture), rng), plain, CLOAK if worn else RANDOM
 
 
 def _flat_textures(

@@ -301,6 +301,7 @@ def test_a_new_cloak_goes_on_where_the_slots_earlier_one_ended(
 ) -> None:
     monkeypatch.setattr("cloak_core.defend.pool.draw_logo", lambda bodies, rng: front_logo(bodies).face_ids)
     monkeypatch.setattr("cloak_core.defend.pool.GOES_ON", 1.0)
+    monkeypatch.setattr("cloak_core.defend.pool.WHOLE_BODY", 100)
     pool = Pool(HardenSettings(**(FEW | {"cloaks": 1})), box_bodies(), noise_backgrounds(), student.detector)
     first = pool.cloak(0)
     pool.attack(0)
@@ -319,7 +320,7 @@ def test_decoys_show_cloaks_that_were_trained_to_their_end_and_those_whose_life_
     monkeypatch.setattr("cloak_core.defend.pool.KEPT", 1)
     settings = HardenSettings(**(FEW | {"cloaks": 1, "finished": 2}))
     pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    shown = lambda: {texture.tobytes() for texture in pool._textures(np.random.default_rng(0))}
+    shown = lambda: {texture.tobytes() for texture in itertools.islice(pool.textures(np.random.default_rng(0)), 40)}
     pool.finish_one()
     pool.finish_one()
     trained = [texture.tobytes() for texture in pool.finished]
