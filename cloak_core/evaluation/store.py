@@ -18,6 +18,7 @@ from jaxtyping import Float32, Int64
 
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
+from cloak_core.attack.run_folder import read_start
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, detector_record
@@ -175,6 +176,8 @@ class RunStore:
         }
         if self.split.people is not None:
             record["people"] = people_identity(self.split.people)
+        if settings.optimization.init is not None:
+            record["start"] = sha256_arrays(read_start(Path(settings.optimization.init), logo))
         return self._key(record | more | {"training": TRAINING_VERSION})
 
     # --- evaluation

@@ -10,7 +10,9 @@ import pytest
 
 from cloak_core.cli import main
 from cloak_core.evaluation.data_split import DataSplit
+from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.store import RunStore
+from cloak_core.experiments.declared import hardened
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
@@ -129,6 +131,26 @@ def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: py
     json.dumps(record, allow_nan=False)
     assert record["title"] in make_page(out).read_text("utf-8")
     drawn_again(name, out)
+
+
+@pytest.mark.long
+def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
+    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hardened, "SUITE", {name: hardened.SUITE[name] for name in (hardened.CHEST, hardened.BODY)})
+    monkeypatch.setattr(hardened, "QUESTIONS", 40)
+    monkeypatch.setattr(hardened, "LEAST_IMAGES", 1)
+    small = replace(make_options(tmp_path, seeds=1), quick=False, images_per_view=1)
+    rows = run_experiment("hardened", RunStore(split, small))["rows"]
+    first, second = split.detectors
+    begun = [row for row in rows if "from the cloak" in row["changes"]]
+    assert [(row["detector"], row["logo"], row["attack"]) for row in begun] == [
+        (second, hardened.BODY, "adaptive"), (second, hardened.BODY, "random search")
+    ]  # fmt: skip
+    assert begun[0]["changes"] == f"from the cloak of {short_names(split.detectors)[first]}"
+    assert begun[1]["changes"].startswith("black box queries 40, from the cloak of")
+    starts = [json.loads(path.read_text())["start"] for path in (tmp_path / "runs").glob("*/config.json")]
+    assert len(starts) - starts.count(None) == 2
 
 
 def drawn_again(name: str, out: Path) -> None:
