@@ -14,11 +14,15 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from cloak_core.commands.base import err, out, warn
 from cloak_core.commands.options import Computing, Splitting
 from cloak_core.commands.sharing import Sharing, SharingOptions
+from cloak_core.evaluation.settings import Internal
 from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
     from cloak_core.evaluation.store import RunStore
+
+PARTS = 8
+"""Into so many parts an experiment's trainings fall, where they are shared over machines."""
 
 
 @dataclass(kw_only=True)
@@ -37,6 +41,8 @@ class Reproduce(Splitting, Computing, Sharing):
     """Folder that takes the tables and figures of everything in --out as Markdown, tables.md."""
     redraw: bool = False
     """Train and evaluate nothing: draw figures again from the numbers in --out."""
+    part: Internal[tuple[int, int]] = (0, 1)
+    """Which part of how many `work` makes."""
     amount: Annotated[OmitArgPrefixes[Options], arg(name="experiments")] = field(default_factory=Options)
 
     def run(self) -> dict:
@@ -66,29 +72,24 @@ class Reproduce(Splitting, Computing, Sharing):
         return done, skipped
 
     def _parts(self) -> list[tuple[str, Reproduce]]:
-        """Split the command by experiment and, where their trainings are their own, by detector."""
+        """Split the command by experiment, and each of them by its cells."""
         from cloak_core.experiments.runner import experiments
 
-        alone, specs = replace(self, sharing=SharingOptions(), publish=None), self.detector or ("builtin",)
-        parts, steps = [], self.amount.steps
+        alone, parts = replace(self, sharing=SharingOptions(), publish=None), []
         for name in self._names():
-            if name not in experiments() or not experiments()[name].by_detector:
-                parts.append((name, replace(alone, name=name)))
-                continue
-            for place, spec in enumerate(specs):
-                own = steps[place : place + 1] if len(steps) == len(specs) else steps
-                one = replace(alone, name=name, detector=(spec,), amount=replace(self.amount, steps=own))
-                parts.append((f"{name} of {spec}", one))
+            count = PARTS if name in experiments() and not experiments()[name].measure else 1
+            every = [(f"{name}, {k + 1} of {count}", replace(alone, name=name, part=(k, count))) for k in range(count)]
+            parts += every
         return parts
 
     def work(self) -> None:
-        """Make the trainings and evaluations of one experiment that are missing; write nothing of it."""
+        """Make the trainings and evaluations of a part of one experiment that are missing; write nothing of it."""
         from cloak_core.evaluation.cycles import NoBlender
-        from cloak_core.experiments.runner import find, measure
+        from cloak_core.experiments.runner import find, measure_part
 
         self.prepare()
         with contextlib.suppress(NoBlender):  # whoever gathers the parts says so
-            measure(find(self.name), self._store())
+            measure_part(find(self.name), self._store(), *self.part)
 
     def _redraw(self) -> tuple[dict, dict]:
         """Draw again from the numbers alone, with what `_measure` gives."""

@@ -34,6 +34,8 @@ class Cell:
     """Detectors trained against; the first where none are named."""
     training: Mapping[str, object] = field(default_factory=dict)
     """Further arguments of `RunStore.train`: settings, bodies, precision."""
+    begun: Sequence[str] = ()
+    """Detectors whose cloak of the same faces, as the experiment's length makes it, the training begins with."""
     judges: Sequence[str] = ()
     """Detectors that judge, a row each; those trained against where none are named."""
     judge_column: str = "detector"
@@ -92,8 +94,6 @@ class Experiment:
     """Instead of `cells`, for what these cannot say."""
     finish: Callable[[Rows], Rows] = lambda rows: rows
     """Add columns that compare rows."""
-    by_detector: bool = False
-    """Whether trainings for one detector have nothing to do with those for the others."""
     order: int = 100
     """Place among the experiments of `all`."""
 

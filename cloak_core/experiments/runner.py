@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import import_module
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 
 import pandas as pd
@@ -57,15 +57,9 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
     if experiment.measure:
         return experiment.measure(store)
     whole, along, thresholds, trainings = [], [], [], []
-    for cell in experiment.cells(store):
-        own = cell.store or store
-        faces, specs = cell.faces, cell.specs or store.specs[:1]
-        faces = chest_thighs(store.split.bodies) if faces is None else faces
-        trained = own.train_repetitions(faces, specs, **cell.training)
+    for cell, trained, results in _measured(store, experiment.cells(store)):
         trainings.append((cell, trained))
-        judges = tuple(cell.judges or specs)
-        results = own.evaluate(trained, cell.angles or test_angles(store), judges, **cell.test)
-        for spec in judges:
+        for spec in _judges(cell, store):
             whole.append(_row(cell, store.split.bodies, trained, results, spec))
             if not cell.columns:
                 thresholds += threshold_rows(whole[-1], results, spec)
@@ -76,6 +70,33 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
     steps = {spec: store.steps([spec], angles=MULTI) for spec in store.specs}
     facts = {"angles": len(test_angles(store)), "steps": steps, **experiment.facts}
     return Numbers(experiment.finish(whole + along), facts, thresholds, experiment.pictures(store, trainings))
+
+
+def measure_part(experiment: Experiment, store: RunStore, part: int, of: int) -> None:
+    """Train and judge every `of`-th cell from `part` on, for `measure` to find; an experiment without cells, whole."""
+    if experiment.measure:
+        if part == 0:
+            experiment.measure(store)
+        return
+    for _ in _measured(store, islice(experiment.cells(store), part, None, of)):
+        pass
+
+
+def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, list[Trained], Results]]:
+    """Train and judge cells, one after the other."""
+    for cell in cells:
+        own = cell.store or store
+        faces = chest_thighs(store.split.bodies) if cell.faces is None else cell.faces
+        training = dict(cell.training)
+        if cell.begun:
+            begun = own.train(faces, cell.begun, seed=store.options.seed, angles=MULTI, steps=own.steps(cell.begun))
+            training["init"] = str(begun.folder)
+        trained = own.train_repetitions(faces, cell.specs or store.specs[:1], **training)
+        yield cell, trained, own.evaluate(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test)
+
+
+def _judges(cell: Cell, store: RunStore) -> tuple[str, ...]:
+    return tuple(cell.judges or cell.specs or store.specs[:1])
 
 
 def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, spec: str) -> dict:

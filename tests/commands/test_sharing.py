@@ -7,7 +7,7 @@ import pytest
 from cloak_core import cli
 from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
-from cloak_core.commands.reproduce import Reproduce
+from cloak_core.commands.reproduce import PARTS, Reproduce
 from cloak_core.evaluation import store
 from cloak_core.experiments.options import Options
 from cloak_core.files.locks import lock
@@ -109,11 +109,11 @@ def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhe
 def test_cards_and_experiments_fall_into_parts(tmp_path):
     cards = Assess(specs=("builtin", "jpeg=75:builtin", "builtin"), out=tmp_path)._parts()
     assert [part.specs for _, part in cards] == [("builtin",), ("jpeg=75:builtin",)]
-    amount = Options(out=tmp_path, steps=(3, 4))
-    parts = Reproduce(name="table1", detector=("a", "b"), amount=amount)._parts()
-    assert [(part.detector, part.amount.steps) for _, part in parts] == [(("a",), (3,)), (("b",), (4,))]
-    every = Reproduce(name="all", detector=("a", "b"), amount=amount)._parts()
-    assert "table1 of a" in dict(every) and dict(every)["transfer"].detector == ("a", "b")
+    parts = Reproduce(name="table1", detector=("a", "b"), amount=Options(out=tmp_path, steps=(3, 4)))._parts()
+    assert [part.part for _, part in parts] == [(k, PARTS) for k in range(PARTS)]
+    assert {(part.detector, part.amount.steps) for _, part in parts} == {(("a", "b"), (3, 4))}
+    every = Reproduce(name="all", amount=Options(out=tmp_path))._parts()
+    assert {"hardened, 3 of 8", "transfer, 8 of 8", "render-gap, 1 of 1"} <= dict(every).keys()
     assert all(part.sharing.ray is None for _, part in (*cards, *parts, *every))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cloak_core.cli import main
+from cloak_core.evaluation import store
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.store import RunStore
@@ -16,7 +17,7 @@ from cloak_core.experiments.declared import hardened
 from cloak_core.experiments.logos import PAPER_SHARES, paper_logos, shapes, trimmed
 from cloak_core.experiments.options import names
 from cloak_core.experiments.publish import make_page, publish
-from cloak_core.experiments.runner import draw_again, experiments, run_experiment
+from cloak_core.experiments.runner import draw_again, experiments, measure, measure_part, run_experiment
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
 from cloak_core.files.errors import InputError
 from cloak_core.scene.logos.logo import area_share
@@ -131,6 +132,18 @@ def test_every_experiment_runs(name: str, split: DataSplit, tmp_path_factory: py
     json.dumps(record, allow_nan=False)
     assert record["title"] in make_page(out).read_text("utf-8")
     drawn_again(name, out)
+
+
+@pytest.mark.slow
+def test_what_the_parts_of_an_experiment_made_is_found_by_the_whole(
+    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_store, transfer = RunStore(split, make_options(tmp_path, seeds=1)), experiments()["transfer"]
+    for part in range(3):
+        measure_part(transfer, run_store, part, 3)
+    for name in ("train", "measure_frozen"):
+        monkeypatch.setattr(store, name, lambda *given, **more: pytest.fail("made again"))
+    assert len(measure(transfer, run_store).rows) == 4
 
 
 @pytest.mark.long

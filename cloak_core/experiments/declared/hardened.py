@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
@@ -85,7 +87,7 @@ def images(store: RunStore) -> dict:
 
 
 def cells(store: RunStore) -> Cells:
-    alarms = Alarms.measure(store)
+    alarms = Alarms(store)
     for spec in store.specs:
         for name, attack in SUITE.items():
             reference = spec == store.specs[0] and len(store.specs) > 1
@@ -112,21 +114,18 @@ def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Ce
 
 
 def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str, alarms: Alarms) -> Cell:
-    faces = LOGOS[attack.logo](store.split.bodies)
     training = {"angles": MULTI, "steps": max(1, round(attack.steps * _steps(store, trained_on)))} | dict(
         attack.changes
     )
     told = [f"{name.replace('_', ' ')} {value}" for name, value in attack.changes.items()]
-    if attack.begun:
-        length = {"angles": MULTI, "steps": _steps(store, attack.begun)}
-        training |= {"init": str(store.train(faces, [attack.begun], seed=store.options.seed, **length).folder)}
-        told.append(f"from the cloak of {short_names(store.specs)[attack.begun]}")
+    told += [f"from the cloak of {short_names(store.specs)[attack.begun]}"] if attack.begun else []
     label = {"detector": spec, "logo": attack.logo, "attack": kind, "trained_on": trained_on}
     return Cell(
         label=label | {"steps": training["steps"], "changes": ", ".join(told) or "-"},
-        faces=faces,
+        faces=LOGOS[attack.logo](store.split.bodies),
         specs=[trained_on],
         training=training,
+        begun=[attack.begun] if attack.begun else [],
         judges=[spec],
         test={"controls": (CLOTHING,)} | images(store) | dict(attack.test),
         columns=COLUMNS,
@@ -138,36 +137,31 @@ def _steps(store: RunStore, spec: str) -> int:
     return store.steps([spec], angles=MULTI)
 
 
-@dataclass(frozen=True)
 class Alarms:
     """False alarms on patterns that nobody wears, and each detector's threshold that makes them equal."""
 
-    share: Mapping[str, float]
-    """Of pictures with patterns that are reported as a person at 0.6, by detector."""
-    threshold: Mapping[str, float]
-    """At which a detector raises as many of them as the first detector does at 0.6."""
+    def __init__(self, store: RunStore) -> None:
+        self.store = store
 
-    @staticmethod
-    def measure(store: RunStore) -> Alarms:
-        """Show every detector the same pictures of patterned cloth, before backgrounds that judge."""
-        split = store.split
-        table = pattern_scores(split.detectors, split.unseen_backgrounds, split.unseen, size=store.options.size)
-        scores = {spec: table.loc[(table["detector"] == spec).to_numpy(), "score"].to_numpy() for spec in store.specs}
-        first = scores[store.specs[0]]
-        return Alarms(
-            {spec: float((own > THRESHOLD).mean()) for spec, own in scores.items()},
-            {spec: statistics.matched_threshold(own, first) for spec, own in scores.items()},
-        )
+    @cached_property
+    def scores(self) -> dict[str, Float[np.ndarray, " P"]]:
+        """Each detector's scores of the same pictures of patterned cloth, before backgrounds that judge."""
+        split, size = self.store.split, self.store.options.size
+        table = pattern_scores(split.detectors, split.unseen_backgrounds, split.unseen, size=size)
+        return {
+            spec: table.loc[(table["detector"] == spec).to_numpy(), "score"].to_numpy() for spec in self.store.specs
+        }
 
     def columns(self, results: Results, spec: str) -> dict:
-        """Success on the body at 0.6 and at the threshold of equal false alarms."""
-        rows, equal = results.rows(spec, LOGO), self.threshold[spec]
+        """Success on the body at 0.6 and at the threshold that raises as many false alarms as the first detector's."""
+        rows, own = results.rows(spec, LOGO), self.scores[spec]
+        equal = statistics.matched_threshold(own, self.scores[self.store.specs[0]])
         row = {
             "success_on_body": statistics.hidden_rate(rows, column="score_on").value,
             "equal_threshold": equal,
             "success_at_equal": statistics.hidden_rate(rows, equal, "score_on").value,
             "clean_recall_at_equal": 1 - statistics.share(results.rows(spec, CLOTHING), equal),
-            "pattern_alarms": self.share[spec],
+            "pattern_alarms": float((own > THRESHOLD).mean()),
         }
         return {name: statistics.digits(value) for name, value in row.items()}
 

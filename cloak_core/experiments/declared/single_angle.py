@@ -21,6 +21,5 @@ EXPERIMENT = Experiment(
         for row in table1.PAPER
         if row["logo"] == "chest + thighs"
     ),
-    by_detector=True,
     order=2,
 )

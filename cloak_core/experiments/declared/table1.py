@@ -55,6 +55,5 @@ EXPERIMENT = Experiment(
         "thresholds": Thresholds(where=WHOLE, panel="detector", by_control=True),
     },
     paper=PAPER,
-    by_detector=True,
     order=1,
 )

@@ -43,6 +43,5 @@ EXPERIMENT = Experiment(
     figures={"success": Bars(y="detector", panel="logo", own=True)},
     facts={"training_angles": MULTI},
     counts=images,
-    by_detector=True,
     order=12,
 )
