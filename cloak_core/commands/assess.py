@@ -118,9 +118,9 @@ class Assess(Splitting, Detecting, Sharing):
 
     def _patterns(self) -> tuple[str, ...]:
         """List the patterns with their widths. InputError: one cannot be read."""
-        from cloak_core.evaluation.wearing.clothes import read_clothes
+        from cloak_core.evaluation.wearing.clothes import cloth_spec, read_clothes
 
-        patterns = tuple(spec if "@tile=" in spec else f"{spec}@tile=0.5" for spec in self.patterns)
+        patterns = tuple(map(cloth_spec, self.patterns))
         for spec in patterns:
             read_clothes(spec)
         return patterns

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
@@ -131,6 +132,12 @@ class RunStore:
                 self._train_into(folder, settings, bodies, logo, specs, precision)
         colors = read_colors(folder / "colors.npy", len(logo))
         return Trained(colors, logo, folder, read_history(folder).seconds, cpu_seconds(folder), settings)
+
+    def untrained(
+        self, colors: Float32[np.ndarray, "L 3"], faces: Int64[np.ndarray, " L"], folder: Path = Path("untrained")
+    ) -> Trained:
+        """Take colours that were not trained here, to evaluate them; the folder's name is told in records."""
+        return Trained(colors, make_logo(self.split.unseen, faces), folder, math.nan, math.nan, self.train_settings())
 
     def _train_into(
         self, folder: Path, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], precision: str

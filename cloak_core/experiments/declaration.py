@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from jaxtyping import Float32
 from PIL import Image
 
 from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
@@ -34,6 +36,8 @@ class Cell:
     """Detectors trained against; the first where none are named."""
     training: Mapping[str, object] = field(default_factory=dict)
     """Further arguments of `RunStore.train`: settings, bodies, precision."""
+    colors: Float32[np.ndarray, "L 3"] | None = None
+    """Of these faces, to be judged without training."""
     begun: Sequence[str] = ()
     """Detectors whose cloak of the same faces, as the experiment's length makes it, the training begins with."""
     judges: Sequence[str] = ()

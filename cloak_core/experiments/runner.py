@@ -86,13 +86,19 @@ def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, li
     """Train and judge cells, one after the other."""
     for cell in cells:
         own = cell.store or store
-        faces = chest_thighs(store.split.bodies) if cell.faces is None else cell.faces
-        training = dict(cell.training)
-        if cell.begun:
-            begun = own.train(faces, cell.begun, seed=store.options.seed, angles=MULTI, steps=own.steps(cell.begun))
-            training["init"] = str(begun.folder)
-        trained = own.train_repetitions(faces, cell.specs or store.specs[:1], **training)
+        trained = _trained(cell, own)
         yield cell, trained, own.evaluate(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test)
+
+
+def _trained(cell: Cell, store: RunStore) -> list[Trained]:
+    faces = chest_thighs(store.split.bodies) if cell.faces is None else cell.faces
+    if cell.colors is not None:
+        return [store.untrained(cell.colors, faces)]
+    training = dict(cell.training)
+    if cell.begun:
+        begun = store.train(faces, cell.begun, seed=store.options.seed, angles=MULTI, steps=store.steps(cell.begun))
+        training["init"] = str(begun.folder)
+    return store.train_repetitions(faces, cell.specs or store.specs[:1], **training)
 
 
 def _judges(cell: Cell, store: RunStore) -> tuple[str, ...]:

@@ -82,6 +82,10 @@ def longest_adaptive(rows: Rows, same: tuple[str, ...] = ("detector", "logo")) -
 
 
 def beats_adaptive(rows: Rows, same: tuple[str, ...]) -> Rows:
-    """Add a column: whether an attack lies above the interval of the longest adaptive one with the same columns."""
+    """Add a column: whether an attack lies above the interval of the longest adaptive one with the same columns.
+
+    Where there is none with them, it does not.
+    """
     highest = {tuple(row[name] for name in same): row["high"] for row in longest_adaptive(rows, same)}
-    return [row | {"beats_adaptive": row["success"] > highest[tuple(row[name] for name in same)]} for row in rows]
+    key = lambda row: tuple(row[name] for name in same)
+    return [row | {"beats_adaptive": row["success"] > highest.get(key(row), 1.0)} for row in rows]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from cloak_core.cli import main
 from cloak_core.evaluation import store
@@ -153,7 +154,9 @@ def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
     monkeypatch.setattr(hardened, "SUITE", {name: hardened.SUITE[name] for name in (hardened.CHEST, hardened.BODY)})
     monkeypatch.setattr(hardened, "QUESTIONS", 40)
     monkeypatch.setattr(hardened, "LEAST_IMAGES", 1)
-    small = replace(make_options(tmp_path, seeds=1), quick=False, images_per_view=1)
+    Image.new("RGB", (8, 8), "red").save(tmp_path / "red.png")
+    patterns = (str(tmp_path / "red.png"),)
+    small = replace(make_options(tmp_path, seeds=1), quick=False, images_per_view=1, patterns=patterns)
     rows = run_experiment("hardened", RunStore(split, small))["rows"]
     first, second = split.detectors
     begun = [row for row in rows if "from the cloak" in row["changes"]]
@@ -162,6 +165,9 @@ def test_the_hardened_are_attacked_from_where_the_others_cloaks_ended(
     ]  # fmt: skip
     assert begun[0]["changes"] == f"from the cloak of {short_names(split.detectors)[first]}"
     assert begun[1]["changes"].startswith("black box queries 40, from the cloak of")
+    worn = [row for row in rows if row["attack"] == "published"]
+    assert [(row["detector"], row["changes"]) for row in worn] == [(first, "red@tile=0.5"), (second, "red@tile=0.5")]
+    assert worn[0]["success"] < 0.5  # a red shirt is no disguise from what reports red
     starts = [json.loads(path.read_text())["start"] for path in (tmp_path / "runs").glob("*/config.json")]
     assert len(starts) - starts.count(None) == 2
 

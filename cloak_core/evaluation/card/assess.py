@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Int64
 
 from cloak_core import __version__
 from cloak_core.attack.run_config import environment
@@ -33,7 +33,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.writing import write_json
 from cloak_core.render.photographs.views import logo_positions
-from cloak_core.scene.logos.logo import area_share, load_logo, make_logo
+from cloak_core.scene.logos.logo import area_share, load_logo
 from cloak_core.scene.photographs.people import People
 from cloak_core.zoo.entry import MARK, run_path, shelved
 
@@ -191,7 +191,7 @@ class Assessment:
         """Measure own clothing and untrained patterns from everywhere, and bare scenes."""
         faces = self._areas[-1]
         noise = np.random.default_rng([self.store.options.seed, 0xB1]).integers(0, 2, (len(faces), 1))
-        worn = self._worn(np.repeat(noise, 3, 1).astype(np.float32), faces, Path("black and white"))
+        worn = self.store.untrained(np.repeat(noise, 3, 1).astype(np.float32), faces, Path("black and white"))
         angles, elevations, distances = protocol.CLEAN_ANGLES, protocol.CLEAN_ELEVATIONS, protocol.CLEAN_DISTANCES
         views = len(angles) * len(elevations) * len(distances) * self.split.unseen.pose_count
         settings = {
@@ -244,7 +244,7 @@ class Assessment:
         """Show it a published pattern as cloth for shirt and trousers, from the front."""
         cloth = read_clothes(spec)
         colors = cloth_colors(cloth.picture, cloth.metres, self.split.unseen, self._areas[-1])
-        worn = self._worn(colors, self._areas[-1], Path(cloth.name))
+        worn = self.store.untrained(colors, self._areas[-1], Path(cloth.name))
         results = self._evaluated(f"pattern {cloth.name}", [worn], self.budget.front_angles, self._front(part))
         return {"name": cloth.name} | statistics_card.attack_record(results, self.spec)
 
@@ -253,7 +253,7 @@ class Assessment:
         split, found = self.split, []
         for entry in self.entries:
             ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
-            worn = self._worn(read_colors(entry["path"] / "colors.npy", len(ids)), ids, entry["path"])
+            worn = self.store.untrained(read_colors(entry["path"] / "colors.npy", len(ids)), ids, entry["path"])
             results = self._evaluated(f"zoo {entry['name']}", [worn], self.budget.front_angles, self._front(part))
             unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
             white = trained_against(entry["config"], split.detectors)[self.spec]
@@ -282,11 +282,6 @@ class Assessment:
         changes = {"angles": trained_angles, "steps": steps}
         trained = self.store.train_repetitions(faces, [self.spec], **changes)
         return self._evaluated(part, trained, angles, self._front(share))
-
-    def _worn(self, colors: Float32[np.ndarray, "L 3"], faces: Int64[np.ndarray, " L"], name: Path) -> Trained:
-        """Colours that were not trained here."""
-        logo = make_logo(self.split.unseen, faces)
-        return Trained(colors, logo, name, math.nan, math.nan, self.store.train_settings())
 
     def _evaluated(self, part: str, trained: Sequence[Trained], angles: tuple[float, ...], settings: dict) -> Results:
         self.shown[part] = (trained[0], angles, settings)

@@ -168,6 +168,11 @@ def controls() -> list[Clothes]:
     return [photograph, grey, RandomClothes("random", position, count), OwnClothes("resampled", position, count)]
 
 
+def cloth_spec(pattern: str) -> str:
+    """Name a pattern's width, where it is only FILE.png: 0.5 m."""
+    return pattern if "@tile=" in pattern else f"{pattern}@tile=0.5"
+
+
 def read_clothes(spec: str) -> Clothes:
     """Read one of COLORS: a run's folder, zoo:NAME, FILE.png@tile=METRES or FILE.png@patch=METRES. `InputError`."""
     picture = _PICTURE.fullmatch(spec)

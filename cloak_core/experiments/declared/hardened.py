@@ -13,12 +13,14 @@ from jaxtyping import Float
 from cloak_core.attack.black_box import queries_after
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation import statistics
+from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.negatives import pattern_scores
 from cloak_core.evaluation.report.charts import Lines, Rows, group
 from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.wearing.clothes import cloth_spec, read_clothes
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
@@ -32,7 +34,7 @@ LOGOS: Mapping[str, Callable[[Bodies], np.ndarray]] = {
     SHIRT: shirt_trousers,
     BODY: lambda bodies: np.arange(bodies.face_count),
 }
-ADAPTIVE, TRANSFERRED, SEARCH = "adaptive", "transferred", "random search"
+ADAPTIVE, TRANSFERRED, SEARCH, PUBLISHED = "adaptive", "transferred", "random search", "published"
 COLUMNS = ("success_own", "own_low", "own_high", "clean_recall", "clean_recall_own", "clean_ap50", "false_alarms")
 COLUMNS += ("false_alarms_own", "mean_score", "seeds")
 
@@ -94,6 +96,7 @@ def cells(store: RunStore) -> Cells:
             if (attack.quick or not store.options.quick) and not (reference and name not in (CHEST, BODY)):
                 yield _cell(store, spec, attack, ADAPTIVE, spec, alarms)
         yield from _without_gradient(store, spec, alarms)
+        yield from _published(store, spec, alarms)
 
 
 def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
@@ -113,24 +116,32 @@ def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Ce
         yield _cell(store, spec, Attack(logo=CHEST, changes=queries), SEARCH, spec, alarms)
 
 
+def _published(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
+    """Patterns that others trained, as cloth."""
+    bodies = store.split.unseen
+    for cloth in (read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns):
+        faces = LOGOS[SHIRT](bodies)
+        label = {"detector": spec, "logo": SHIRT, "attack": PUBLISHED, "trained_on": None, "steps": 0}
+        colors = cloth_colors(cloth.picture, cloth.metres, bodies, faces)
+        yield _judged(store, spec, label | {"changes": cloth.name}, alarms, faces=faces, colors=colors)
+
+
 def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str, alarms: Alarms) -> Cell:
-    training = {"angles": MULTI, "steps": max(1, round(attack.steps * _steps(store, trained_on)))} | dict(
-        attack.changes
-    )
+    training = {"angles": MULTI, "steps": max(1, round(attack.steps * _steps(store, trained_on))), **attack.changes}
     told = [f"{name.replace('_', ' ')} {value}" for name, value in attack.changes.items()]
     told += [f"from the cloak of {short_names(store.specs)[attack.begun]}"] if attack.begun else []
     label = {"detector": spec, "logo": attack.logo, "attack": kind, "trained_on": trained_on}
-    return Cell(
-        label=label | {"steps": training["steps"], "changes": ", ".join(told) or "-"},
-        faces=LOGOS[attack.logo](store.split.bodies),
-        specs=[trained_on],
-        training=training,
-        begun=[attack.begun] if attack.begun else [],
-        judges=[spec],
-        test={"controls": (CLOTHING,)} | images(store) | dict(attack.test),
-        columns=COLUMNS,
-        extra=alarms.columns,
-    )
+    label |= {"steps": training["steps"], "changes": ", ".join(told) or "-"}
+    how = {"training": training, "specs": [trained_on], "begun": [attack.begun] if attack.begun else []}
+    return _judged(store, spec, label, alarms, attack.test, faces=LOGOS[attack.logo](store.split.bodies), **how)
+
+
+def _judged(
+    store: RunStore, spec: str, label: dict, alarms: Alarms, test: Mapping[str, object] | None = None, **what: object
+) -> Cell:
+    """Make a cell that this detector judges; what: the faces, and their colours or how they are trained."""
+    test = {"controls": (CLOTHING,)} | images(store) | dict(test or {})
+    return Cell(label=label, judges=[spec], test=test, columns=COLUMNS, extra=alarms.columns, **what)
 
 
 def _steps(store: RunStore, spec: str) -> int:
