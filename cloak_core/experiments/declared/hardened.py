@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from cloak_core.evaluation.report.charts import Lines, Rows, group
 from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.wearing.clothes import cloth_spec, read_clothes
+from cloak_core.evaluation.wearing.clothes import PictureClothes, cloth_spec, read_clothes
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.declaration import MULTI, Cell, Cells, Experiment, test_angles
 from cloak_core.experiments.tables import beats_adaptive, longest_adaptive
@@ -89,14 +89,14 @@ def images(store: RunStore) -> dict:
 
 
 def cells(store: RunStore) -> Cells:
-    alarms = Alarms(store)
+    alarms, clothes = Alarms(store), [read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns]
     for spec in store.specs:
         for name, attack in SUITE.items():
             reference = spec == store.specs[0] and len(store.specs) > 1
             if (attack.quick or not store.options.quick) and not (reference and name not in (CHEST, BODY)):
                 yield _cell(store, spec, attack, ADAPTIVE, spec, alarms)
         yield from _without_gradient(store, spec, alarms)
-        yield from _published(store, spec, alarms)
+        yield from _published(store, spec, alarms, clothes)
 
 
 def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
@@ -116,10 +116,10 @@ def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Ce
         yield _cell(store, spec, Attack(logo=CHEST, changes=queries), SEARCH, spec, alarms)
 
 
-def _published(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
+def _published(store: RunStore, spec: str, alarms: Alarms, clothes: Sequence[PictureClothes]) -> Iterator[Cell]:
     """Patterns that others trained, as cloth."""
     bodies = store.split.unseen
-    for cloth in (read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns):
+    for cloth in clothes:
         faces = LOGOS[SHIRT](bodies)
         label = {"detector": spec, "logo": SHIRT, "attack": PUBLISHED, "trained_on": None, "steps": 0}
         colors = cloth_colors(cloth.picture, cloth.metres, bodies, faces)
