@@ -36,8 +36,8 @@ class HardenSettings:
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
     cloaks: Annotated[int, Bounds(1, 256)] = 4
-    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. One in four
-    covers the whole body, the others random parts of it."""
+    """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. Every
+    second one covers the whole body, the others random parts of it."""
     life: Annotated[int, Bounds(1, 100_000)] = 32
     """Turns after which a cloak makes room for a new one, on another logo and from other colours. A cloak is updated
     attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
