@@ -14,8 +14,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 INSIDE = Path(__file__).parent / "inside"
-LONG = {"test_real_detectors.py"}
-"""With real files of CLOAK_SHARED: minutes."""
+LONG = {"test_real_detectors.py", "test_real_judging.py"}
+"""With real trainings, and one with files of CLOAK_SHARED: minutes."""
 FILES = [
     pytest.param(name, marks=[pytest.mark.long, pytest.mark.timeout(1600)] if name in LONG else [])
     for name in sorted(path.name for path in INSIDE.glob("test_*.py"))
