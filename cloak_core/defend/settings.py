@@ -14,7 +14,7 @@ from cloak_core.attack.settings.values import Bounds
 class HardenSettings:
     """How a detector is hardened; docs/defence.md says what was measured, and with which settings."""
 
-    steps: Annotated[int, Bounds(1, 10_000_000)] = 1900
+    steps: Annotated[int, Bounds(1, 10_000_000)] = 2400
     """Updates of the detector."""
     max_seconds: Annotated[float | None, Bounds(ends="()")] = None
     """Stop in order (checkpoint and detector written, resumable) after this much training time, seconds."""
@@ -35,10 +35,10 @@ class HardenSettings:
     the pool are young at first, and a strong cloak on nobody looks otherwise."""
     people_share: Annotated[float, Bounds(0, 1)] = 0.3
     """Share of the images in a cloak that are photographs of people, where there are any (--people)."""
-    cloaks: Annotated[int, Bounds(1, 256)] = 4
+    cloaks: Annotated[int, Bounds(1, 256)] = 6
     """Cloaks that are kept and attacked further, one after the other, each seen from a distance of its own. Every
     second one covers the whole body, the others random parts of it."""
-    life: Annotated[int, Bounds(1, 100_000)] = 32
+    life: Annotated[int, Bounds(1, 100_000)] = 128
     """Turns after which a cloak makes room for a new one, on another logo and from other colours. A cloak is updated
     attack_steps times a turn. With a short life it stays weak, and the detector learns to withstand only weak ones."""
     attack_steps: Annotated[int, Bounds(0, 1000)] = 3
