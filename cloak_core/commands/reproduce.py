@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cloak_core.evaluation.store import RunStore
 
 PARTS = 8
-"""Into so many parts an experiment's trainings fall, where they are shared over machines."""
+"""With --ray, the trainings of each experiment are split into this many parts."""
 
 
 @dataclass(kw_only=True)

@@ -89,7 +89,7 @@ def _enlarged(cells: np.ndarray, mode: str) -> Texture:
 
 @dataclass(frozen=True)
 class Layer:
-    """One piece of cloth in a picture: where it is in the rectangle that it needs of it."""
+    """One piece of cloth in a picture, within the rectangle of pixels that holds it."""
 
     area: tuple[slice, slice]
     """Rows and columns of the picture."""

@@ -96,7 +96,8 @@ def _trained(cell: Cell, store: RunStore) -> list[Trained]:
         return [store.untrained(cell.colors, faces)]
     training = dict(cell.training)
     if cell.begun:
-        begun = store.train(faces, cell.begun, seed=store.options.seed, angles=MULTI, steps=store.steps(cell.begun))
+        length = {"angles": MULTI, "steps": store.steps(cell.begun, angles=MULTI)}
+        begun = store.train(faces, cell.begun, seed=store.options.seed, **length)
         training["init"] = str(begun.folder)
     return store.train_repetitions(faces, cell.specs or store.specs[:1], **training)
 
