@@ -54,8 +54,8 @@ FINISH = 240
 KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
 SHOWN, UNTRAINED = 4, 4
-"""Odds that a decoy shows a finished cloak, and a pattern that nobody trained; each cloak of the pool has odds of 1. The
-colours of cloaks alone must not decide what is a person."""
+"""Odds that a decoy shows a finished cloak, and a pattern that nobody trained; each cloak of the pool has odds of 1.
+The colours of cloaks alone must not decide what is a person."""
 MAYBE_PERSON = 0.3
 """A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
 _LOGO, _VIEWS, _PICTURES, _DECOYS = 1, 2, 3, 4

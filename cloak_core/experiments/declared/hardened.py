@@ -77,7 +77,7 @@ SUITE = {
         logo=BODY, changes={"elevation": "0:60"}, test={"elevations": (0.0, 30.0, 60.0), "images_per_view": 1}
     ),
 }
-"""The first of several detectors, which the others are compared with, gets only those on chest + thighs and the body."""
+"""The first of several detectors, which the others are compared with, gets only two: chest + thighs, and the body."""
 QUESTIONS = 50_000
 """Images that a search may ask about when it begins with another detector's cloak."""
 
@@ -100,7 +100,7 @@ def cells(store: RunStore) -> Cells:
 
 
 def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
-    """Attacks that a masked gradient does not mislead: other detectors' cloaks, attacks that begin with them, searches."""
+    """Attacks that a masked gradient does not mislead: other detectors' cloaks, attacks from there, searches."""
     chest, hardened = SUITE[CHEST], spec != store.specs[0] or len(store.specs) == 1
     batch = store.train_settings(specs=[spec], angles=MULTI).run.batch
     for other in store.specs:
