@@ -45,7 +45,7 @@ def test_patterns_are_worn_on_renders_and_beside_the_largest_cloak_by_people(
     row = one._pattern(spec, 1.0)
     assert row["name"] == "white@tile=0.5" and row["n"] == 6 and row["success"] < row["clothing"] <= 1, "white glows"
     faces = one._areas[-1]
-    one.shown["area 76%"] = (one._worn(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")), (0.0,), {})
+    one.shown["area 76%"] = (store.untrained(np.zeros((len(faces), 3), np.float32), faces, Path("cloak")), (0.0,), {})
     told = one._photographs(1.0)
     assert worn == ["made against it", "white@tile=0.5"] and told["rows"].keys() == {"clothing"}
 
