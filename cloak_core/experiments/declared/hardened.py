@@ -64,6 +64,7 @@ SUITE = {
     BODY: Attack(logo=BODY, quick=True),
     f"{BODY}, twice as long": Attack(logo=BODY, steps=2.0),
     f"{BODY}, five times as long": Attack(logo=BODY, steps=5.0),
+    f"{BODY}, five times as long at half the learning rate": Attack(logo=BODY, steps=5.0, changes={"lr": 0.025}),
     f"{BODY}, from an animal": Attack(logo=BODY, changes={"initial": "animal"}),
     f"{BODY}, from random colours": Attack(logo=BODY, changes={"initial": "random"}),
     f"{BODY}, half the learning rate": Attack(logo=BODY, changes={"lr": 0.025}),
