@@ -22,7 +22,8 @@ from cloak_core.attack.events import EventLog, OnEvent, rewind_events
 from cloak_core.attack.loop import TrainingError
 from cloak_core.attack.stopping import StopRequest, stop_request
 from cloak_core.defend.folder import HardenFolder, harden_config, open_folder
-from cloak_core.defend.pool import Decoys, Given, Pool
+from cloak_core.defend.pictures import Decoys, Pictures
+from cloak_core.defend.pool import Given, Pool
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.defend.student import Student
 from cloak_core.exchange.bodies import Bodies
@@ -76,13 +77,14 @@ def harden(
     InputError: `out` exists without `resume`, or was begun with something else.
     """
     fits = [] if people is None else fit_people(people)
-    pool = Pool(settings, bodies, backgrounds, student.detector, given, photographs, student.teacher, fits)
+    pool = Pool(settings, bodies, backgrounds, student.detector, given, fits)
+    pictures = Pictures(pool, photographs, student.teacher)
     config = harden_config(settings, student, bodies, backgrounds, photographs, given, people)
     with (
         open_folder(Path(out), config, resume) as folder,
         stop_request(folder.cancel, settings.max_seconds) as stop,
     ):
-        return Hardening(settings, student, pool, folder, on_event).run_to_end(stop)
+        return Hardening(settings, student, pool, pictures, folder, on_event).run_to_end(stop)
 
 
 class Hardening:
@@ -93,10 +95,11 @@ class Hardening:
         settings: HardenSettings,
         student: Student,
         pool: Pool,
+        pictures: Pictures,
         folder: HardenFolder,
         on_event: OnEvent | None = None,
     ) -> None:
-        self.settings, self.student, self.pool, self.folder = settings, student, pool, folder
+        self.settings, self.student, self.pool, self.pictures, self.folder = settings, student, pool, pictures, folder
         student.detector.precision = settings.precision
         self.parameters = list(student.network.parameters())
         self.optimizer = torch.optim.AdamW(self.parameters, settings.lr, weight_decay=0.0)
@@ -140,8 +143,8 @@ class Hardening:
     def _one_step(self) -> None:
         self.student.detector.requires_grad_(False)
         attack = self.pool.attack(self.step)
-        pair, pictures = self.pool.pair(self.step), self.pool.pictures(self.step)
-        parts = self._learn(pair.cloaked, pair.clean, pictures, self.pool.decoys(self.step))
+        pair, pictures = self.pool.pair(self.step), self.pictures.plain(self.step)
+        parts = self._learn(pair.cloaked, pair.clean, pictures, self.pictures.decoys(self.step))
         self.step += 1
         self._average()
         figures = {} if attack is None else {"success": attack.success, "disappearance": attack.disappearance}

@@ -1,11 +1,11 @@
-"""The cloaks that a detector is hardened against, and the pictures that it is to answer as before.
+"""The cloaks that a detector is hardened against.
 
 Everything drawn is a function of (seed, turn), so that a hardening that was stopped goes on as if it had not been.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,19 +19,16 @@ from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
-from cloak_core.defend.decoys import FlatCloth, Texture, draw_decoy, random_texture
+from cloak_core.defend.decoys import FlatCloth, Texture
 from cloak_core.defend.logos import draw_colors, draw_logo
-from cloak_core.defend.picture_parts import PictureParts
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.detectors.protocol import Detector
-from cloak_core.detectors.scoring import person_boxes
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render.compositing import compose
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.cameras import Camera
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.photographs.rig import faces_on_rig
@@ -53,13 +50,8 @@ FINISH = 240
 """Steps that train a cloak to its end."""
 KEPT = 32
 """So many of the pool's last cloaks are shown on decoys after their life, beside those trained to the end."""
-SHOWN, UNTRAINED = 4, 4
-"""Odds that a decoy shows a finished cloak, and a pattern that nobody trained; each cloak of the pool has odds of 1.
-The colours of cloaks alone must not decide what is a person."""
-MAYBE_PERSON = 0.3
-"""A picture's boxes that the unhardened detector scores higher are kept clear of decoys."""
-_LOGO, _VIEWS, _PICTURES, _DECOYS = 1, 2, 3, 4
-"""Streams of random numbers."""
+_LOGO, _VIEWS = 1, 2
+"""Streams of random numbers; `pictures` has others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +79,6 @@ class Cloak:
 
 
 @dataclass(frozen=True, eq=False)
-class Decoys:
-    """The same pictures with patterned cloth that nobody wears, and without."""
-
-    shown: Float[Tensor, "B 3 H W"]
-    without: Float[Tensor, "B 3 H W"]
-
-
-@dataclass(frozen=True, eq=False)
 class Pair:
     """The same images with a cloak and without."""
 
@@ -112,14 +96,10 @@ class Pool:
         backgrounds: Backgrounds,
         detector: Detector,
         given: Sequence[Given] = (),
-        photographs: Backgrounds | None = None,
-        teacher: Detector | None = None,
         people: Sequence[Fit] = (),
     ) -> None:
         self.settings, self.bodies, self.backgrounds, self.detector = settings, bodies, backgrounds, detector
-        self.given, self.teacher = tuple(given), teacher or detector
-        self._parts = PictureParts(backgrounds, photographs, settings.size)
-        self.people = tuple(people)
+        self.given, self.people = tuple(given), tuple(people)
         if self.people:
             faces_on_rig(bodies.topology)  # bodies whose cloaks nobody in a photograph can wear are refused here
         self.device = torch.device(detector.device)
@@ -186,58 +166,9 @@ class Pool:
                 image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
         return Pair(cloaked, clean)
 
-    def pictures(self, turn: int) -> Float[Tensor, "P 3 H W"]:
-        """Backgrounds and photographs, half of each where there are some, mirrored at random."""
-        rng, size = np.random.default_rng([self.settings.seed, _PICTURES, turn]), self.settings.size
-        images = torch.zeros(self.settings.pictures, 3, size, size)
-        for k, image in enumerate(images):
-            picture, _ = self._parts.draw(rng, photograph=bool(k % 2))
-            image.copy_(picture.flip(2) if rng.random() < 0.5 else picture)
-        return images.to(self.device)
-
-    @torch.no_grad()
-    def decoys(self, turn: int) -> Decoys:
-        """Pictures with cloth that nobody wears: cloaks as they are now, finished ones, and random patterns."""
-        rng, size = np.random.default_rng([self.settings.seed, _DECOYS, turn]), self.settings.size
-        without, shown = (torch.zeros(self.settings.decoys, 3, size, size) for _ in range(2))
-        for k in range(len(shown)):
-            without[k], people = self._parts.draw(rng, photograph=bool(k % 2))
-            clear = self._people_in(without[k]) if people else ()
-            shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
-        return Decoys(shown.to(self.device), without.to(self.device))
-
-    def textures(self, rng: np.random.Generator) -> Iterator[Texture]:
-        """Draw what decoys show: cloaks as they are, finished and given ones, and patterns that nobody trained."""
-        slots = sorted(self.cloaks)  # a resumed hardening made them in another order
-        odds = np.cumsum([len(slots), SHOWN if self.finished else 0, bool(self.given), UNTRAINED])
-        while True:
-            kind = np.searchsorted(odds, rng.integers(odds[-1]), side="right")
-            if kind == 0:
-                yield self.cloaks[slots[rng.integers(len(slots))]].texture()
-            elif kind == 1:
-                yield self.finished[rng.integers(len(self.finished))]
-            elif kind == 2:
-                chosen = self.given[rng.integers(len(self.given))]
-                yield self._flat(chosen.logo).texture(np.asarray(chosen.colors, np.float32))
-            else:
-                yield random_texture(rng, lambda: self._parts.draw(rng, photograph=False)[0])
-
-    def _flat(self, logo: Logo) -> FlatCloth:
+    def flat(self, logo: Logo) -> FlatCloth:
+        """The logo, laid flat."""
         return FlatCloth(self.centres[logo.face_ids], face_normals(self.bodies)[logo.face_ids])
-
-    def _silhouette(self, rng: np.random.Generator) -> Float[Tensor, "H W"]:
-        """A body's coverage of the picture, from anywhere."""
-        size, distance = self.settings.size, DISTANCES[rng.integers(len(DISTANCES))]
-        camera = Camera(azimuth=float(30 * rng.integers(12)), distance=distance, width=size, height=size)
-        view = self.view_cache.view(int(rng.integers(self.bodies.pose_count)), camera)
-        covered = torch.zeros(size * size, device=view.coverage.device)
-        covered[view.pixels] = view.coverage
-        return covered.view(size, size).roll(int(rng.integers(-size // 3, size // 3)), 1).cpu()
-
-    def _people_in(self, picture: Float[Tensor, "3 H W"]) -> list[list[float]]:
-        """Boxes of a picture in which there may be somebody."""
-        found = person_boxes(self.teacher(picture[None].to(self.device)), MAYBE_PERSON)[0]
-        return found[:, :4].tolist()
 
     def state(self) -> dict[str, Tensor]:
         """For a checkpoint; which logo a cloak has follows from the turn."""
@@ -284,7 +215,7 @@ class Pool:
             Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device, people),
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
-            self._flat(logo),
+            self.flat(logo),
         )
 
     @torch.no_grad()

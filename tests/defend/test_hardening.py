@@ -15,6 +15,7 @@ from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
 from cloak_core.defend.hardening import HardenResult, harden, rate
 from cloak_core.defend.logos import JUDGED, draw_colors, draw_logo
+from cloak_core.defend.pictures import Pictures
 from cloak_core.defend.pool import Given, Pool
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.defend.student import NAME, Student
@@ -188,7 +189,7 @@ def test_a_pair_differs_where_the_logo_is(student: Student) -> None:
     apart = (pair.cloaked - pair.clean).abs().amax((1, 2, 3))
     assert pair.cloaked.shape == (2, 3, 64, 64)
     assert float(apart.max()) > 0.05
-    assert pool.pictures(0).shape == (1, 3, 64, 64)
+    assert Pictures(pool, None, student.detector).plain(0).shape == (1, 3, 64, 64)
 
 
 @pytest.mark.slow
@@ -320,7 +321,8 @@ def test_decoys_show_cloaks_that_were_trained_to_their_end_and_those_whose_life_
     monkeypatch.setattr("cloak_core.defend.pool.KEPT", 1)
     settings = HardenSettings(**(FEW | {"cloaks": 1, "finished": 2}))
     pool = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
-    shown = lambda: {texture.tobytes() for texture in itertools.islice(pool.textures(np.random.default_rng(0)), 40)}
+    pictures = Pictures(pool, None, student.detector)
+    shown = lambda: {texture.tobytes() for texture in itertools.islice(pictures.textures(np.random.default_rng(0)), 40)}
     pool.finish_one()
     pool.finish_one()
     trained = [texture.tobytes() for texture in pool.finished]
@@ -335,8 +337,8 @@ def test_decoys_show_cloaks_that_were_trained_to_their_end_and_those_whose_life_
     again = Pool(settings, box_bodies(), noise_backgrounds(), student.detector)
     again.load(6, pool.state())
     assert [texture.tobytes() for texture in again.finished] == [*trained, ends[3]]
-    for both in (pool.decoys(6), again.decoys(6)):
-        assert torch.equal(both.shown, pool.decoys(6).shown)
+    resumed = Pictures(again, None, student.detector)
+    assert torch.equal(pictures.decoys(6).shown, resumed.decoys(6).shown)
 
 
 @pytest.mark.slow
