@@ -22,9 +22,10 @@ Written by `cloak assess --out DIR --leaderboard FILE` from the cards in DIR; [d
 measure. All figures at the threshold at which each detector is run, with 95 % intervals; an arrow points to what is
 better for whoever runs the detector. *76 % ↓*: the share of people whom the detector does not report when a cloak made
 against it covers that share of the body, from the front; *all around*: the largest cloak, trained and judged in the
-full circle; *others' cloaks*: the zoo's best one that was not made against the detector; *photographs*: the worst that
-people in photographs wore. Rows of different budgets do not compare; "from 40 % on" says that time allowed some parts
-no more than 40 % of the budget's steps and images.
+full circle; *others' cloaks*: the zoo's best one that was not made against the detector; *photographs*, where a card
+has them: the worst that people in photographs wore. The most robust come first, by the mean over the areas. Rows of
+different budgets do not compare; "from 40 % on" after a budget says that time allowed some parts no more than 40 % of
+its steps and images.
 """
 
 
