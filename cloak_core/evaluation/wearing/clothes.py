@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 from scipy import sparse
 
@@ -19,6 +20,7 @@ from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import cloth_places, logo_positions, shares_of
+from cloak_core.render.texture import look_up
 from cloak_core.scene.logos.cloth import CLOTH_FILE
 from cloak_core.scene.logos.logo import select_region
 from cloak_core.scene.people.samples import sample_bodies
@@ -105,13 +107,9 @@ class PictureClothes:
         """See `Clothes`."""
         u, v, worn = self._places(fit)
         texture = self._at_scale(fit.scale)
-        height, width = texture.shape[:2]
-        y, x = v / (self.metres * height / width) * height - 0.5, u / self.metres * width - 0.5
-        if not self.is_patch:
-            y, x = y % height, x % width
-        colors = _bilinear(texture, y, x)
-        count = len(fit.pixels)
-        return sparse.diags(worn.astype(np.float64)).tocsr(), colors.reshape(count, 3).astype(np.float32)
+        tall = self.metres * texture.shape[0] / texture.shape[1]
+        places = torch.from_numpy(np.stack([u / self.metres, -v / tall]).astype(np.float32))
+        return sparse.diags(worn.astype(np.float64)).tocsr(), look_up(torch.from_numpy(texture), places).numpy()
 
     def _places(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metres right and down on the cloth for each pixel, and whether the pixel wears it."""
@@ -127,7 +125,7 @@ class PictureClothes:
         on_chest = np.isin(segment, (NUMBER["chest"], NUMBER["pelvis"])) & (forward > 0.1)
         return u, v, on_chest & (u >= 0) & (u < self.metres) & (v >= 0) & (v < tall)
 
-    def _at_scale(self, scale: float) -> Float[np.ndarray, "h w 3"]:
+    def _at_scale(self, scale: float) -> UInt8[np.ndarray, "h w 3"]:
         """The picture with pixels no smaller than the photograph's, so that it does not alias."""
         from PIL import Image
 
@@ -136,17 +134,7 @@ class PictureClothes:
         picture = Image.fromarray(self.picture)
         if wanted < width:
             picture = picture.resize((wanted, max(4, round(wanted * height / width))), Image.Resampling.BOX)
-        return np.asarray(picture, np.float64) / 255
-
-
-def _bilinear(texture: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    height, width = texture.shape[:2]
-    y0, x0 = np.floor(y).astype(int), np.floor(x).astype(int)
-    fy, fx = (y - y0)[:, None], (x - x0)[:, None]
-    at = lambda row, column: texture[row % height, column % width]
-    upper = at(y0, x0) * (1 - fx) + at(y0, x0 + 1) * fx
-    lower = at(y0 + 1, x0) * (1 - fx) + at(y0 + 1, x0 + 1) * fx
-    return upper * (1 - fy) + lower * fy
+        return np.array(picture)
 
 
 @lru_cache(maxsize=1)
