@@ -11,7 +11,7 @@ import trimesh
 from torch import Tensor
 
 from cloak_core.bench.oracle import screen_of
-from cloak_core.render.rasterizer import project
+from cloak_core.render.projection import project
 from cloak_core.render.screen import GRID, GUARD
 from cloak_core.render.types import Screen
 from cloak_core.scene.cameras import Camera

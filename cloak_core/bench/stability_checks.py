@@ -18,7 +18,8 @@ from cloak_core.bench.stability_cases import ball, rows
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
-from cloak_core.render.rasterizer import project, rasterize
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.screen import GRID
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.threads import torch_threads

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol, cast, runtime_checkable
 
 import torch
-from jaxtyping import Float32, Float64, Int64, Integer, UInt8
+from jaxtyping import Float32, Int64, Integer, UInt8
 from torch import Tensor
 
 from cloak_core.render import cpu as cpu_stages
@@ -37,12 +37,7 @@ class LogoMatrix(Protocol):
 
 @runtime_checkable
 class Backend(Protocol):
-    """The stages, in the order of a render."""
-
-    def project_rows(
-        self, vertices: Float64[Tensor, "B 3 V"], rows: list[tuple[float, ...]], width: int, height: int
-    ) -> Screen:
-        """Project vertices to the snapped screen. rows: each camera's position, axes, focal length and near plane."""
+    """The stages after projection, in the order of a render."""
 
     def cover(
         self, packed: Int64[Tensor, "rows columns"], flat: FlatTriangles, row0: int, column0: int, shift: int

@@ -1,4 +1,4 @@
-"""Projection, and what is visible of triangles on the screen: the nearest at every sample, or exact areas.
+"""What is visible of triangles on the screen: the nearest at every sample, or exact areas.
 
 Samples form a regular grid, n x n to a pixel (n = 1, 2, 4, 8). A triangle covers the samples inside it; a sample on an
 edge belongs to one of the edge's two triangles by the top-left rule. Edge functions (Pineda 1988) are sums of products
@@ -8,11 +8,10 @@ of snapped coordinates, integers below 2^62, and never round. The nearest has th
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 from torch import Tensor
 
 from cloak_core.files.errors import InputError
@@ -21,29 +20,9 @@ from cloak_core.render.clipping import flatten
 from cloak_core.render.packing import EMPTY, ID_BITS
 from cloak_core.render.screen import GRID
 from cloak_core.render.types import Cull, Fragments, Screen, Visibility, Window
-from cloak_core.scene.cameras import Camera, Vector
 
 MAX_TRIANGLES = 1 << (ID_BITS - 1)
 """Triangles of one body; ids are the low bits of the packed value and all ones mean "none"."""
-
-
-def project(vertices: Float64[Tensor, "B 3 V"], cameras: Sequence[Camera], pivots: Sequence[Vector]) -> Screen:
-    """Project one pose per camera to the snapped screen, in float64.
-
-    Raises `InputError` naming the first vertex that is not finite.
-    """
-    width, height = cameras[0].width, cameras[0].height
-    if any((camera.width, camera.height) != (width, height) for camera in cameras):
-        raise ValueError("the cameras of one batch must share one image size")
-    rows = [
-        (*camera.position(pivot), *camera.axes[0], *camera.axes[1], *camera.axes[2], camera.focal, camera.near_plane)
-        for camera, pivot in zip(cameras, pivots, strict=True)
-    ]
-    if not vertices.shape[2]:
-        nothing, scale = vertices.new_zeros(len(rows), 0), vertices.new_ones(len(rows), 1)
-        whole = nothing.to(torch.int32)
-        return Screen(width, height, (nothing,) * 3, whole, whole, nothing, None, (0, 0, 0, 0), scale, scale)
-    return backend(vertices.device).project_rows(vertices, rows, width, height)
 
 
 def rasterize(

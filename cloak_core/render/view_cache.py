@@ -20,7 +20,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.render.backend import backend
 from cloak_core.render.baking import bake
 from cloak_core.render.normals import NormalOperator
-from cloak_core.render.rasterizer import area_fragments, bounding_window, merge_samples, project, rasterize, row_bands
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import area_fragments, bounding_window, merge_samples, rasterize, row_bands
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.threads import one_thread, spread, workers
 from cloak_core.render.types import BakedView, Fragments, Screen, Surface, View, Visibility, Window

@@ -8,7 +8,8 @@ from cloak_core.bench.oracle import hits, screen_of, twin
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.packing import unpack_inverse_depth
-from cloak_core.render.rasterizer import project, rasterize
+from cloak_core.render.projection import project
+from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.screen import GRID, GUARD
 from cloak_core.render.torch import triangles as torch_triangles
 from cloak_core.render.types import Window

@@ -4,7 +4,6 @@ from cloak_core.render.cpu.areas import visible_areas
 from cloak_core.render.cpu.baking import split
 from cloak_core.render.cpu.matrix import build_view
 from cloak_core.render.cpu.painting import draw_bodies, logo_matrix
-from cloak_core.render.cpu.projection import project_rows
 from cloak_core.render.cpu.sampling import cover, merge_samples
 
 __all__ = [
@@ -13,7 +12,6 @@ __all__ = [
     "draw_bodies",
     "logo_matrix",
     "merge_samples",
-    "project_rows",
     "split",
     "visible_areas",
 ]

@@ -4,7 +4,6 @@ from cloak_core.render.torch.areas import visible_areas
 from cloak_core.render.torch.baking import split
 from cloak_core.render.torch.matrix import build_view
 from cloak_core.render.torch.painting import draw_bodies, logo_matrix
-from cloak_core.render.torch.projection import project_rows
 from cloak_core.render.torch.sampling import cover, merge_samples
 
 __all__ = [
@@ -13,7 +12,6 @@ __all__ = [
     "draw_bodies",
     "logo_matrix",
     "merge_samples",
-    "project_rows",
     "split",
     "visible_areas",
 ]
