@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,7 @@ from torch import Tensor
 
 from cloak_core.attack.batches import Batcher
 from cloak_core.attack.objective import Objective, StepFigures, gradient_step
-from cloak_core.attack.optimizing import ColorOptimizer
+from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
@@ -73,9 +74,29 @@ class Cloak:
     optimizer: ColorOptimizer
     flat: FlatCloth
 
+    def update(self, age: int, life: int) -> None:
+        """Follow the gradient, at a learning rate that falls over its life as over a training.
+
+        At a constant rate colours flicker to the end. A detector that met only those was blinded by smoother ones,
+        and reported them where nobody wore them.
+        """
+        self.optimizer.update(learning_rate(self.optimizer.settings, age, life, epoch=0.0))
+
     def texture(self) -> Texture:
         """The cloak as it is, laid flat."""
         return self.flat.texture(self.optimizer.colors().detach().cpu().numpy())
+
+
+class Place(NamedTuple):
+    """Where a turn stands in the pool."""
+
+    slot: int
+    generation: int
+    """Of the slot's cloak."""
+    count: int
+    """How often the slot has had its turn before."""
+    age: int
+    """How many of its `life` turns the cloak has behind it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,15 +132,15 @@ class Pool:
         self.finished: list[Texture] = []
         """Of cloaks that were trained to their end and of those whose life is over, the oldest first."""
 
-    def place(self, turn: int) -> tuple[int, int, int]:
-        """(slot, generation, how often the slot has had its turn); one slot after the other gets its next cloak."""
+    def place(self, turn: int) -> Place:
+        """Find whose turn it is; one slot after the other gets its next cloak."""
         slot, count = turn % self.settings.cloaks, turn // self.settings.cloaks
         ahead = slot * self.settings.life // self.settings.cloaks
-        return slot, (count + ahead) // self.settings.life, count
+        return Place(slot, (count + ahead) // self.settings.life, count, (count + ahead) % self.settings.life)
 
     def cloak(self, turn: int) -> Cloak:
         """The cloak whose turn it is: the slot's own, or a new one where its life is over."""
-        slot, generation, _ = self.place(turn)
+        slot, generation = self.place(turn)[:2]
         known = self.cloaks.get(slot)
         if known is None or known.generation != generation:
             if known is not None:
@@ -134,16 +155,16 @@ class Pool:
         cloak = self._new(self.settings.cloaks + len(self.finished), 0)
         for k in range(FINISH):
             gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(k))
-            cloak.optimizer.update(self.settings.attack_lr)
+            cloak.update(k, FINISH)
         self.finished.append(cloak.texture())
 
     def attack(self, turn: int) -> StepFigures | None:
         """Move the colours against the detector as it stands; figures of the last step, None without steps."""
-        cloak, figures = self.cloak(turn), None
-        first = self.place(turn)[2] * (self.settings.attack_steps + 1)
+        cloak, figures, place = self.cloak(turn), None, self.place(turn)
+        first = place.count * (self.settings.attack_steps + 1)
         for k in range(self.settings.attack_steps):
             figures = gradient_step(cloak.objective, cloak.optimizer, cloak.batcher.batch(first + k)).figures
-            cloak.optimizer.update(self.settings.attack_lr)
+            cloak.update(place.age, self.settings.life)
         return figures
 
     @torch.no_grad()
@@ -153,7 +174,7 @@ class Pool:
         Clean ones show the body in its clothes, without changes of colour, and a photograph as it is.
         """
         cloak = self.cloak(turn)
-        step = self.place(turn)[2] * (self.settings.attack_steps + 1) + self.settings.attack_steps
+        step = self.place(turn).count * (self.settings.attack_steps + 1) + self.settings.attack_steps
         batch = cloak.batcher.batch(step)
         outfit = self.bodies.face_colors[turn % self.bodies.outfit_count]
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
@@ -186,7 +207,7 @@ class Pool:
         self.skins = {int(slot): skin.to(self.device) for slot, skin in skins.items()}
         finished = [tensors[name].cpu().numpy() for name in sorted(tensors) if name.startswith("finished.")]
         for earlier in range(max(0, turn - self.settings.cloaks), turn):
-            slot = self.place(earlier)[0]
+            slot = self.place(earlier).slot
             mark = f"cloak.{slot}."
             own = {name.removeprefix(mark): value for name, value in tensors.items() if name.startswith(mark)}
             self.cloak(earlier).optimizer.load({name: value.to(self.device) for name, value in own.items()})
@@ -235,6 +256,7 @@ class Pool:
             steps=10_000_000,
             batch=self.settings.batch,
             seed=self.settings.seed + slot,
+            lr=self.settings.attack_lr,
             hide=self.settings.hide,
             size=self.settings.size,
             translation=self.settings.size // 8,

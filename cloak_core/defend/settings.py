@@ -46,8 +46,8 @@ class HardenSettings:
     hide: Hide = "person"
     """From what the cloaks of the hardening hide: the class person alone, or every class on the body."""
     attack_lr: Annotated[float, Bounds(0, 1, "(]")] = 0.05
-    """Their learning rate (Adam), in units of colour. 0.1 is too much: colours flicker, and after 60 steps nothing was
-    hidden where 0.03 to 0.05 hid more than 0.8."""
+    """Their learning rate (Adam) when they are new, in units of colour; over a life it falls like that of preset best.
+    0.1 is too much: colours flicker, and after 60 steps nothing was hidden where 0.03 to 0.05 hid more than 0.8."""
     lr: Annotated[float, Bounds(0, 1, "()")] = 1e-3
     """Learning rate of the detector (AdamW), at its height; warm-up, then a cosine down to 0, and for the last fifth of
     the updates another from half the height."""
@@ -59,7 +59,7 @@ class HardenSettings:
     """Width and height of the rendered images, pixels."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Precision of the network while it learns and is attacked; what is written has float32 either way. bfloat16 takes
-    less than half the time on GPUs and on processors made for it (AMX); with AVX2 alone it takes ten times as long."""
+    less than half the time on processors made for it (AMX); with AVX2 alone ten times as long. GPUs: not measured."""
     checkpoint_every: Annotated[int, Bounds(1, 10_000_000)] = 50
     """Steps between checkpoints."""
     seed: Annotated[int, Bounds(0, 2**63 - 1)] = 0

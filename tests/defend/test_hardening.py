@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.stopping import StopRequest
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.harden import Harden
@@ -228,6 +229,18 @@ def test_cloaks_die_one_after_the_other_and_given_ones_are_among_them(student: S
     colors = [pool.cloak(turn).optimizer.colors() for turn in range(32)]
     shares = [bool((c == 0.25).all()) for c in colors]
     assert 0 < sum(shares) < len(shares)
+
+
+def test_a_cloaks_learning_rate_falls_over_its_life(student: Student, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates = []
+    monkeypatch.setattr(ColorOptimizer, "update", lambda _, rate: rates.append(rate))
+    pool = Pool(HardenSettings(**(FEW | {"cloaks": 1, "life": 3})), box_bodies(), noise_backgrounds(), student.detector)
+    for turn in range(6):
+        pool.attack(turn)
+    first, second = rates[:3], rates[3:]
+    assert first[0] == pool.settings.attack_lr > first[1] > first[2] > 0 and first == second
+    pool.finish_one()
+    assert rates[6] == pool.settings.attack_lr and rates[-1] < 0.02 * rates[6]
 
 
 def test_each_slot_in_turn_has_a_cloak_over_the_whole_body(student: Student) -> None:
