@@ -77,8 +77,7 @@ class Cloak:
     def update(self, age: int, life: int) -> None:
         """Follow the gradient, at a learning rate that falls over its life as over a training.
 
-        At a constant rate colours flicker to the end. A detector that met only those was blinded by smoother ones,
-        and reported them where nobody wore them.
+        At a constant rate colours flicker to the end, and smoother cloaks blinded the detector that met only those.
         """
         self.optimizer.update(learning_rate(self.optimizer.settings, age, life, epoch=0.0))
 
