@@ -63,9 +63,8 @@ class Pictures:
         rng = np.random.default_rng([self.settings.seed, _DECOYS, turn])
         without, shown = (torch.zeros(self.settings.decoys, 3, self.size, self.size) for _ in range(2))
         for k in range(len(shown)):
-            photograph = bool(k % 2)
-            without[k] = self._part(rng, photograph)
-            clear = self._people_in(without[k]) if photograph and self.photographs is not None else ()
+            without[k] = self._part(rng, photograph=bool(k % 2))
+            clear = self._people_in(without[k]) if k % 2 and self.photographs is not None else ()
             shown[k] = draw_decoy(without[k], self.textures(rng), rng, self._silhouette(rng), clear)
         return Decoys(shown.to(self.pool.device), without.to(self.pool.device))
 
