@@ -316,7 +316,7 @@ def require_visible_logo(
     for azimuth in settings.angles.centers:
         camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
         for pose in range(pose_count):
-            if len(view_cache.bake(pose, camera, logo_faces).logo_rows):
+            if len(view_cache.bake(pose, camera, logo_faces).map):
                 return
     raise InputError(
         f"the logo: none of its {len(logo_faces)} faces is seen from the training angles {settings.angles}"

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int64
 
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.render.baking import on_cloth
 from cloak_core.render.types import BakedView
 from cloak_core.scene.geometry import face_areas
 from cloak_core.scene.logos.cloth import Cloth, face_places
@@ -38,7 +38,7 @@ class ClothOnLogo:
     @property
     def count(self) -> int:
         """Number of squares, and so of colours."""
-        return self.cloth.count**2
+        return len(self.cloth)
 
     @cached_property
     def square(self) -> Int64[np.ndarray, " L"]:
@@ -62,10 +62,7 @@ class ClothOnLogo:
 
     def view(self, view: BakedView, random: np.random.Generator) -> BakedView:
         """Turn a view of the logo's faces into one of squares, with the cloth laid at a random place."""
-        square = self.cloth.square_at(self.places + random.uniform(0, self.cloth.metres, 2))
-        return replace(
-            view, logo_face=torch.from_numpy(square).to(view.logo_face)[view.logo_face], logo_count=self.count
-        )
+        return on_cloth(view, self.cloth, tuple(random.uniform(0, self.cloth.metres, 2).tolist()))
 
     def as_logo(self, logo: Logo) -> Logo:
         """Give the logo the squares' neighbours in place of its faces', for total variation."""

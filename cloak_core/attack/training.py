@@ -272,12 +272,14 @@ def _held_out(
     return HeldOut(settings.run, batcher, objective, world)
 
 
-def make_view_cache(bodies: Bodies, settings: ViewSettings, device: torch.device) -> ViewCache:
+def make_view_cache(
+    bodies: Bodies, settings: ViewSettings, device: torch.device, on_cloth: bool = False
+) -> ViewCache:
     """Make the cache of a run's views, kept for the next run unless each image has a camera of its own."""
     if is_fresh(settings):
         fresh = {"samples": settings.samples or FRESH_SAMPLES, "memory_bytes": FRESH_VIEWS_BYTES}
-        return ViewCache(bodies, RenderSettings.of(settings, device=device, **fresh))
-    return ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
+        return ViewCache(bodies, RenderSettings.of(settings, device=device, **fresh), on_cloth=on_cloth)
+    return ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()), on_cloth=on_cloth)
 
 
 def make_batcher(
@@ -295,5 +297,5 @@ def make_batcher(
     people, flat = None, None if cloth is None else cloth.cloth
     if material.people:
         people = PeopleViews(material.people, logo, settings.photographs, settings.views.size, flat)
-    view_cache = make_view_cache(bodies, settings.views, device)
+    view_cache = make_view_cache(bodies, settings.views, device, cloth is not None)
     return Batcher(settings, sampler, view_cache, logo.face_ids, backgrounds, device, people, cloth)

@@ -109,11 +109,13 @@ class Matrix:
 
 def matrix_of(view: View, face_count: int) -> Matrix:
     """Make the matrix of a view."""
-    view = replace(view, **{k: v.cpu() for k, v in vars(view).items() if isinstance(v, Tensor)})
+    on_pixels = view.pixels.cpu()
+    entries = view.map.to("cpu")
     pixels = view.height * view.width
-    row = torch.repeat_interleave(view.crow.diff(), output_size=len(view.face))
-    coverage, specular = (torch.zeros(pixels).index_copy_(0, view.pixels, t) for t in (view.coverage, view.specular))
-    return Matrix(view.pixels[row], view.face, view.weight, coverage, specular, face_count)
+    coverage, specular = (
+        torch.zeros(pixels).index_copy_(0, on_pixels, t.cpu()) for t in (view.coverage, view.specular)
+    )
+    return Matrix(on_pixels[entries.row], entries.column, entries.weight, coverage, specular, face_count)
 
 
 @dataclass(frozen=True, eq=False)

@@ -63,8 +63,8 @@ def _differences(one: tuple[Tensor, list[View]], other: tuple[Tensor, list[View]
 
 def _differ(a: View, b: View) -> int:
     """Weights that differ by more than `IMAGE`; all where pixels or faces differ."""
-    same = torch.equal(a.pixels.cpu(), b.pixels.cpu()) and torch.equal(a.face.cpu(), b.face.cpu())
-    return int(((a.weight.cpu() - b.weight.cpu()).abs() > IMAGE).sum()) if same else len(a.weight)
+    same = torch.equal(a.pixels.cpu(), b.pixels.cpu()) and torch.equal(a.map.column.cpu(), b.map.column.cpu())
+    return int(((a.map.weight.cpu() - b.map.weight.cpu()).abs() > IMAGE).sum()) if same else len(a.map)
 
 
 def batch_and_threads() -> tuple[int, str]:

@@ -159,12 +159,15 @@ class MemoryCache:
 
 def storages(item: object) -> dict[int, int]:
     """The memory behind arrays and (torch) tensors, address -> bytes: of one, of those in a list, tuple or dictionary,
-    or of those among an object's attributes."""
-    if isinstance(item, (list, tuple, dict)):
-        parts = list(item.values()) if isinstance(item, dict) else list(item)
-    else:
-        parts = [item, *getattr(item, "__dict__", {}).values()]
-    return dict(filter(None, map(_storage, parts)))
+    or of those among an object's attributes, and theirs."""
+    own = _storage(item)
+    if own is not None:
+        return dict([own])
+    parts = item if isinstance(item, (list, tuple)) else item.values() if isinstance(item, dict) else []
+    found = {}
+    for part in (*parts, *getattr(item, "__dict__", {}).values()):
+        found |= storages(part)
+    return found
 
 
 def _storage(part: object) -> tuple[int, int] | None:

@@ -16,8 +16,10 @@ from torch import Tensor
 from cloak_core.render import cpu as cpu_stages
 from cloak_core.render import torch as torch_stages
 from cloak_core.render.compiled import use_loops
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import BakedView, FlatTriangles, Fragments, Photometric, Screen, Surface, View, Window
 from cloak_core.scene.cameras import Vector
+from cloak_core.scene.logos.cloth import Cloth
 
 
 @runtime_checkable
@@ -76,10 +78,16 @@ class Backend(Protocol):
         colors: Float32[Tensor, "F 3"],
         light_color: Vector,
         texture: UInt8[Tensor, "h w 3"] | None,
-    ) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
-        """Split a view into the logo's matrix and the base colours.
+    ) -> tuple[Tensor, Tensor, Tensor, int, SparseMap]:
+        """Split a view into the logo's map and the base colours.
 
-        Returns pixels, coverage, base_color and front_count, then row offsets, faces and weights of a `BakedView`.
+        Returns pixels, coverage, base_color, front_count and map of a `BakedView`.
+        """
+
+    def squares_under(self, cloth: Cloth, middle: Float32[Tensor, "2 E"], extent: Float32[Tensor, "2 E"]) -> SparseMap:
+        """Find the squares under rectangles, with their shares: a map rectangles x squares, rows adding up to 1.
+
+        middle: metres right and down on the cloth; extent: width and height, metres.
         """
 
     def draw_bodies(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float, Float32, Int64, UInt8
 from torch import Tensor
 
 from cloak_core.render.backend import backend
-from cloak_core.render.sparse import offsets
+from cloak_core.render.linear import SparseMap, offsets
 from cloak_core.render.types import BakedView, Box, View, box_of
 from cloak_core.scene.cameras import Vector
+from cloak_core.scene.logos.cloth import Cloth
 
 
 def bake(
@@ -22,11 +24,27 @@ def bake(
     texture: UInt8[Tensor, "h w 3"] | None = None,
 ) -> BakedView:
     """Fold all faces but the logo's, in their colours or the texture's, and the highlight into a base image."""
-    pixels, coverage, base_color, front_count, *matrix = backend(view.pixels.device).split(
-        view, logo, colors, light_color, texture
-    )
-    size = view.height, view.width
-    return BakedView(*size, pixels, coverage, base_color, front_count, *matrix, len(logo), light_color, view.box)
+    stage = backend(view.pixels.device)
+    pixels, coverage, base_color, front_count, worn = stage.split(view, logo, colors, light_color, texture)
+    baked = BakedView(view.height, view.width, pixels, coverage, base_color, front_count, worn, light_color, view.box)
+    if view.cloth is None:
+        return baked
+    # The logo's entries keep their order.
+    is_logo = torch.zeros(len(colors), dtype=torch.bool, device=logo.device).index_fill_(0, logo, True)
+    return replace(baked, cloth=view.cloth[:, is_logo[view.map.column]])
+
+
+def on_cloth(view: BakedView, cloth: Cloth, away: tuple[float, float] = (0.0, 0.0)) -> BakedView:
+    """Turn a view of a logo's faces into one of a cloth's squares, laid `away` metres right and down.
+
+    The view tells where on a cloth its entries lie and how far they reach (`ViewCache(on_cloth=True)`): each shows the
+    mean of the squares there, so that the cloth is seen as finely as the image can show it.
+    """
+    shift = torch.tensor(away, dtype=torch.float32, device=view.cloth.device).unsqueeze(1)
+    squares = backend(view.pixels.device).squares_under(cloth, view.cloth[:2] + shift, view.cloth[2:])
+    weight = squares.weight * view.map.weight.index_select(0, squares.row)
+    worn = replace(squares, crow=squares.crow.index_select(0, view.map.crow), weight=weight)
+    return replace(view, map=worn, cloth=None)
 
 
 def baked_view(
@@ -75,10 +93,7 @@ def baked_view(
         cover[pixels],
         base_image.to(device).reshape(3, -1)[:, pixels].float().contiguous(),
         len(logo) + len(edge),
-        offsets(torch.repeat_interleave(per_pixel[logo]), len(logo)),
-        face,
-        weight,
-        logo_count,
+        SparseMap(offsets(torch.repeat_interleave(per_pixel[logo]), len(logo)), face, weight, logo_count),
         light_color,
         box_of(known) if box is None else box,
         mask,

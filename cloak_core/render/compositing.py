@@ -110,7 +110,7 @@ class Canvas:
         base, target = way.draw_bodies(views, rows, shifts, photometric)
         logo = way.logo_matrix(views)
         shape = (len(views), 3, views[0].height, views[0].width)
-        return Canvas(rows, shape, base, target, logo, scale, views[0].logo_count)
+        return Canvas(rows, shape, base, target, logo, scale, views[0].map.width)
 
     def paint(self, colors: Float32[Tensor, "*B L 3"]) -> Float32[Tensor, "B 3 H W"]:
         """Draw the images with these colours, as `compose` does. The next call draws into the same memory."""
@@ -126,7 +126,7 @@ class Canvas:
 def _check(views: Sequence[BakedView], wanted: tuple[int, int, int]) -> None:
     if len(views) != wanted[0] or any((view.height, view.width) != wanted[1:] for view in views):
         raise ValueError("views and backgrounds differ in number or size")
-    if any(view.logo_count != views[0].logo_count for view in views):
+    if any(view.map.width != views[0].map.width for view in views):
         raise ValueError("views are baked for logos of different sizes")
 
 

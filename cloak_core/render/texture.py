@@ -11,14 +11,14 @@ INSET = 0.02
 
 
 def texture_coordinates(
-    corner_uv: Float32[Tensor, "2 3 Q"], b1: Float32[Tensor, " Q"], b2: Float32[Tensor, " Q"]
+    corner_uv: Float32[Tensor, "2 3 Q"], b1: Float32[Tensor, " Q"], b2: Float32[Tensor, " Q"], inset: float = INSET
 ) -> Float32[Tensor, "2 Q"]:
     """Compute texture coordinates of points given by the weights of their triangles' corners 1 and 2.
 
     Points may lie a little outside (the middle of a pixel's part of a triangle is that of its extent); they are moved
-    into the triangle, and a little off its border, so that no other chart's colours are looked up.
+    into the triangle, and off its border by `inset`, so that no other chart's colours are looked up.
     """
-    weight = torch.stack([1 - b1 - b2, b1, b2]).clamp(min=INSET)
+    weight = torch.stack([1 - b1 - b2, b1, b2]).clamp(min=inset)
     weight = weight / weight.sum(0)
     return (corner_uv * weight).sum(1)
 

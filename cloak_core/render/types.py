@@ -6,7 +6,6 @@ camera), and photographs of people onto whose clothes faces are laid (`baking.ba
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -17,9 +16,9 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.packing import triangle_ids
 from cloak_core.render.settings import Light
-from cloak_core.render.sparse import offsets
 from cloak_core.scene.cameras import Number, Vector
 
 Cull = Bool[Tensor, " B"] | Bool[Tensor, "B T"] | None
@@ -147,10 +146,13 @@ class Surface:
     face: Int64[Tensor, " T"]
     corner_uv: Float32[Tensor, "2 3 T"] | None
     """Texture coordinates, where the bodies have textures."""
+    corner_cloth: Float32[Tensor, "2 3 T"] | None
+    """Where the corners lie on a cloth, metres right and down, where views are to tell."""
     light: Light
+    face_count: int
     by_face: bool
     """Whether a pixel has one entry for each face instead of each triangle. Triangles of one polygon may lie far apart
-    on a texture, so textured bodies have one for each triangle."""
+    on a texture or a cloth, so views of these have one for each triangle."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ class Photometric:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What one image shows of faces: N covered pixels, E entries, a sparse matrix pixels x faces (CSR)."""
+    """What one image shows of faces: N covered pixels, and a sparse map of E entries, pixels x faces."""
 
     height: int
     width: int
@@ -182,25 +184,25 @@ class View:
     """Share of the pixel that the body covers, in (0, 1]."""
     specular: Float32[Tensor, " N"]
     """Highlight, the same in all channels."""
-    crow: Int64[Tensor, " N1"]
-    """N + 1 row offsets."""
-    face: Int64[Tensor, " E"]
-    weight: Float32[Tensor, " E"]
-    """Factor of the face's colour: its share of the pixel times its light."""
+    map: SparseMap
+    """Pixels x faces; a weight is the factor of the face's colour: its share of the pixel times its light."""
     uv: Float32[Tensor, "2 E"] | None = None
     """Where bodies have textures: texture coordinates at the centre of the visible part of the triangle in the pixel;
     there is an entry for each triangle of a face then."""
+    cloth: Float32[Tensor, "4 E"] | None = None
+    """Where entries lie on a cloth (`Surface.corner_cloth`): the middle of the visible part, metres right and down, and
+    how wide and high it is there."""
 
     @staticmethod
     def join(parts: Sequence[View]) -> View:
         """Join the bands of a view, from top to bottom."""
         if len(parts) == 1:
             return parts[0]
-        first = [0, *itertools.accumulate(len(part.face) for part in parts)]
-        crow = torch.cat([part.crow[i > 0 :] + first[i] for i, part in enumerate(parts)])
-        cat = lambda name: torch.cat([getattr(part, name) for part in parts], -1)
-        names = ("pixels", "coverage", "specular", "face", "weight", *(() if parts[0].uv is None else ("uv",)))
-        return replace(parts[0], crow=crow, **{name: cat(name) for name in names})
+        names = [
+            name for name in ("pixels", "coverage", "specular", "uv", "cloth") if getattr(parts[0], name) is not None
+        ]
+        joined = {name: torch.cat([getattr(part, name) for part in parts], -1) for name in names}
+        return replace(parts[0], map=SparseMap.stacked([part.map for part in parts]), **joined)
 
     @cached_property
     def box(self) -> tuple[int, int, int, int]:
@@ -212,7 +214,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class BakedView:
-    """A view in which all but the logo's colours is a constant base image: N covered pixels.
+    """A view in which all but the colours worn is a constant base image: N covered pixels.
 
     Pixels are ordered by what a render does with them: first the M that the logo touches, then, up to `front_count`,
     the others that the background shows through, then the rest.
@@ -225,13 +227,8 @@ class BakedView:
     base_color: Float32[Tensor, "3 N"]
     """What other faces, the highlight or the photograph add to each pixel; not clamped."""
     front_count: int
-    logo_crow: Int64[Tensor, " M1"]
-    """M + 1 row offsets of the logo's matrix, logo pixels x logo faces."""
-    logo_face: Int64[Tensor, " E"]
-    """Position in the list of logo faces, 0 .. L - 1."""
-    logo_weight: Float32[Tensor, " E"]
-    logo_count: int
-    """L."""
+    map: SparseMap
+    """The first M pixels x the L colours worn: of the logo's faces, in their order, or of a cloth's squares."""
     light_color: Vector
     """Scales the logo's colours."""
     box: Box
@@ -240,31 +237,15 @@ class BakedView:
     """The person's pixels, where they are known better than by coverage."""
     provenance: Mapping[str, object] = field(default_factory=dict)
     """Where the view is from: photograph, person, angle and the like, for tables of results."""
+    cloth: Float32[Tensor, "4 E"] | None = None
+    """Of the map's entries, as in `View`."""
 
     @property
     def base(self) -> Float32[Tensor, "N 3"]:
         """`base_color` pixel by pixel."""
         return self.base_color.T
 
-    @property
-    def logo_pixels(self) -> int:
-        """M."""
-        return len(self.logo_crow) - 1
-
-    @property
-    def logo_rows(self) -> Int64[Tensor, " M"]:
-        """Rows of `pixels` that the logo touches: the first M."""
-        return torch.arange(self.logo_pixels, device=self.pixels.device)
-
     @cached_property
     def arrays(self) -> list[np.ndarray]:
-        """Pixels, coverage, base_color and the logo's matrix (row offsets, faces, weights) for loops; same memory."""
-        return arrays(self.pixels, self.coverage, self.base_color, self.logo_crow, self.logo_face, self.logo_weight)
-
-    @cached_property
-    def transposed(self) -> tuple[Int64[Tensor, " L1"], Int64[Tensor, " E"], Float32[Tensor, " E"]]:
-        """The logo's matrix transposed, faces x logo pixels: row offsets, logo pixel, weight."""
-        row = torch.repeat_interleave(self.logo_crow.diff(), output_size=len(self.logo_face))
-        order = torch.argsort(self.logo_face, stable=True)
-        crow = offsets(self.logo_face, self.logo_count)
-        return crow, row.index_select(0, order), self.logo_weight.index_select(0, order)
+        """Pixels, coverage and base_color for loops; same memory."""
+        return arrays(self.pixels, self.coverage, self.base_color)

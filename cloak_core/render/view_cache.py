@@ -28,6 +28,7 @@ from cloak_core.render.types import BakedView, Fragments, Screen, Surface, View,
 from cloak_core.render.view_files import StoredViews
 from cloak_core.scene.cameras import Camera, Vector
 from cloak_core.scene.geometry import outward_parts
+from cloak_core.scene.logos.cloth import corner_places
 
 BAND_SAMPLES = {"cpu": 1 << 21, "cuda": 1 << 25}
 """Samples of a view held at once; more on the CPU leave its caches and take longer."""
@@ -42,7 +43,8 @@ class ViewCache:
     Raises `InputError` for a pose or an outfit that the scene does not have.
     """
 
-    def __init__(self, bodies: Bodies, settings: RenderSettings | None = None) -> None:
+    def __init__(self, bodies: Bodies, settings: RenderSettings | None = None, *, on_cloth: bool = False) -> None:
+        """on_cloth: views tell where on a cloth (scene/logos/cloth.py) each entry lies."""
         self.bodies, self.settings = bodies, settings or RenderSettings()
         self.device = torch.device(self.settings.device)
         # A copy, always: torch takes no read-only arrays.
@@ -51,19 +53,21 @@ class ViewCache:
         images = [bodies.texture_of(outfit) for outfit in range(bodies.outfit_count)]
         self._textures = [None if image is None else put(image, torch.uint8) for image in images]
         textured = any(image is not None for image in images)
-        split = not textured and not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
+        split = not np.array_equal(bodies.triangle_face, np.arange(bodies.triangle_count))
         self._surface = Surface(
             put(bodies.triangles.T, torch.int64),
             put(bodies.triangle_face, torch.int64),
             put(bodies.uv[bodies.triangle_uv].T, torch.float32) if textured else None,
+            put(corner_places(bodies), torch.float32) if on_cloth else None,
             self.settings.light,
-            by_face=split,
+            bodies.face_count,
+            by_face=split and not textured and not on_cloth,
         )
         self._normals = NormalOperator(self._surface.triangles, bodies.vertex_count)
         self._outward = outward_parts(bodies)
         self._kept = MemoryCache(self.settings.memory_bytes)
         files, recipe = self.settings.files, self.settings.recipe
-        self._stored = None if files is None else StoredViews(files, bodies, recipe, textured, self.device)
+        self._stored = None if files is None else StoredViews(files, bodies, recipe, self._surface, self.device)
 
     def view(self, pose: int, camera: Camera) -> View:
         """Return the view, from memory or the files where it was built before."""

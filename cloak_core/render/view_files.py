@@ -16,15 +16,17 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache, cache_folder
 from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.render.compiled import use_loops
-from cloak_core.render.types import View
+from cloak_core.render.linear import SparseMap
+from cloak_core.render.types import Surface, View
 from cloak_core.scene.cameras import Camera
 
 LIMIT_BYTES = 1 << 30
 """Of all files together: some 2000 views of 416 x 416."""
 CODE = ("render", "exchange/bodies.py", "scene/cameras.py", "scene/geometry.py")
 """What decides a view among our sources: another renderer builds all views anew."""
-_INDICES = ("pixels", "crow", "face")
+_INDICES = ("pixels", "crow", "column")
 _NUMBERS = ("coverage", "specular", "weight")
+_MAP = ("crow", "column", "weight")
 
 
 def view_files() -> DiskCache:
@@ -35,9 +37,16 @@ def view_files() -> DiskCache:
 class StoredViews:
     """Views of one scene among the files. recipe: all else that decides them (light, samples, device)."""
 
-    def __init__(self, files: DiskCache, bodies: Bodies, recipe: object, textured: bool, device: torch.device) -> None:
-        self._files, self._bodies, self._textured, self._device = files, bodies, textured, device
-        arrays = [bodies.triangles, bodies.triangle_face, *((bodies.uv, bodies.triangle_uv) if textured else ())]
+    def __init__(
+        self, files: DiskCache, bodies: Bodies, recipe: object, surface: Surface, device: torch.device
+    ) -> None:
+        self._files, self._bodies, self._device = files, bodies, device
+        self._places = {} if surface.corner_uv is None else {"uv": 2}
+        self._places |= {} if surface.corner_cloth is None else {"cloth": 4}
+        arrays = [bodies.triangles, bodies.triangle_face]
+        arrays += [
+            corners.cpu().numpy() for corners in (surface.corner_uv, surface.corner_cloth) if corners is not None
+        ]
         packages = package_versions("torch", "numpy", "numba")
         self._common = [code_hash(*CODE), repr(recipe), device.type, torch.backends.cpu.get_cpu_capability(), packages]
         self._common.append(sha256_arrays(*arrays))
@@ -57,30 +66,34 @@ class StoredViews:
 
     def put(self, pose: int, camera: Camera, view: View) -> None:
         """Keep a view."""
-        tensors = {name: getattr(view, name).to("cpu", torch.int32) for name in _INDICES}
-        tensors |= {name: getattr(view, name).cpu() for name in _NUMBERS}
-        tensors |= {} if view.uv is None else {"uv": view.uv.cpu()}
+        parts = vars(view) | {name: getattr(view.map, name) for name in _MAP}
+        tensors = {name: parts[name].to("cpu", torch.int32) for name in _INDICES}
+        tensors |= {name: parts[name].cpu() for name in (*_NUMBERS, *self._places)}
         self._files.put(self._name(pose, camera), save({name: value.contiguous() for name, value in tensors.items()}))
 
     def _checked(self, tensors: dict[str, Tensor], camera: Camera) -> View | None:
         """Nothing that reads a view looks at its indices again, so a foreign file must not get further than this."""
-        expected = {*_INDICES, *_NUMBERS, *(("uv",) if self._textured else ())}
-        if set(tensors) != expected:
+        if set(tensors) != {*_INDICES, *_NUMBERS, *self._places}:
             return None
-        count, entries, crow = len(tensors["pixels"]), len(tensors["face"]), tensors["crow"]
+        count, entries, crow = len(tensors["pixels"]), len(tensors["column"]), tensors["crow"]
         shapes = {"pixels": (count,), "coverage": (count,), "specular": (count,), "crow": (count + 1,)}
-        shapes |= {"face": (entries,), "weight": (entries,), "uv": (2, entries)}
+        shapes |= {"column": (entries,), "weight": (entries,)}
+        shapes |= {name: (rows, entries) for name, rows in self._places.items()}
         for name, value in tensors.items():
             wanted = torch.int32 if name in _INDICES else torch.float32
             if tuple(value.shape) != shapes[name] or value.dtype != wanted:
                 return None
         if crow[0] != 0 or crow[-1] != entries or (crow.diff() < 0).any():
             return None
-        limits = {"pixels": camera.height * camera.width, "face": self._bodies.face_count}
+        limits = {"pixels": camera.height * camera.width, "column": self._bodies.face_count}
         if not all(_within(tensors[name], limit) for name, limit in limits.items()):
             return None
-        put = lambda name: tensors[name].to(self._device, torch.int64 if name in _INDICES else torch.float32)
-        return View(camera.height, camera.width, **{name: put(name) for name in tensors})
+        parts = {
+            name: value.to(self._device, torch.int64 if name in _INDICES else torch.float32)
+            for name, value in tensors.items()
+        }
+        entries = SparseMap(*(parts.pop(name) for name in _MAP), self._bodies.face_count)
+        return View(camera.height, camera.width, map=entries, **parts)
 
     def _name(self, pose: int, camera: Camera) -> str:
         decisive = [*self._common, self._bodies.pose_hashes[pose], repr(camera), use_loops(self._device)]

@@ -13,7 +13,7 @@ def test_a_face_shows_the_mean_of_the_squares_on_it():
     checkers = np.indices((2, 2)).sum(axis=0).reshape(-1, 1) % 2 * np.ones(3)
     on_the_corner_of_four, within_one, beside_it = np.array([[[0.5, 0.5]], [[0.25, 0.25]], [[0.75, 0.25]]])
     for places, expected in ((on_the_corner_of_four, 0.5), (within_one, 0.0), (beside_it, 1.0)):
-        shown = ClothOnLogo(Cloth(1.0, 2), places, np.array([0.4])).on_faces(checkers)
+        shown = ClothOnLogo(Cloth(1.0, 2, 2), places, np.array([0.4])).on_faces(checkers)
         assert np.allclose(shown, expected)
 
 

@@ -85,7 +85,7 @@ def test_views_depend_on_person_and_seed_alone(fits):
     logo = load_logo(load_scene("sample[0:1]"), region="shirt")
     views = PeopleViews(fits, logo, PeopleSettings(), 64)
     one, same, other = views.view(0, 5), views.view(0, 5), views.view(0, 6)
-    assert torch.equal(one.base_color, same.base_color) and torch.equal(one.logo_weight, same.logo_weight)
+    assert torch.equal(one.base_color, same.base_color) and torch.equal(one.map.weight, same.map.weight)
     assert one.box != other.box
 
 

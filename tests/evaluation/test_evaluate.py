@@ -102,7 +102,7 @@ def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> N
     assert torch.equal(images["random"][3:5], render_images(renderer, every[3:5], "random"))
     for i, view in enumerate(views):
         dx, dy = renderer.shifts([i])[0].tolist()
-        touched = view.pixels[view.logo_rows]
+        touched = view.pixels[: view.map.height]
         may_differ = torch.zeros(64, 64, dtype=torch.bool)
         x, y = touched % 64 + dx, touched // 64 + dy
         inside = (x >= 0) & (x < 64) & (y >= 0) & (y < 64)

@@ -45,19 +45,19 @@ def test_image_before_clamping_and_gradient(lit, golden) -> None:
     name, view_cache = lit
     bodies, view = view_cache.bodies, view_cache.view(0, CAMERA)
     image = np.ones((416 * 416, 3), np.float32)
-    row = np.repeat(np.arange(len(view.pixels)), view.crow.diff().numpy())
-    weight = view.weight.numpy()[:, None]
+    row = np.repeat(np.arange(len(view.pixels)), view.map.crow.diff().numpy())
+    weight = view.map.weight.numpy()[:, None]
     body = np.repeat(view.specular.numpy()[:, None], 3, 1)
-    np.add.at(body, row, weight * bodies.face_colors[0][view.face.numpy()])
+    np.add.at(body, row, weight * bodies.face_colors[0][view.map.column.numpy()])
     image[view.pixels.numpy()] = body
     expected = golden[f"image_light_{name}"].reshape(-1, 3)
     assert np.abs(image - expected).max() < 2e-4
     upstream = golden["grad_out"].reshape(-1, 3)[view.pixels.numpy()]
     gradient = np.zeros((bodies.face_count, 3))
-    np.add.at(gradient, view.face.numpy(), weight * upstream[row])
+    np.add.at(gradient, view.map.column.numpy(), weight * upstream[row])
     expected = golden[f"grad_light_{name}"]
     assert np.linalg.norm(gradient - expected) / np.linalg.norm(expected) < 1e-3
-    seen = np.unique(view.face.numpy())
+    seen = np.unique(view.map.column.numpy())
     np.testing.assert_allclose(gradient[seen], expected[seen], rtol=1e-3, atol=1e-5)
 
 

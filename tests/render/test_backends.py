@@ -1,5 +1,6 @@
 """The loops that the CPU runs against the torch operations that other devices run: the same views."""
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,14 @@ from bodies_made import sphere
 from cloak_core.bench.oracle import screen_of
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.render import backend
+from cloak_core.render.baking import on_cloth
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.rasterizer import rasterize
 from cloak_core.render.screen import GRID, GUARD
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
+from cloak_core.scene.logos.cloth import Cloth
 
 CAMERA = Camera(distance=2.6, azimuth=20.0, width=45, height=37)
 SHINY = Light(ambient=0.4, diffuse=0.5, specular=0.6, shininess=7.0, position=(2.0, 1.0, 3.0))
@@ -49,18 +52,19 @@ def textured() -> Bodies:
 def dense(cache: ViewCache, pose: int, camera: Camera) -> dict[str, torch.Tensor]:
     """A view's numbers where no order or rounding away of nothing can hide or pretend a difference."""
     view = cache.view(pose, camera)
-    rows = torch.repeat_interleave(view.pixels, view.crow.diff())
+    rows = torch.repeat_interleave(view.pixels, view.map.crow.diff())
     size = camera.width * camera.height
     spread = lambda index, values, count: torch.zeros(count).double().index_add_(0, index, values.double())
-    key = rows * cache.bodies.face_count + view.face
+    key = rows * cache.bodies.face_count + view.map.column
     result = {
-        "weight": spread(key, view.weight, size * cache.bodies.face_count),
+        "weight": spread(key, view.map.weight, size * cache.bodies.face_count),
         "coverage": spread(view.pixels, view.coverage, size),
         "specular": spread(view.pixels, view.specular, size),
     }
     if view.uv is not None:
         result |= {
-            f"uv{i}": spread(key, row * view.weight, size * cache.bodies.face_count) for i, row in enumerate(view.uv)
+            f"uv{i}": spread(key, row * view.map.weight, size * cache.bodies.face_count)
+            for i, row in enumerate(view.uv)
         }
     return result
 
@@ -90,6 +94,25 @@ def test_views(samples: int | None, body: Bodies, camera: Camera) -> None:
             np.testing.assert_allclose(mine[name], values, atol=2e-6, rtol=0, err_msg=name)
 
 
+@pytest.mark.parametrize("samples", [4, None])
+def test_places_on_a_cloth(samples: int | None) -> None:
+    """Loops and torch agree on where entries lie on a cloth, how far they reach, and which squares they show."""
+    cloth = Cloth.of(0.25, 0.02)
+    seen = []
+    for context in (contextlib.nullcontext(), torch_alone()):
+        with context:
+            cache = ViewCache(two_bodies(), RenderSettings(light=SHINY, samples=samples), on_cloth=True)
+            view = cache.bake(0, CAMERA, np.arange(cache.bodies.face_count))
+            seen.append((view, on_cloth(view, cloth, (0.013, 0.1))))
+    (ours, ours_worn), (theirs, theirs_worn) = seen
+    assert len(ours.map) == ours.cloth.shape[1] == theirs.cloth.shape[1] > 100
+    torch.testing.assert_close(ours.cloth, theirs.cloth, rtol=0, atol=5e-6)
+    assert (ours.cloth[2:] >= 0).all() and float(ours.cloth[2:].max()) > 0.001
+    colors = torch.rand(len(cloth), 3)
+    torch.testing.assert_close(ours_worn.map(colors), theirs_worn.map(colors), rtol=0, atol=1e-4)
+    torch.testing.assert_close(ours_worn.map.row_sums(), ours.map.row_sums(), rtol=0, atol=1e-5)
+
+
 def test_batches_equal_single_views() -> None:
     body = two_bodies(2)
     wanted = [(pose, replace(CAMERA, azimuth=float(azimuth))) for pose in (0, 1) for azimuth in (0, 90, 200)]
@@ -97,8 +120,10 @@ def test_batches_equal_single_views() -> None:
         cache = ViewCache(body, RenderSettings(light=SHINY, samples=samples))
         for key, view in zip(wanted, cache.build(wanted), strict=True):
             alone = cache.build([key])[0]
-            for name in ("pixels", "coverage", "specular", "crow", "face", "weight"):
+            for name in ("pixels", "coverage", "specular"):
                 assert torch.equal(getattr(view, name), getattr(alone, name)), name
+            for name in ("crow", "column", "weight"):
+                assert torch.equal(getattr(view.map, name), getattr(alone.map, name)), name
 
 
 @pytest.mark.parametrize("extent", [0, 3 * GRID, 600 * GRID, GUARD // 2])

@@ -9,6 +9,7 @@ import torch
 from cloak_core.render.baking import bake, baked_view
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.compositing import Canvas, compose, true_boxes
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import BakedView, View
 
 HEIGHT, WIDTH, FACES = 20, 30, 40
@@ -27,9 +28,12 @@ def random_view(seed: int, covered: int = 250) -> View:
         torch.from_numpy(np.sort(random.choice(HEIGHT * WIDTH, covered, replace=False))),
         coverage.where(coverage < 0.5, 1.0).where(torch.arange(covered) % 3 > 0, coverage.clamp(max=1)),
         numbers(covered) * 0.1,
-        torch.from_numpy(np.concatenate([[0], counts.cumsum()])),
-        torch.from_numpy(random.integers(0, FACES, entries)),
-        numbers(entries),
+        SparseMap(
+            torch.from_numpy(np.concatenate([[0], counts.cumsum()])),
+            torch.from_numpy(random.integers(0, FACES, entries)),
+            numbers(entries),
+            FACES,
+        ),
         numbers(2, entries) * 4 - 2,
     )
 
@@ -46,16 +50,18 @@ def test_loops_equal_operations(seed: int, light: tuple, textured: bool, logo_sh
     ours = bake(random_view(seed), logo, colors, light, texture)
     with torch_alone():
         theirs = bake(random_view(seed), logo, colors, light, texture)
-    for name in ("pixels", "coverage", "logo_crow", "logo_face", "logo_weight"):
+    for name in ("pixels", "coverage"):
         assert torch.equal(getattr(ours, name), getattr(theirs, name)), name
-    assert (ours.front_count, ours.box, ours.logo_count) == (theirs.front_count, theirs.box, theirs.logo_count)
-    assert ours.logo_pixels < ours.front_count < len(ours.pixels) or logo_share == 1
+    for name in ("crow", "column", "weight"):
+        assert torch.equal(getattr(ours.map, name), getattr(theirs.map, name)), name
+    assert (ours.front_count, ours.box, ours.map.width) == (theirs.front_count, theirs.box, theirs.map.width)
+    assert ours.map.height < ours.front_count < len(ours.pixels) or logo_share == 1
     torch.testing.assert_close(ours.base_color, theirs.base_color, rtol=0, atol=1e-6)
 
 
 def test_an_empty_view_and_its_box() -> None:
     empty = bake(random_view(0, 0), torch.tensor([3]), torch.rand(FACES, 3), (1.0, 1.0, 1.0))
-    assert (len(empty.pixels), empty.logo_pixels, empty.front_count, empty.box) == (0, 0, 0, (0, 0, 0, 0))
+    assert (len(empty.pixels), empty.map.height, empty.front_count, empty.box) == (0, 0, 0, (0, 0, 0, 0))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -100,7 +106,7 @@ def test_a_photograph_needs_no_background() -> None:
     view, photograph, _ = made_view(None, box=(1.5, 0, 5, 4), provenance={"photograph": "a.jpg"})
     image = Canvas.alone([view, view]).paint(torch.zeros(3, 3))
     torch.testing.assert_close(image, photograph.expand(2, -1, -1, -1))
-    assert view.box == (1.5, 0, 5, 4) and view.provenance["photograph"] == "a.jpg" and view.logo_pixels == 3
+    assert view.box == (1.5, 0, 5, 4) and view.provenance["photograph"] == "a.jpg" and view.map.height == 3
     assert true_boxes([view]).tolist() == [[1.5, 0, 5, 4]]
     mask = torch.zeros(4, 6, dtype=torch.bool)
     mask[1:3, 2:5] = True

@@ -50,13 +50,13 @@ sys.modules["numba"] = None
 from cloak_core.bench.growth import sphere
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.cameras import Camera
-print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).weight.sum()))
+print(float(ViewCache(sphere(600)).view(0, Camera(width=48, height=64)).map.weight.sum()))
 """
     without = float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
     with torch_alone():
-        torch_own = float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum())
+        torch_own = float(ViewCache(sphere(600)).view(0, CAMERA).map.weight.sum())
     assert without == torch_own
-    assert abs(float(ViewCache(sphere(600)).view(0, CAMERA).weight.sum()) - without) < 1e-3 * without
+    assert abs(float(ViewCache(sphere(600)).view(0, CAMERA).map.weight.sum()) - without) < 1e-3 * without
 
 
 @pytest.mark.parametrize(("folder", "often"), [("/somewhere", "once after installation"), (None, "at every start")])

@@ -33,9 +33,9 @@ def scene(seed: int = 0, low: float = 0.0, high: float = 1.0) -> tuple[torch.Ten
 def plain(view, colors, background, shift=(0, 0)) -> np.ndarray:
     """One pixel after the other."""
     image = background.numpy().copy()
-    row = np.repeat(np.arange(view.logo_pixels), view.logo_crow.diff().numpy())
+    row = view.map.row.numpy()
     body = view.base.numpy().astype(np.float64).copy()
-    np.add.at(body, row, view.logo_weight.numpy()[:, None] * colors.detach().numpy()[view.logo_face.numpy()])
+    np.add.at(body, row, view.map.weight.numpy()[:, None] * colors.detach().numpy()[view.map.column.numpy()])
     for pixel, value, coverage in zip(view.pixels.tolist(), body, view.coverage.tolist(), strict=True):
         y, x = pixel // 40 + shift[1], pixel % 40 + shift[0]
         if 0 <= x < 40 and 0 <= y < 30:
@@ -105,9 +105,9 @@ def test_clamped_sums_pass_no_gradient_and_bounds_do(views) -> None:
         images = compose(views[:1], extreme, backgrounds[:1])
         assert images.min() >= 0 and images.max() <= 1
         images.sum().backward()
-        solid = views[0].coverage[: views[0].logo_pixels] == 1
-        row = torch.repeat_interleave(views[0].logo_crow.diff())
-        touching = torch.unique(views[0].logo_face[solid[row]])
+        solid = views[0].coverage[: views[0].map.height] == 1
+        row = torch.repeat_interleave(views[0].map.crow.diff())
+        touching = torch.unique(views[0].map.column[solid[row]])
         assert (extreme.grad[touching].abs().sum(1) == expected).float().mean() > 0.9
 
 
@@ -117,9 +117,9 @@ def test_black_colours_at_the_bound_still_learn() -> None:
     cache = ViewCache(sphere(), RenderSettings(light=Light(ambient=1.0, diffuse=0.0, specular=0.0), samples=1))
     view = cache.bake(0, CAMERA, np.arange(sphere().face_count))
     for value in (0.0, 1.0):
-        colors = torch.full((view.logo_count, 3), value, requires_grad=True)
+        colors = torch.full((view.map.width, 3), value, requires_grad=True)
         compose([view], colors, torch.zeros(1, 3, 30, 40)).sum().backward()
-        assert (colors.grad[torch.unique(view.logo_face)] > 0).all()
+        assert (colors.grad[torch.unique(view.map.column)] > 0).all()
 
 
 def test_noise_is_seeded_and_stays_on_its_own(views) -> None:

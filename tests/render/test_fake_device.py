@@ -15,6 +15,7 @@ from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTens
 
 from cloak_core.render.compiled import torch_alone
 from cloak_core.render.compositing import Canvas
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.torch import painting
 from cloak_core.render.types import BakedView, Photometric
@@ -24,11 +25,15 @@ from cloak_core.scene.cameras import Camera
 
 @pytest.fixture(autouse=True)
 def dense(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    def csr(crow: Tensor, column: Tensor, value: Tensor, size: tuple[int, int]) -> Tensor:
-        assert crow.device == column.device == value.device
-        return torch.empty(size, device=value.device)
+    real = SparseMap.matrix.func
 
-    monkeypatch.setattr(painting, "csr", csr)
+    def matrix(applied: SparseMap) -> Tensor:
+        if applied.weight.device.type == "cpu":
+            return real(applied)
+        assert applied.crow.device == applied.column.device == applied.weight.device
+        return torch.empty(applied.height, applied.width, device=applied.weight.device)
+
+    monkeypatch.setattr(SparseMap, "matrix", property(matrix))
     painting._columns.cache_clear()
     yield
     painting._columns.cache_clear()
@@ -38,9 +43,10 @@ def on_device(view: BakedView) -> BakedView:
     """The view's shapes as tensors of a CUDA device; to be called within a FakeTensorMode."""
     fake = lambda t: torch.empty(t.shape, dtype=t.dtype, device="cuda")
     moved = {f.name: fake(value) for f in fields(view) if isinstance(value := getattr(view, f.name), Tensor)}
-    result = replace(view, **moved)
-    result.__dict__["transposed"] = tuple(map(fake, view.transposed))  # kept with the view, made once
-    return result
+    fake_map = lambda one: SparseMap(fake(one.crow), fake(one.column), fake(one.weight), one.width)
+    worn = fake_map(view.map)
+    worn.__dict__["transposed"] = fake_map(view.map.transposed)  # kept with the view, made once
+    return replace(view, map=worn, **moved)
 
 
 def render(change: bool, shifted: bool, device: str = "cuda") -> None:
@@ -49,10 +55,10 @@ def render(change: bool, shifted: bool, device: str = "cuda") -> None:
         view = ViewCache(body, RenderSettings(light=Light(color=(1.0, 0.9, 0.8)))).bake(
             0, camera, list(range(0, body.face_count, 2))
         )
-        _ = view.transposed
+        _ = view.map.transposed
         with FakeTensorMode():
             make = lambda *shape: torch.rand(shape, device=device)
-            colors = make(view.logo_count, 3)
+            colors = make(view.map.width, 3)
             shifts = torch.zeros(2, 2, dtype=torch.int64, device=device) if shifted else None
             photometric = Photometric(make(2), make(2), 0.0, 1) if change else None
             canvas = Canvas.before([on_device(view)] * 2, make(2, 3, 30, 40), shifts, photometric)

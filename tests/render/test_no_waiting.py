@@ -43,7 +43,7 @@ def test_a_cached_render_and_its_gradient_never_wait() -> None:
         cache = ViewCache(body, RenderSettings(light=Light(color=(1.0, 0.9, 0.8))))
         views = [cache.bake(0, camera, logo) for camera in cameras]
         for view in views:  # kept with the view, like it made once
-            _ = view.transposed
+            _ = view.map.transposed
         for change in changes:
             for shift in (None, shifts):
                 background = torch.rand(2, 3, 30, 40)

@@ -108,7 +108,7 @@ def test_loops_compose_views_that_differ_only_in_size_of_the_logo_part() -> None
     camera = Camera(distance=3.0, width=WIDTH, height=HEIGHT)
     cameras = [camera, dataclasses.replace(camera, pivot=(90.0, 0.0, 0.0)), dataclasses.replace(camera, azimuth=180.0)]
     views = [cache.bake(0, c, LOGO[:9]) for c in cameras]
-    assert 0 in [view.logo_pixels for view in views] and any(view.logo_pixels for view in views)
+    assert 0 in [view.map.height for view in views] and any(view.map.height for view in views)
     colors, upstream = torch.rand(9, 3), torch.randn(3, 3, HEIGHT, WIDTH)
     ours, theirs = (painted(views, colors, None, None, upstream, loops) for loops in (True, False))
     torch.testing.assert_close(ours[0], theirs[0], rtol=0, atol=1e-6)

@@ -22,8 +22,8 @@ FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
 
 def dense(view, face_count: int) -> np.ndarray:
     matrix = np.zeros((len(view.pixels), face_count))
-    row = np.repeat(np.arange(len(view.pixels)), view.crow.diff().numpy())
-    np.add.at(matrix, (row, view.face.numpy()), view.weight.numpy())
+    row = np.repeat(np.arange(len(view.pixels)), view.map.crow.diff().numpy())
+    np.add.at(matrix, (row, view.map.column.numpy()), view.map.weight.numpy())
     return matrix
 
 
@@ -54,7 +54,7 @@ def test_the_camera_orbits() -> None:
     camera = Camera(distance=4.0, elevation=0.0, azimuth=90.0, width=99, height=99, pivot=(0.0, 0.0, 0.0))
     view = ViewCache(bodies, RenderSettings(light=FLAT, samples=1)).view(0, camera)
     places = {}
-    for row, face in enumerate(view.face.tolist()):
+    for row, face in enumerate(view.map.column.tolist()):
         places.setdefault(face, []).append(divmod(int(view.pixels[row]), 99))
     y, x = np.array([np.mean(places[face], 0) for face in range(3)]).T
     assert x[0] < 40 and abs(y[0] - 49) < 2, "+z to the left"
@@ -71,9 +71,10 @@ def test_dropping_back_faces_changes_nothing_on_a_closed_body(monkeypatch: pytes
     for camera in (CAMERA, Camera(distance=1.2, width=40, height=40), Camera(distance=3.0, near=2.5)):
         one, two = culled.view(0, camera), both.view(0, camera)
         assert len(one.pixels) > 10
-        for field in dataclasses.fields(one):
-            left, right = getattr(one, field.name), getattr(two, field.name)
-            assert torch.equal(left, right) if isinstance(left, torch.Tensor) else left == right
+        for left, right in ((one, two), (one.map, two.map)):
+            for name, value in vars(left).items():
+                if isinstance(value, torch.Tensor):
+                    assert torch.equal(value, getattr(right, name)), name
 
 
 def test_views_do_not_depend_on_what_they_are_built_with(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,13 +83,13 @@ def test_views_do_not_depend_on_what_they_are_built_with(monkeypatch: pytest.Mon
     together = ViewCache(bodies, RenderSettings(samples=4)).views(keys)
     for key, view in zip(keys, together, strict=True):
         alone = ViewCache(bodies, RenderSettings(samples=4)).view(*key)
-        assert torch.equal(alone.pixels, view.pixels) and torch.equal(alone.face, view.face)
-        torch.testing.assert_close(alone.weight, view.weight, rtol=0, atol=1e-6)
+        assert torch.equal(alone.pixels, view.pixels) and torch.equal(alone.map.column, view.map.column)
+        torch.testing.assert_close(alone.map.weight, view.map.weight, rtol=0, atol=1e-6)
     monkeypatch.setattr(view_cache, "BAND_SAMPLES", {"cpu": 500})
     for key, view in zip(keys, together, strict=True):
         banded = ViewCache(bodies, RenderSettings(samples=4)).view(*key)
         assert torch.equal(banded.pixels, view.pixels) and torch.equal(banded.coverage, view.coverage)
-        torch.testing.assert_close(banded.weight, view.weight, rtol=0, atol=1e-6)
+        torch.testing.assert_close(banded.map.weight, view.map.weight, rtol=0, atol=1e-6)
 
 
 def test_polygons_merge_their_triangles() -> None:
@@ -98,8 +99,8 @@ def test_polygons_merge_their_triangles() -> None:
     )
     view = ViewCache(pairs, RenderSettings(light=FLAT, samples=16)).view(0, CAMERA)
     split = dense(ViewCache(whole, RenderSettings(light=FLAT, samples=16)).view(0, CAMERA), whole.face_count)
-    row = np.repeat(np.arange(len(view.pixels)), view.crow.diff().numpy())
-    entries = np.stack([row, view.face.numpy()], -1)
+    row = np.repeat(np.arange(len(view.pixels)), view.map.crow.diff().numpy())
+    entries = np.stack([row, view.map.column.numpy()], -1)
     assert len(np.unique(entries, axis=0)) == len(entries)
     np.testing.assert_allclose(dense(view, pairs.face_count), split[:, ::2] + split[:, 1::2], atol=1e-6)
 
@@ -135,11 +136,11 @@ def test_dressing_splits_the_view_into_logo_and_base() -> None:
     whole[view.pixels] = matrix @ colors + view.specular.numpy()[:, None]
     ours = np.zeros((60 * 50, 3))
     ours[baked.pixels] = baked.base.numpy()
-    row = np.repeat(baked.logo_rows.numpy(), baked.logo_crow.diff().numpy())
+    row = baked.map.row.numpy()
     np.add.at(
         ours,
         baked.pixels.numpy()[row],
-        baked.logo_weight.numpy()[:, None] * colors[logo][baked.logo_face.numpy()],
+        baked.map.weight.numpy()[:, None] * colors[logo][baked.map.column.numpy()],
     )
     np.testing.assert_allclose(ours, whole, atol=1e-5)
     assert cache.bake(0, CAMERA, logo, outfit=1) is baked

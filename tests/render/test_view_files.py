@@ -14,6 +14,7 @@ from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.caching import DiskCache
 from cloak_core.render import view_files as stored
 from cloak_core.render.compiled import torch_alone
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.types import View
 from cloak_core.render.view_cache import ViewCache
@@ -42,10 +43,12 @@ def no_building(monkeypatch) -> None:
     monkeypatch.setattr(ViewCache, "build", build)
 
 
-def assert_same(one: View, other: View) -> None:
-    for field in dataclasses.fields(View):
+def assert_same(one: View | SparseMap, other: View | SparseMap) -> None:
+    for field in dataclasses.fields(one):
         ours, theirs = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(ours, torch.Tensor):
+        if isinstance(ours, SparseMap):
+            assert_same(ours, theirs)
+        elif isinstance(ours, torch.Tensor):
             assert ours.dtype == theirs.dtype and torch.equal(ours, theirs), field.name
         else:
             assert ours == theirs, field.name
@@ -135,7 +138,7 @@ def doctored(change: str):
     def damage(data: bytes) -> bytes:
         tensors = load(data[:-4])
         if change == "face beyond":
-            tensors["face"][3] = sphere().face_count
+            tensors["column"][3] = sphere().face_count
         if change == "negative pixel":
             tensors["pixels"][0] = -1
         if change == "pixel beyond":
@@ -149,7 +152,7 @@ def doctored(change: str):
         if change == "doubles":
             tensors["coverage"] = tensors["coverage"].double()
         if change == "texture":
-            tensors["uv"] = torch.zeros(2, len(tensors["face"]))
+            tensors["uv"] = torch.zeros(2, len(tensors["column"]))
         return with_checksum(save(tensors))
 
     return damage

@@ -37,7 +37,7 @@ def gradient_reach(store: RunStore, bodies: Bodies, faces: np.ndarray) -> float:
     seen = torch.zeros(len(faces), dtype=torch.bool, device=view_cache.device)
     for azimuth in (-10.0, -5.0, 0.0, 5.0, 10.0):
         camera = Camera(azimuth=azimuth, width=store.options.size, height=store.options.size)
-        seen[view_cache.bake(0, camera, faces).logo_face] = True
+        seen[view_cache.bake(0, camera, faces).map.column] = True
     return round(float(seen.float().mean()), 4)
 
 

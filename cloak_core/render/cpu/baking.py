@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import View
 from cloak_core.scene.cameras import Vector
 
@@ -18,9 +19,10 @@ ZERO, HALF, ONE, WHITE = np.float32(0), np.float32(0.5), np.float32(1), np.float
 
 def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
-) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor, int, SparseMap]:
     """See `Backend.split`."""
-    pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
+    pixels, coverage = view.pixels, view.coverage
+    crow, face, weight = view.map.crow, view.map.column, view.map.weight
     position = torch.full((len(colors),), -1)
     position[logo] = torch.arange(len(logo))
     kind = torch.empty(len(pixels), dtype=torch.uint8)
@@ -35,7 +37,7 @@ def split(
     tint = np.array(light_color, np.float32)
     rest = arrays(pixels, view.specular, weight, *ours, *matrix)
     _fill(*rows, *surface, tint, np.array([0, logo_rows, logo_rows + edge_rows]), *rest)
-    return *ours[:3], logo_rows + edge_rows, *matrix
+    return *ours[:3], logo_rows + edge_rows, SparseMap(*matrix, len(logo))
 
 
 @loop

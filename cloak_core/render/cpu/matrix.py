@@ -9,6 +9,7 @@ from torch import Tensor
 
 from cloak_core.render.compiled import arrays, loop
 from cloak_core.render.cpu.shading import light_all, material_of
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import Fragments, Screen, Surface, View
 
 
@@ -20,30 +21,44 @@ def build_view(
     light_position: Float32[Tensor, " 3"],
 ) -> View:
     """See `Backend.build_view`."""
-    textured = surface.corner_uv is not None
     space = np.stack([axis[0].numpy() for axis in screen.view])
     camera = float(screen.focal), screen.width / 2, screen.height / 2
     fragments = arrays(found.pixel, found.triangle, found.area, found.x, found.y)
     corner, face_of, normal, position = arrays(surface.triangles, surface.face, normals, light_position)
-    uv_of = arrays(surface.corner_uv)[0] if textured else np.empty((2, 3, 0), np.float32)
-    about = corner, space, camera, normal, position, material_of(surface.light), uv_of, face_of, surface.by_face
-    *rows, uv = map(torch.from_numpy, _matrix(*fragments, *about))
-    return View(screen.height, screen.width, *rows, uv if textured else None)
+    maps = [surface.corner_uv, surface.corner_cloth]
+    uv_of, cloth_of = (np.empty((2, 3, 0), np.float32) if one is None else arrays(one)[0] for one in maps)
+    about = corner, space, camera, normal, position, material_of(surface.light), uv_of, cloth_of
+    made = _matrix(*fragments, *about, face_of, surface.by_face)
+    pixels, coverage, specular, crow, face, weight, uv, cloth = map(torch.from_numpy, made)
+    return View(
+        screen.height,
+        screen.width,
+        pixels,
+        coverage,
+        specular,
+        SparseMap(crow, face, weight, surface.face_count),
+        uv if len(uv) else None,
+        cloth if len(cloth) else None,
+    )
 
 
 @loop
 def _matrix(
-    pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, face_of, by_face
+    pixel, triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, cloth_of, face_of, by_face
 ):  # fmt: skip
     """The rows of a view's matrix from its fragments, sorted by pixel: pixel, coverage and highlight of each row; row
-    offsets, face, weight and texture coordinates of its entries. The arguments are those of `light_all` and `_fold`."""
-    out = np.empty((4 if uv_of.shape[2] else 2, len(triangle)), np.float32)
-    light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out)
-    return _fold(pixel, area, out[1], face_of[triangle], out[0], out[2:], by_face)
+    offsets, face, weight, texture coordinates and place on a cloth of its entries. The arguments are those of
+    `light_all` and `_fold`."""
+    uv_rows, cloth_rows = 2 if uv_of.shape[2] else 0, 4 if cloth_of.shape[2] else 0
+    out = np.empty((2, len(triangle)), np.float32)
+    uv = np.empty((uv_rows, len(triangle)), np.float32)
+    cloth = np.empty((cloth_rows, len(triangle)), np.float32)
+    light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, cloth_of, out, uv, cloth)
+    return (*_fold(pixel, area, out[1], face_of[triangle], out[0], by_face), uv, cloth)
 
 
 @loop
-def _fold(pixel, area, highlight, face, weight, uv, by_face):
+def _fold(pixel, area, highlight, face, weight, by_face):
     """Fragments to the rows of a matrix, one for each pixel (ascending).
 
     by_face: within a pixel, one entry for each face, ascending; else one for each fragment, as they come.
@@ -75,4 +90,4 @@ def _fold(pixel, area, highlight, face, weight, uv, by_face):
     crow[rows] = entries
     # Copies: what is not used of these arrays should not stay in memory.
     pixels, coverage, specular = pixels[:rows].copy(), coverage[:rows].copy(), specular[:rows].copy()
-    return pixels, coverage, specular, crow[: rows + 1].copy(), column[:entries].copy(), value[:entries].copy(), uv
+    return pixels, coverage, specular, crow[: rows + 1].copy(), column[:entries].copy(), value[:entries].copy()

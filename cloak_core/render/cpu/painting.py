@@ -24,7 +24,7 @@ def draw_bodies(
     views: Sequence[BakedView], rows: Float32[Tensor, "P 3"], shifts: Shifts | None, change: Photometric | None
 ) -> tuple[Float32[Tensor, "M 3"], Int64[Tensor, " M"]]:
     """See `Backend.draw_bodies`."""
-    count = sum(view.logo_pixels for view in views)
+    count = sum(view.map.height for view in views)
     base, target = torch.empty(count, 3), torch.empty(count, dtype=torch.int64)
     moves = [(0, 0)] * len(views) if shifts is None else shifts.tolist()
     contrast, brightness = np.ones(len(views), np.float32), np.zeros(len(views), np.float32)
@@ -34,7 +34,7 @@ def draw_bodies(
     all_rows, all_base, all_target = arrays(rows, base, target)
     for image, (view, own) in enumerate(zip(views, _logo_parts(views), strict=True)):
         _draw(
-            *(*view.arrays[:3], contrast[image], brightness[image], noise[image]),
+            *(*view.arrays, contrast[image], brightness[image], noise[image]),
             *(image, view.width, view.height, *moves[image], all_rows, all_base[own], all_target[own]),
         )
     return base, target
@@ -47,7 +47,7 @@ def _noise(views: Sequence[BakedView], change: Photometric | None) -> list[np.nd
     """
     if change is None or not change.noise:
         return [np.empty((0, 3), np.float32)] * len(views)
-    sizes = [view.logo_pixels for view in views] + [view.front_count - view.logo_pixels for view in views]
+    sizes = [view.map.height for view in views] + [view.front_count - view.map.height for view in views]
     sizes += [len(view.pixels) - view.front_count for view in views]
     drawn = change.draw_noise((sum(sizes), 3), views[0].pixels.device).split(sizes)
     return [torch.cat(drawn[image :: len(views)]).numpy() for image in range(len(views))]
@@ -57,7 +57,7 @@ def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
     """Yield where each view's logo pixels stand among those of all."""
     stop = 0
     for view in views:
-        start, stop = stop, stop + view.logo_pixels
+        start, stop = stop, stop + view.map.height
         yield slice(start, stop)
 
 
@@ -65,7 +65,7 @@ def _logo_parts(views: Sequence[BakedView]) -> Iterator[slice]:
 class LogoMatrix:
     """The sparse matrix from the logo's colours to its pixels in B images."""
 
-    blocks: list[tuple[list[np.ndarray], slice]]
+    blocks: list[tuple[tuple[np.ndarray, np.ndarray, np.ndarray], slice]]
     """For each image: row offsets, faces and weights, and where its pixels stand among all."""
 
     def paint(
@@ -98,7 +98,7 @@ class LogoMatrix:
 
 def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
     """See `Backend.logo_matrix`."""
-    return LogoMatrix([(view.arrays[3:], own) for view, own in zip(views, _logo_parts(views), strict=True)])
+    return LogoMatrix([(view.map.arrays, own) for view, own in zip(views, _logo_parts(views), strict=True)])
 
 
 @loop

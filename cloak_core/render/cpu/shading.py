@@ -20,18 +20,21 @@ def material_of(light: Light) -> tuple[float, ...]:
 
 
 @loop
-def light_all(triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, out):
-    """Light each fragment: weight, highlight and any texture coordinates into the rows of `out` [2 or 4, N].
+def light_all(
+    triangle, area, x, y, corner, space, camera, normals, light, material, uv_of, cloth_of, out, uv, cloth
+):  # fmt: skip
+    """Light each fragment: weight and highlight into `out` [2, N], any texture coordinates into `uv` [2, N], any place
+    and extent on a cloth into `cloth` [4, N].
 
     x, y: where each fragment is lit, pixels; space: view space coordinates [3, V]; camera: focal length and the
-    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material_of`; uv_of: texture
-    coordinates [2, 3, T] or [2, 3, 0].
+    image's middle, pixels; normals [3, V] and light [3]: in view space; material: see `material_of`; uv_of, cloth_of:
+    coordinates of the corners [2, 3, T], or [2, 3, 0] where there are none.
     """
     focal, middle_x, middle_y = camera
     ax, ay, az = space[0], space[1], space[2]
     nx_of, ny_of, nz_of = normals[0], normals[1], normals[2]
     lx, ly, lz = light[0], light[1], light[2]
-    step, textured = 1 / focal, uv_of.shape[2] > 0
+    step, textured, laid = 1 / focal, uv_of.shape[2] > 0, cloth_of.shape[2] > 0
     for i in range(len(triangle)):
         t = triangle[i]
         p, q, r = corner[0, t], corner[1, t], corner[2, t]
@@ -48,12 +51,37 @@ def light_all(triangle, area, x, y, corner, space, camera, normals, light, mater
             w0, w1, w2 = w0 * scale, w1 * scale, w2 * scale
             depth = w0 * az[p] + w1 * az[q] + w2 * az[r]
         if textured:
-            out[2, i], out[3, i] = _texture_coordinates(uv_of, t, w1, w2)
+            uv[0, i], uv[1, i] = _texture_coordinates(uv_of, t, w1, w2, INSET)
+        if laid:
+            cloth[0, i], cloth[1, i] = _texture_coordinates(cloth_of, t, w1, w2, 0.0)
+            side = np.sqrt(area[i]) * step
+            for axis in range(2):
+                corners = cloth_of[axis, 0, t], cloth_of[axis, 1, t], cloth_of[axis, 2, t]
+                cloth[2 + axis, i] = _extent(crosses, corners, (w0, w1, w2), total, side)
         nx = w0 * nx_of[p] + w1 * nx_of[q] + w2 * nx_of[r]
         ny = w0 * ny_of[p] + w1 * ny_of[q] + w2 * ny_of[r]
         nz = w0 * nz_of[p] + w1 * nz_of[q] + w2 * nz_of[r]
         weight, shine = _shade((dx * depth, dy * depth, depth), (nx, ny, nz), (lx, ly, lz), material)
         out[0, i], out[1, i] = weight * area[i], shine * area[i]
+
+
+@loop
+def _extent(crosses, corners, weights, total, side):
+    """How far a fragment reaches along one axis of the cloth: a square of `side` on the plane at depth 1.
+
+    The coordinate there is sum(corner * w) / sum(w), each w linear in the ray: its two derivatives by the quotient
+    rule. Never more than the whole triangle.
+    """
+    low, high = min(corners), max(corners)
+    if total == 0:
+        return 0.0
+    here = weights[0] * corners[0] + weights[1] * corners[1] + weights[2] * corners[2]
+    reach = 0.0
+    for k in range(2):
+        along = crosses[0][k] * corners[0] + crosses[1][k] * corners[1] + crosses[2][k] * corners[2]
+        whole = crosses[0][k] + crosses[1][k] + crosses[2][k]
+        reach += abs((along - here * whole) / total)
+    return min(reach * side, high - low)
 
 
 @loop
@@ -93,9 +121,9 @@ def _length(a):
 
 
 @loop
-def _texture_coordinates(uv_of, t, b1, b2):
+def _texture_coordinates(uv_of, t, b1, b2, inset):
     """Compute texture coordinates as `texture.texture_coordinates`."""
-    w0, w1, w2 = max(1 - b1 - b2, INSET), max(b1, INSET), max(b2, INSET)
+    w0, w1, w2 = max(1 - b1 - b2, inset), max(b1, inset), max(b2, inset)
     whole = w0 + w1 + w2
     u = uv_of[0, 0, t] * w0 + uv_of[0, 1, t] * w1 + uv_of[0, 2, t] * w2
     v = uv_of[1, 0, t] * w0 + uv_of[1, 1, t] * w1 + uv_of[1, 2, t] * w2

@@ -101,7 +101,7 @@ class Fitter:
         view_cache, camera = self._view_cache(posed, person.mask.shape, 1)
         view = view_cache.view(0, camera)
         faces = np.full(person.mask.size, -1)
-        faces[view.pixels.numpy()] = view.face.numpy()[view.crow.numpy()[:-1]]
+        faces[view.pixels.numpy()] = view.map.column.numpy()[view.map.crow.numpy()[:-1]]
         return faces.reshape(person.mask.shape)
 
     def _widened(self, widths: dict[str, float], faces: np.ndarray, person: Person) -> dict[str, float]:
@@ -127,7 +127,8 @@ class Fitter:
         view_cache, camera = self._view_cache(posed, person.mask.shape, None)
         view = view_cache.view(0, camera)
         pixels, coverage = view.pixels.numpy(), view.coverage.numpy()
-        crow, triangle, share = view.crow.numpy(), view.face.numpy(), view.weight.numpy().astype(np.float64)
+        crow, triangle, share = view.map.arrays
+        share = share.astype(np.float64)
         row = np.full(person.mask.size, -1)
         row[pixels[coverage > 0.5]] = np.flatnonzero(coverage > 0.5)
         row = row.reshape(person.mask.shape)

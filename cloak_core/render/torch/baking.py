@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from cloak_core.render.sparse import csr
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.texture import look_up
 from cloak_core.render.types import View
 from cloak_core.scene.cameras import Vector
@@ -14,23 +16,24 @@ from cloak_core.scene.cameras import Vector
 
 def split(
     view: View, logo: Int64[Tensor, " L"], colors: Float32[Tensor, "F 3"], light_color: Vector, texture: Tensor | None
-) -> tuple[Tensor, Tensor, Tensor, int, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor, int, SparseMap]:
     """See `Backend.split`."""
-    pixels, coverage, crow, face, weight = view.pixels, view.coverage, view.crow, view.face, view.weight
+    pixels, coverage = view.pixels, view.coverage
+    crow, face, weight = view.map.crow, view.map.column, view.map.weight
     position = torch.full((len(colors),), -1, dtype=torch.int64, device=logo.device)
     position[logo] = torch.arange(len(logo), device=logo.device)
     place = position.index_select(0, face)
     is_logo = place >= 0
     rest = torch.where(is_logo, 0, weight)
     if texture is None:
-        worn = csr(crow, face, rest, (len(pixels), len(colors))) @ colors
+        worn = replace(view.map, weight=rest).matrix @ colors
     else:
         entries = torch.arange(len(face), device=logo.device)
-        worn = csr(crow, entries, rest, (len(pixels), len(entries))) @ look_up(texture, view.uv)
+        worn = SparseMap(crow, entries, rest, len(entries)).matrix @ look_up(texture, view.uv)
     tint = torch.tensor(light_color, device=logo.device)
     base_color = ((worn + view.specular.unsqueeze(1)) * tint).T
     entry = is_logo.nonzero().view(-1)
-    row = torch.repeat_interleave(crow.diff(), output_size=len(face)).index_select(0, entry)
+    row = view.map.row.index_select(0, entry)
     per_row = torch.bincount(row, minlength=len(pixels))
     kind = torch.where(per_row > 0, 0, torch.where(coverage < 1, 1, 2))
     order = torch.argsort(kind, stable=True)
@@ -42,7 +45,5 @@ def split(
         coverage.index_select(0, order),
         base_color.index_select(1, order).contiguous(),
         logo_pixels + edge_pixels,
-        logo_crow,
-        place.index_select(0, entry),
-        weight.index_select(0, entry),
+        SparseMap(logo_crow, place.index_select(0, entry), weight.index_select(0, entry), len(logo)),
     )

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from cloak_core.render.sparse import offsets
+from cloak_core.render.linear import SparseMap, offsets
 from cloak_core.render.torch.shading import light_fragments
 from cloak_core.render.types import Fragments, Screen, Surface, View
 
@@ -19,7 +19,7 @@ def build_view(
     light_position: Float32[Tensor, " 3"],
 ) -> View:
     """See `Backend.build_view`."""
-    weight, highlight, uv = light_fragments(found, screen, surface, normals, light_position)
+    weight, highlight, uv, cloth = light_fragments(found, screen, surface, normals, light_position)
     face = surface.face.index_select(0, found.triangle)
     pixels, row = torch.unique_consecutive(found.pixel, return_inverse=True)
     coverage, specular = (
@@ -27,8 +27,8 @@ def build_view(
     )
     if surface.by_face:
         row, face, weight = _merge_faces(row, face, weight)
-    crow = offsets(row, len(pixels))
-    return View(screen.height, screen.width, pixels, coverage, specular, crow, face, weight, uv)
+    entries = SparseMap(offsets(row, len(pixels)), face, weight, surface.face_count)
+    return View(screen.height, screen.width, pixels, coverage, specular, entries, uv, cloth)
 
 
 def _merge_faces(row: Tensor, face: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -5,7 +5,6 @@ There are few operations, and none waits for the device.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float32, Int64, Integer
 from torch import Tensor
 
-from cloak_core.render.sparse import csr
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import BakedView, Photometric
 
 Shifts = Integer[Tensor, "B 2"]
@@ -28,7 +27,7 @@ def draw_bodies(
     # The logo's pixels of all views first, then those at whose edge the background shows, then the rest.
     parts = [
         (i, start, stop)
-        for bounds in (lambda v: (0, v.logo_pixels), lambda v: (v.logo_pixels, v.front_count),
+        for bounds in (lambda v: (0, v.map.height), lambda v: (v.map.height, v.front_count),
                        lambda v: (v.front_count, len(v.pixels)))
         for i, (start, stop) in enumerate(map(bounds, views))
     ]  # fmt: skip
@@ -38,7 +37,7 @@ def draw_bodies(
     if shifts is not None:
         target, lost = _shifted(pixel, image, shifts.to(pixel), width, height)
         target.masked_fill_(lost, len(rows) - 1)
-    front, logo = sum(view.front_count for view in views), sum(view.logo_pixels for view in views)
+    front, logo = sum(view.front_count for view in views), sum(view.map.height for view in views)
     coverage = _cat([views[i].coverage[start:stop] for i, start, stop in parts])[:front].unsqueeze(1)
     body = torch.cat([views[i].base_color[:, start:stop].T for i, start, stop in parts])
     if change is not None:
@@ -54,9 +53,9 @@ class LogoMatrix:
     """The sparse matrix from the logo's colours to its pixels in B images, and its transpose for the gradient."""
 
     forward: Tensor
-    """CSR [M, B * L]."""
+    """CSR tensor [M, B * L]."""
     backward: Tensor
-    """CSR [B * L, M], its transpose."""
+    """CSR tensor [B * L, M], its transpose."""
     images: int
     """B."""
 
@@ -88,14 +87,10 @@ class LogoMatrix:
 
 def logo_matrix(views: Sequence[BakedView]) -> LogoMatrix:
     """See `Backend.logo_matrix`: the views' matrices as the blocks of one."""
-    count = views[0].logo_count
-    starts = _starts([view.logo_pixels for view in views])
-    faces = [view.logo_face + i * count if i else view.logo_face for i, view in enumerate(views)]
-    forward = _csr([v.logo_crow for v in views], faces, [v.logo_weight for v in views], count * len(views))
-    flipped = [view.transposed for view in views]
-    columns = [t[1] + start if start else t[1] for t, start in zip(flipped, starts, strict=False)]
-    backward = _csr([t[0] for t in flipped], columns, [t[2] for t in flipped], starts[-1])
-    return LogoMatrix(forward, backward, len(views))
+    forward = SparseMap.blocks([view.map for view in views])
+    # Each view's transpose is kept with the view, so that it is worked out once.
+    backward = SparseMap.blocks([view.map.transposed for view in views])
+    return LogoMatrix(forward.matrix, backward.matrix, len(views))
 
 
 def _shifted(
@@ -133,16 +128,5 @@ def _numbers(row: Int64[Tensor, " N"]) -> Int64[Tensor, " N3"]:
     return (row.unsqueeze(1) * 3 + torch.arange(3, device=row.device)).view(-1)
 
 
-def _starts(sizes: Sequence[int]) -> list[int]:
-    return [0, *itertools.accumulate(sizes)]
-
-
 def _cat(tensors: Sequence[Tensor]) -> Tensor:
     return tensors[0] if len(tensors) == 1 else torch.cat(list(tensors), -1)
-
-
-def _csr(crows: Sequence[Tensor], columns: Sequence[Tensor], values: Sequence[Tensor], width: int) -> Tensor:
-    """Join blocks below each other to one sparse matrix; columns are already those of the whole."""
-    starts = _starts([len(column) for column in columns])
-    crow = _cat([crow[1:] + start if i else crow for i, (crow, start) in enumerate(zip(crows, starts, strict=False))])
-    return csr(crow, _cat(columns), _cat(values), (len(crow) - 1, width))

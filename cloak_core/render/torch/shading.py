@@ -17,25 +17,48 @@ from cloak_core.render.types import Fragments, Screen, Surface
 
 def light_fragments(
     found: Fragments, screen: Screen, surface: Surface, normals: Tensor, light_position: Tensor
-) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None]:
+) -> tuple[Float32[Tensor, " N"], Float32[Tensor, " N"], Float32[Tensor, "2 N"] | None, Float32[Tensor, "4 N"] | None]:
     """Light every fragment: weight of the face's colour and highlight, each times its share of the pixel; and where
-    there are textures, coordinates of the point where each fragment is lit. Worked out in float64."""
+    there are textures or a cloth, coordinates of the point where each fragment is lit, on the cloth its extent, too.
+    Worked out in float64."""
     corner = surface.triangles.index_select(1, found.triangle)
-    position, (w0, w1, w2) = _surface_points(found, screen, corner)
+    position, weights, crosses, total = _surface_points(found, screen, corner)
+    w0, w1, w2 = weights
     n0, n1, n2 = (normals.double().index_select(1, corner[i]) for i in range(3))
     weight, highlight = shade(
         position, n0 * w0 + n1 * w1 + n2 * w2, light_position.double().unsqueeze(1), surface.light
     )
-    uv = None
+    uv = cloth = None
     if surface.corner_uv is not None:
         uv = texture_coordinates(surface.corner_uv.index_select(2, found.triangle), w1.float(), w2.float())
-    return (weight * found.area).float(), (highlight * found.area).float(), uv
+    if surface.corner_cloth is not None:
+        corners = surface.corner_cloth.index_select(2, found.triangle)
+        side = found.area.double().sqrt() / screen.focal[0]
+        extent = _extents(corners.double(), weights, crosses, total, side).float()
+        cloth = torch.cat([texture_coordinates(corners, w1.float(), w2.float(), inset=0.0), extent])
+    return (weight * found.area).float(), (highlight * found.area).float(), uv, cloth
+
+
+def _extents(
+    corners: Float64[Tensor, "2 3 N"],
+    weights: Float64[Tensor, "3 N"],
+    crosses: Float64[Tensor, "3 3 N"],
+    total: Float64[Tensor, " N"],
+    side: Float64[Tensor, " N"],
+) -> Float64[Tensor, "2 N"]:
+    """How far fragments reach on the cloth: see `_extent` of the loops."""
+    here = (corners * weights).sum(1)
+    # By the ray's two coordinates: [cloth's axes, ray's axes, N].
+    along = torch.einsum("acn,ckn->akn", corners, crosses[:, :2])
+    slope = (along - here.unsqueeze(1) * crosses[:, :2].sum(0)) / total.masked_fill(total == 0, torch.inf)
+    return torch.minimum(slope.abs().sum(1) * side, corners.amax(1) - corners.amin(1))
 
 
 def _surface_points(
     found: Fragments, screen: Screen, corner: Int64[Tensor, "3 N"]
-) -> tuple[Float64[Tensor, "3 N"], Float64[Tensor, "3 N"]]:
-    """Intersect the rays through fragments' points with their triangles: points in view space, weights of the corners.
+) -> tuple[Float64[Tensor, "3 N"], Float64[Tensor, "3 N"], Float64[Tensor, "3 3 N"], Float64[Tensor, " N"]]:
+    """Intersect the rays through fragments' points with their triangles: points in view space, weights of the corners;
+    and what these come from: corners' crosses, and the sum of their products with the ray.
 
     Works on unsnapped view space, so that it holds for triangles that reach behind the camera, too.
     """
@@ -44,12 +67,13 @@ def _surface_points(
     dx, dy = (found.x - screen.width / 2) / focal, (screen.height / 2 - found.y) / focal
     ray = torch.stack([dx, dy, torch.ones_like(dx)])
     # d . (b x c) and so on, proportional to the perspective-correct weights of the corners.
-    weights = torch.stack([(ray * torch.linalg.cross(p, q, dim=0)).sum(0) for p, q in ((b, c), (c, a), (a, b))])
+    crosses = torch.stack([torch.linalg.cross(p, q, dim=0) for p, q in ((b, c), (c, a), (a, b))])
+    weights = (ray * crosses).sum(1)
     total = weights.sum(0)
     # A triangle seen exactly edge-on has no such point; its first corner stands in.
     weights = weights / total.masked_fill(total == 0, torch.inf)
     weights[0] = 1 - weights[1] - weights[2]
-    return ray * (weights * torch.stack([a[2], b[2], c[2]])).sum(0), weights
+    return ray * (weights * torch.stack([a[2], b[2], c[2]])).sum(0), weights, crosses, total
 
 
 def shade(

@@ -30,7 +30,7 @@ def test_faces_a_tile_apart_share_a_square():
 
 def test_a_cloth_is_interpolated_between_its_squares_and_across_its_border():
     cloth = Cloth.of(0.5, 0.26)
-    assert cloth == Cloth(0.5, 2)
+    assert cloth == Cloth(0.5, 2, 2)
     shares = cloth.shares(cloth.centres() + np.array([0.5, -1.0]), np.ones(4, bool)).toarray()
     assert np.allclose(shares, np.eye(4))
     places = np.array([[0.25, 0.125], [0.3, 0.3], [0.0, 0.125], [0.125, 0.1875]])

@@ -101,7 +101,7 @@ def shown_skin(tight: bool) -> np.ndarray:
         for view in view_cache.views(
             [(pose, Camera(azimuth=azimuth, width=160, height=160)) for azimuth in range(0, 360, 90)]
         ):
-            seen = np.bincount(view.face.numpy(), view.weight.numpy(), bodies.face_count)
+            seen = np.bincount(view.map.column.numpy(), view.map.weight.numpy(), bodies.face_count)
             shares.append(seen[skin].sum() / seen.sum())
     return np.array(shares)
 

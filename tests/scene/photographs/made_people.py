@@ -76,7 +76,7 @@ def rasterized(posed: Posed, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     bodies = Bodies(vertices[None].astype(np.float32), rig.triangles.astype(np.int32))
     view = ViewCache(bodies, RenderSettings(samples=1, light=Light(1.0, 0.0, 0.0))).view(0, camera)
     triangle = np.full(height * width, -1)
-    triangle[view.pixels.numpy()] = view.face.numpy()[view.crow.numpy()[:-1]]
+    triangle[view.pixels.numpy()] = view.map.column.numpy()[view.map.crow.numpy()[:-1]]
     return triangle.reshape(SIZE) >= 0, triangle.reshape(SIZE)
 
 

@@ -44,5 +44,5 @@ def _faces_seen(vertices: np.ndarray, quads: Integer[np.ndarray, "F 4"]) -> tupl
             start = time.process_time()
             (view,) = view_cache.build([(pose, camera)])
             took.append(time.process_time() - start)
-            seen.append(np.bincount(view.face.numpy(), view.weight.numpy(), len(quads)))
+            seen.append(np.bincount(view.map.column.numpy(), view.map.weight.numpy(), len(quads)))
     return seen, took
