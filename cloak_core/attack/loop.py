@@ -209,21 +209,9 @@ class TrainingLoop:
         return step.figures
 
     def _watch(self, step: Step) -> None:
-        """Tell the sampler and the ensemble how surely a person was found in the batch's images, every process's."""
-        if self.objective.ensemble.is_adaptive:
-            self._watch_detectors(step)
-        if self.sampler.hard_views is None:
+        """Tell an adaptive ensemble how surely each detector found a person in the batch's images, every process's."""
+        if not self.objective.ensemble.is_adaptive:
             return
-        found = torch.zeros(self.sampler.images_of(self.step), dtype=torch.float64, device=self.batcher.device)
-        if step.detections:
-            scores = [max_person_score(said).detach() for said in step.detections.values()]
-            found[self.world.rank :: self.world.size] = torch.stack(scores).mean(0).double()
-        draws = self.sampler.draw(self.step)
-        found = self.world.sum(found).cpu().numpy()
-        seen = draws.person < 0  # photographs show no pose of the scene
-        self.sampler.hard_views.observe(self.step, draws.pose[seen], draws.sector[seen], found[seen])
-
-    def _watch_detectors(self, step: Step) -> None:
         ensemble, device = self.objective.ensemble, self.batcher.device
         asked = [number for group in ensemble.asked(self.step) for number in group]
         total = torch.zeros(len(asked), dtype=torch.float64, device=device)
@@ -282,7 +270,6 @@ class TrainingLoop:
             if self.batcher.cloth is not None:
                 self.run.write_cloth(_as_array(colors), self.batcher.cloth.cloth)
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
-            tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
             tensors |= self.objective.ensemble.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
             self._shown = time.perf_counter()
@@ -304,8 +291,6 @@ class TrainingLoop:
                 self.objective.ensemble.load(checkpoint.tensors)
                 if self.held_out is not None:
                     self.held_out.load(checkpoint.tensors)
-                if self.sampler.hard_views is not None:
-                    self.sampler.hard_views.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
             self.step, self._earlier = checkpoint.step, checkpoint.time

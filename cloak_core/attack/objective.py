@@ -1,7 +1,7 @@
 """What a step minimises, and its gradient."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -50,7 +50,6 @@ class Objective:
         self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed)
         self.surrogates = SelfEnsemble(settings.surrogates, settings.run.seed)
-        self.ascent = settings.optimization.ascent if settings.optimization.sharpness else None
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
         self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
@@ -132,11 +131,11 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        loss = person_loss(detections, settings.loss, settings.reduce, point, settings.margin)
+        loss = person_loss(detections, settings.loss, point, settings.margin)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:
-            return loss + settings.rpn_weight * proposal_loss(detections, settings.reduce)
+            return loss + settings.rpn_weight * proposal_loss(detections)
         self._without_proposals.add(number)
         if len(self._without_proposals) == len(self.detectors):
             raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
@@ -177,24 +176,7 @@ def gradient_step(
     share: float = 1.0,
     step: int = 0,
 ) -> Step:
-    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images.
-
-    With a `sharpness` it is that of colours which are worse; the figures, too, unless both were asked for.
-    """
-    if objective.ascent is None:
-        return _gradient(objective, optimizer, batch, world, share, step)
-    if objective.ascent == "momentum":
-        with optimizer.perturbed(optimizer.momentum):
-            return _gradient(objective, optimizer, batch, world, share, step)
-    here = _gradient(objective, optimizer, batch, world, share, step)
-    with optimizer.perturbed(optimizer.gradient.clone()):
-        worse = _gradient(objective, optimizer, batch, world, share, step)
-    return replace(worse, figures=here.figures, is_finite=here.is_finite and worse.is_finite)
-
-
-def _gradient(
-    objective: Objective, optimizer: ColorOptimizer, batch: Batch, world: World, share: float, step: int
-) -> Step:
+    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)

@@ -8,9 +8,7 @@ importing torch takes 1.9 to 4.0 s. To measure it again:
         torch.optim.Adam([p]); print(time.perf_counter() - t)"
 """
 
-import contextlib
 import math
-from collections.abc import Iterator
 from functools import partial
 
 import torch
@@ -119,29 +117,6 @@ class ColorOptimizer:
     def gradient(self) -> Float[Tensor, "P 3"]:
         """What the last backward pass left, with respect to the free parameters."""
         return self._parameter.grad
-
-    @property
-    def momentum(self) -> Float[Tensor, "P 3"] | None:
-        """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
-        return self._state.get("exp_avg", self._state.get("momentum_buffer"))
-
-    @contextlib.contextmanager
-    def perturbed(self, direction: Float[Tensor, "P 3"] | None) -> Iterator[None]:
-        """Move the free parameters by `sharpness` (root mean square) along `direction` inside the block (SAM)."""
-        if direction is None or not self.settings.sharpness:
-            yield
-            return
-        kept = self._parameter.detach().clone()
-        with torch.no_grad():
-            size = direction.square().mean().sqrt().clamp_min(torch.finfo(direction.dtype).tiny)
-            self._parameter.addcdiv_(self.settings.sharpness * direction, size)
-            if not self._sigmoid:
-                self._parameter.clamp_(0, 1)
-        try:
-            yield
-        finally:
-            with torch.no_grad():
-                self._parameter.copy_(kept)
 
     def clear(self) -> None:
         self._parameter.grad = None

@@ -1,9 +1,9 @@
-"""Many networks out of one: a detector's residual branches and activations, shaken anew for every image of a step.
+"""Many networks out of one: a detector's residual branches, shaken anew for every image of a step.
 
 The self-ensemble of T-SEA (Huang et al., CVPR 2023), without touching the detector: while it runs, torch's functions
-are looked at as they are called. Where two feature maps are added, the residual branch is multiplied by a random factor
-or left out; what convolutions give is multiplied channel by channel. So it works on any network that torch runs step by
-step (Darknet's shortcuts, torchvision's blocks, converted ONNX graphs, a user's own module), not on compiled ones.
+are looked at as they are called. Where two feature maps are added, the residual branch is multiplied by a random
+factor. So it works on any network that torch runs step by step (Darknet's shortcuts, torchvision's blocks, converted
+ONNX graphs, a user's own module), not on compiled ones.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ class SelfEnsemble:
         if step is None or not self.settings.on:
             return contextlib.nullcontext()
         state = np.random.SeedSequence([self.seed, _STREAM, step, number]).generate_state(1, np.uint64)
-        return _Shaking(self.settings, torch.Generator().manual_seed(int(state[0] >> 1)))
+        return _Shaking(self.settings.shake, torch.Generator().manual_seed(int(state[0] >> 1)))
 
 
 class _Shaking(TorchFunctionMode):
-    """Changes what feature maps add up to, and what convolutions give."""
+    """Changes what feature maps add up to."""
 
-    def __init__(self, settings: SurrogateSettings, random: torch.Generator) -> None:
+    def __init__(self, reach: float, random: torch.Generator) -> None:
         super().__init__()
-        self.settings, self.random = settings, random
+        self.reach, self.random = reach, random
         # By where they lie, for a slice of all channels is still the same map; the tensors themselves are kept so that
         # no other comes to lie there.
         self._read: dict[int, Tensor] = {}
@@ -60,8 +60,6 @@ class _Shaking(TorchFunctionMode):
         found = function(*args, **(kwargs or {}))
         if name in _READERS and args and isinstance(args[0], Tensor):
             self._read[args[0].data_ptr()] = args[0]
-        if name == "conv2d" and self.settings.activation_noise and isinstance(found, Tensor):
-            found = found * self._factors(found, found.shape[1], self.settings.activation_noise)
         return found
 
     def _branches(self, one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
@@ -72,22 +70,15 @@ class _Shaking(TorchFunctionMode):
         is_way_around = [x.data_ptr() in self._read for x in (one, other)]
         is_residual = is_way_around[0] != is_way_around[1]
         changed = [
-            x if is_residual and around else x * self._branch_factors(x, is_residual)
+            x if is_residual and around else x * self._factors(x)
             for x, around in zip((one, other), is_way_around, strict=True)
         ]
         return changed[0], changed[1]
 
-    def _branch_factors(self, x: Tensor, is_residual: bool) -> Tensor:
-        factors = self._factors(x, 1, self.settings.shake)
-        if is_residual and self.settings.random_depth:
-            kept = torch.rand(len(x), generator=self.random) >= self.settings.random_depth
-            factors = factors * kept.to(x.device, x.dtype).view(-1, 1, 1, 1)
-        return factors
-
-    def _factors(self, x: Tensor, channels: int, reach: float) -> Tensor:
-        """Draw [B, channels, 1, 1], uniform in 1 ± reach."""
-        drawn = torch.rand(len(x), channels, 1, 1, generator=self.random)
-        return (1 + reach * (2 * drawn - 1)).to(x.device, x.dtype)
+    def _factors(self, x: Tensor) -> Tensor:
+        """Draw [B, 1, 1, 1], uniform in 1 ± reach."""
+        drawn = torch.rand(len(x), 1, 1, 1, generator=self.random)
+        return (1 + self.reach * (2 * drawn - 1)).to(x.device, x.dtype)
 
 
 def _are_maps(one: object, other: object) -> bool:

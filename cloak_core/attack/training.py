@@ -49,7 +49,6 @@ from cloak_core.scene.logos.garment_colors import garment_colors
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.palette import read_palette
 from cloak_core.scene.logos.patches import patch_of_face
-from cloak_core.scene.wrinkling import wrinkled
 
 FRESH_VIEWS_BYTES = 128 << 20
 """Memory for views that are used once."""
@@ -288,9 +287,7 @@ def make_batcher(
     cloth: ClothOnLogo | None = None,
 ) -> Batcher:
     """Make what draws and builds a run's batches."""
-    bodies, backgrounds, folds = material.bodies, material.backgrounds, settings.augmentation
-    if folds.wrinkles:
-        bodies = wrinkled(bodies, logo.face_ids, folds.wrinkles, folds.wrinkle_draws, settings.run.seed)
+    bodies, backgrounds = material.bodies, material.backgrounds
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds), len(material.people))
     people, flat = None, None if cloth is None else cloth.cloth
     if material.people:

@@ -115,7 +115,7 @@ class _Bench:
 
         def floor() -> None:
             ready.grad = None
-            disappearance(detector(ready), settings.objective.loss, settings.objective.reduce).backward()
+            disappearance(detector(ready), settings.objective.loss).backward()
 
         def step(number: int) -> None:
             figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures

@@ -29,23 +29,19 @@ def test_objectness_counts_person_boxes_alone():
     assert disappearance(found, "objectness").item() == pytest.approx(0.2)
     with pytest.raises(InputError, match="objectness"):
         disappearance(detections([[0.5]]), "objectness")
-    with pytest.raises(InputError, match="objectness"):
-        disappearance(detections([[0.5]]), "objectness", "topk")
 
 
-@pytest.mark.parametrize("reduce", ["max", "topk", "logsumexp"])
 @pytest.mark.parametrize("kind", ["score", "log"])
-def test_no_boxes_and_empty_boxes_count_nothing(kind, reduce):
-    assert disappearance(detections(torch.zeros(2, 0)), kind, reduce).item() == 0
-    assert disappearance(detections(torch.zeros(2, 500)), kind, reduce).item() == pytest.approx(0, abs=1e-6)
+def test_no_boxes_and_empty_boxes_count_nothing(kind):
+    assert disappearance(detections(torch.zeros(2, 0)), kind).item() == 0
+    assert disappearance(detections(torch.zeros(2, 500)), kind).item() == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize("reduce", ["max", "topk", "logsumexp"])
 @pytest.mark.parametrize("kind", ["score", "log", "margin"])
 @pytest.mark.parametrize("logit", [-6.0, -1.0, 1.0, 6.0])
-def test_a_score_on_either_side_of_the_threshold_has_a_gradient(kind, reduce, logit):
+def test_a_score_on_either_side_of_the_threshold_has_a_gradient(kind, logit):
     logits = torch.full((1, 3), logit, requires_grad=True)
-    disappearance(detections(torch.sigmoid(logits)), kind, reduce).backward()
+    disappearance(detections(torch.sigmoid(logits)), kind).backward()
     assert logits.grad.abs().sum() > 1e-3
 
 
@@ -85,12 +81,6 @@ def test_the_margin_at_even_odds_less_its_width_is_the_log():
     assert disappearance(found, "margin", operating_point=point) == pytest.approx(disappearance(found, "log").item())
     for saturated in (0.0, 1.0):
         assert math.isfinite(disappearance(detections([[saturated]]), "margin").item())
-
-
-def test_soft_reductions_by_hand():
-    assert disappearance(detections([[0.5, 0.1]]), reduce="topk").item() == pytest.approx(0.3)
-    expected = (math.log((math.exp(10) + math.exp(2)) / 2)) / 20
-    assert disappearance(detections([[0.5, 0.1]]), reduce="logsumexp").item() == pytest.approx(expected)
 
 
 def test_total_variation_by_hand():

@@ -62,7 +62,6 @@ def test_equal_colours_on_a_plain_garment_stay_equal():
         {"colors_at_most": 3},
         {"pattern": "camouflage", "feature_cm": 30.0},
         {"gamut": "sigmoid"},
-        {"sharpness": 0.05},
     ],
 )
 def test_a_run_ends_as_close_as_it_was_told(tmp_path, more):

@@ -75,9 +75,6 @@ class ViewSettings(RenderOptions):
     between, drawn evenly from sectors of ten degrees. 0..360 is the full circle."""
     angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
     """Change each azimuth by up to this many degrees, uniformly; 0 keeps the azimuths, so that views can be reused."""
-    hard_views: Annotated[float, Bounds(0, 1)] = 0.0
-    """Share of the images that show poses and azimuths where detectors still find the person; the others are drawn
-    evenly."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
     """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
@@ -117,16 +114,9 @@ class AugmentationSettings:
     """Range of what is added to the colours; 0 switches it off."""
     noise: Annotated[float, Bounds(0, 1)] = 0.1
     """Amplitude of uniform noise on the colours."""
-    photometric_on: Literal["logo", "render"] = "logo"
-    """Apply contrast, brightness and noise to the logo (per face), or to the render (per pixel of the body)."""
-    occluders: Annotated[int, Bounds(0, 16)] = 0
-    """Put at most this many rectangles, cut from other backgrounds, before each body."""
-    zoom: Annotated[Range, Bounds(0.25, 4)] = Range(1.0, 1.0)
-    """Range of the factor by which the finished image is enlarged about its centre; 1 switches it off."""
     blur: Annotated[float, Bounds(0, 2)] = 0.0
-    """Blur the finished image by a Gaussian of at most this standard deviation, pixels; 0 switches it off."""
-    jpeg: Annotated[Range | None, Bounds(1, 100)] = None
-    """Range of the JPEG quality, 1 to 100, of the finished image; None switches it off."""
+    """Baseline (EOT, Athalye et al., ICML 2018): blur the finished image by a Gaussian of at most this standard
+    deviation, pixels; 0 switches it off."""
     cutout: Annotated[float, Bounds(0, 1)] = 0.0
     """Paint up to this share of the logo's faces grey in each image, around one face, so that no colour depends on the
     others; 0 switches it off."""
@@ -135,18 +125,9 @@ class AugmentationSettings:
     pad: Annotated[float, Bounds(0, 0.9)] = 0.0
     """Shrink the finished image into a grey margin of up to this share of the width and height. With --crop, too, each
     image gets one of the two."""
-    tint: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Multiply the finished image's red, green, blue and saturation each by up to 1 ± this."""
-    background_mix: Annotated[float, Bounds(0, 1)] = 0.0
-    """Mix up to this share of another background into the one behind the body."""
-    wrinkles: Annotated[float, Bounds(0, 0.1)] = 0.0
-    """Lay the cloth under the logo in random smooth folds of this depth, metres; 0 leaves the scene's shape."""
-    wrinkle_draws: Annotated[int, Bounds(1, 64)] = 4
-    """With --wrinkles: number of random folds in which each pose is seen."""
 
 
 Loss = Literal["score", "objectness", "log", "margin"]
-Reduce = Literal["max", "topk", "logsumexp"]
 Hide = Literal["person", "everything"]
 
 
@@ -157,14 +138,12 @@ class LossSettings:
     hide: Hide = "person"
     """What to hide: the class person alone, or every class on the body."""
     loss: Loss = "score"
-    """What is minimised of each box: score, of the person; objectness, where person is the likeliest class; log, which
-    is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score lies above the
-    detector's own operating point, in logits."""
+    """What is minimised of an image's surest box: score, of the person; objectness, where person is the likeliest
+    class; log, which is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score
+    lies above the detector's own operating point, in logits."""
     margin: NotNegative = 1.0
     """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
     from more of the detectors that training never saw."""
-    reduce: Reduce = "max"
-    """How an image's boxes become one number: the largest, the mean of the ten largest (topk), or a soft maximum."""
     rpn_weight: NotNegative = 0.0
     """For two-stage detectors: weight of the first stage's objectness of the proposals behind person boxes."""
     ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
@@ -246,15 +225,12 @@ class SurrogateSettings:
     """
 
     shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Multiply residual branches by up to 1 ± this, as T-SEA's ShakeDrop (CVPR 2023); 0 switches it off."""
-    random_depth: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Probability that a residual branch is left out, for each image."""
-    activation_noise: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Multiply each channel of a convolution's output by up to 1 ± this; also for networks without residuals."""
+    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0 switches
+    it off."""
 
     @property
     def on(self) -> bool:
-        return bool(self.shake or self.random_depth or self.activation_noise)
+        return bool(self.shake)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,17 +238,12 @@ class OptimizerSettings:
     """How the colours begin and move."""
 
     optimizer: Literal["sgd", "adam", "mi"] = "sgd"
-    """SGD, Adam, or mi: sign steps along a momentum of normalised gradients (MI-FGSM, Dong et al., CVPR 2018)."""
+    """SGD, Adam, or the baseline mi (MI-FGSM, Dong et al., CVPR 2018): sign steps along a momentum of normalised
+    gradients."""
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """For sgd and mi, in [0, 1)."""
-    sharpness: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """Take the gradient where colours are worse by this much, root mean square (sharpness-aware minimisation, Foret et
-    al., ICLR 2021); 0 switches it off."""
-    ascent: Literal["gradient", "momentum"] = "gradient"
-    """With --sharpness, how the worse colours are found: along the gradient, which doubles the cost of a step, or along
-    the optimiser's momentum, which costs nothing (Becker et al., 2024)."""
     smooth: Annotated[int, Bounds(0, 1000)] = 0
     """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
     frequencies are learnt; 0 gives each face its own colour."""
@@ -298,8 +269,6 @@ class OptimizerSettings:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
         if self.octaves > 1 and self.gamut != "sigmoid":
             raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
-        if self.sharpness and self.ascent == "momentum" and self.optimizer == "sgd" and not self.momentum:
-            raise InputError("--ascent momentum: there is none without --momentum")
 
 
 @dataclass(frozen=True, kw_only=True)
