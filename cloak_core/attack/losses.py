@@ -118,21 +118,6 @@ def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradi
     return total
 
 
-def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
-    """Average the faces' Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
-
-    The non-printability score of Sharif et al., "Accessorize to a Crime" (CCS 2016), as Thys et al., "Fooling automated
-    surveillance cameras" (CVPR workshops 2019) use it: Sharif's product of the distances to all palette colours
-    vanishes, with its gradient, once there are more than a few of them. A colour of the palette itself has gradient 0.
-    """
-    # Who is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
-    with torch.no_grad():
-        squares = (palette**2).sum(dim=1) - 2 * colors @ palette.T
-        nearest = palette[squares.argmin(dim=1)]
-    # The root's gradient is infinite at 0; below a millionth of a colour there is none.
-    return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
-
-
 def _logit(p: float) -> float:
     p = min(max(p, 1 - SURE), SURE)
     return math.log(p / (1 - p))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Int64
@@ -26,3 +27,19 @@ def offsets(rows: Int64[Tensor, " E"], count: int) -> Int64[Tensor, " M1"]:
     result = rows.new_zeros(count + 1)
     result[1:] = torch.bincount(rows, minlength=count).cumsum(0)
     return result
+
+
+def linear(values: Tensor, forward: Callable[[Tensor], Tensor], transposed: Callable[[Tensor], Tensor]) -> Tensor:
+    """Apply a linear map whose gradient is the transposed map."""
+    return _Linear.apply(values, forward, transposed)
+
+
+class _Linear(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: object, values: Tensor, forward: Callable, transposed: Callable) -> Tensor:
+        ctx.transposed = transposed
+        return forward(values)
+
+    @staticmethod
+    def backward(ctx: object, upstream: Tensor) -> tuple[Tensor, None, None]:
+        return ctx.transposed(upstream), None, None
