@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloak_core.attack.losses import disappearance, non_printability, total_variation
+from cloak_core.attack.losses import disappearance, total_variation
 from cloak_core.detectors.protocol import Detections
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import torch_alone
@@ -115,21 +115,3 @@ def test_the_loop_and_torch_agree_about_total_variation():
         found.append((value.item(), colors.grad))
     assert found[0][0] == pytest.approx(found[1][0], rel=1e-6)
     assert torch.allclose(found[0][1], found[1][1], atol=1e-6) and found[0][1].abs().max() > 1e-3
-
-
-@given(st.integers(0, 2**31), st.integers(1, 40), st.integers(1, 60))
-def test_non_printability_against_all_distances(seed, count, size):
-    generator = torch.Generator().manual_seed(seed)
-    colors, palette = torch.rand(count, 3, generator=generator), torch.rand(size, 3, generator=generator)
-    distances = torch.cdist(colors.double(), palette.double(), compute_mode="donot_use_mm_for_euclid_dist")
-    assert non_printability(colors, palette).item() == pytest.approx(
-        distances.min(dim=1).values.mean().item(), abs=1e-5
-    )
-
-
-def test_the_gradient_of_non_printability_leads_to_the_palette():
-    palette = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    colors = torch.tensor([[0.1, 0.1, 0.1], [0.8, 0.9, 1.0], [1.0, 1.0, 1.0]], requires_grad=True)
-    non_printability(colors, palette).backward()
-    assert (colors.grad[0] > 0).all() and (colors.grad[1, :2] < 0).all()
-    assert colors.grad.isfinite().all() and (colors.grad[2] == 0).all()

@@ -8,13 +8,14 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.attack.batches import Batcher
-from cloak_core.attack.distorting import Distortion, draw_window
 from cloak_core.attack.sampling import Sampler
+from cloak_core.attack.technique import Distortions
 from cloak_core.detectors.filters import blurred, through_jpeg, windowed
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.geometry import face_centres
-from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, tiny_settings
+from cloak_core.techniques.window import Windows, draw_window
+from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings
 
 
 def smooth_images(count: int = 2, size: int = 48) -> torch.Tensor:
@@ -60,14 +61,14 @@ def test_blur_is_a_gaussian():
 def test_boxes_move_with_the_images(window):
     images, box = torch.full((1, 3, 80, 60), 0.5), torch.tensor([[21.0, 30.0, 40.0, 52.0]])
     images[:, :, 30:52, 21:40] = 1
-    distortion = Distortion(None if window is None else torch.tensor([window]))
+    distortion = Distortions([] if window is None else [Windows(torch.tensor([window]))])
     seen = (distortion(images)[0, 0] > 0.75).nonzero()
     expected = [seen[:, 1].min(), seen[:, 0].min(), seen[:, 1].max() + 1, seen[:, 0].max() + 1]
     assert (distortion.boxes(box, 80, 60)[0] - torch.tensor(expected)).abs().max() <= 0.75
 
 
 def test_boxes_are_clipped_to_the_image():
-    shifted = Distortion(window=torch.tensor([[0.5, 0.5, 0.0]]))
+    shifted = Distortions([Windows(torch.tensor([[0.5, 0.5, 0.0]]))])
     assert shifted.boxes(torch.tensor([[0.0, 20.0, 50.0, 60.0]]), 80, 80).tolist() == [[0, 0, 20, 80]]
 
 
@@ -101,6 +102,7 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
         logo.face_ids,
         backgrounds,
         torch.device("cpu"),
+        techniques=techniques_of(settings, bodies=bodies),
     )
     colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
     images = batcher.batch(0).images(colors)
@@ -123,7 +125,13 @@ def test_cut_out_faces_are_grey_and_stand_together():
     sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, 5)
     faces = front_logo(bodies).face_ids
     batcher = Batcher(
-        settings, sampler, ViewCache(bodies, RenderSettings(samples=1)), faces, noise_backgrounds(), torch.device("cpu")
+        settings,
+        sampler,
+        ViewCache(bodies, RenderSettings(samples=1)),
+        faces,
+        noise_backgrounds(),
+        torch.device("cpu"),
+        techniques=techniques_of(settings, bodies=bodies),
     )
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
