@@ -32,6 +32,7 @@ ROOMS = (
     "output",
     "render",
     "scene",
+    "techniques",
     "zoo",
 )
 install_import_hook([f"cloak_core.{room}" for room in ROOMS], "beartype.beartype")

@@ -16,6 +16,7 @@ MAY_IMPORT = {
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},
     "attack": {"files", "jobs", "exchange", "zoo", "scene", "render", "detectors"},
+    "techniques": {"files", "exchange", "scene", "render", "detectors", "attack"},
     "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
     "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
     "experiments": {"files", "exchange", "scene", "render", "detectors", "attack", "evaluation"},
@@ -62,6 +63,13 @@ def test_a_room_imports_only_the_rooms_below_it(path):
     room = room_of(path)
     assert room in MAY_IMPORT, f"{room} has no place among the rooms yet"
     assert rooms_imported(path) - {room, "__version__"} <= MAY_IMPORT[room]
+
+
+def test_nothing_outside_their_room_imports_a_technique():
+    """Training finds them by itself, so that one more touches one file."""
+    for path in CORE.rglob("*.py"):
+        if room_of(path) != "techniques":
+            assert "techniques" not in rooms_imported(path), path
 
 
 @pytest.mark.slow

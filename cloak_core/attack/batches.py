@@ -6,27 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window, occluded
 from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.components import AugmentationSettings, ViewSettings
 from cloak_core.attack.settings.values import Range
+from cloak_core.attack.technique import NO_TECHNIQUES, Distortions, Techniques
 from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import Canvas, blank, lay_backdrop, true_boxes
 from cloak_core.render.threads import spread, torch_threads, workers
-from cloak_core.render.types import BakedView, Photometric
+from cloak_core.render.types import BakedView
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Camera
-from cloak_core.scene.geometry import face_centres
 
-_MIX, _CUTOUT, _WINDOW, _TINT, _CLOTH = 1, 2, 3, 4, 5
-"""Streams of random numbers of an image, beside those drawn from its bare seed."""
+_CLOTH = 5
+"""Stream of random numbers of an image, beside those drawn from its bare seed; techniques have others."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Batch:
     canvas: Canvas | None
     """None there."""
     on_logo: "LogoChange | None"
-    distortion: Distortion
+    distortion: Distortions
     hidden: Bool[Tensor, "B L"] | None = None
     """Faces of the logo that are grey in an image; None: none."""
     bodies: Float[Tensor, "B 4"] | None = None
@@ -89,9 +88,10 @@ class Batcher:
         device: torch.device,
         people: PeopleViews | None = None,
         cloth: ClothOnLogo | None = None,
+        techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         """cloth: what the colours are of, where they are not those of the logo's faces."""
-        self.people, self.cloth = people, cloth
+        self.people, self.cloth, self.techniques = people, cloth, techniques
         self.color_count = len(logo_faces) if cloth is None else cloth.count
         self.views, self.augmentation, self.sampler, self.view_cache = (
             settings.views,
@@ -102,9 +102,6 @@ class Batcher:
         self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
         # Threads that only look views up would wait for each other.
         self._fresh = is_fresh(settings.views)
-        self._centres = None
-        if self.augmentation.cutout:
-            self._centres = face_centres(view_cache.bodies)[logo_faces] if cloth is None else cloth.cloth.centres()
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's share of them."""
@@ -112,7 +109,7 @@ class Batcher:
         settings, size = self.augmentation, self.views.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
-            return Batch(empty, None, None, Distortion())
+            return Batch(empty, None, None, Distortions())
         places = draws.pose.tolist(), cameras(draws, self.views), draws.outfit.tolist()
         wanted = zip(*places, draws.person.tolist(), draws.seed.tolist(), strict=True)
 
@@ -124,29 +121,25 @@ class Batcher:
             return view if self.cloth is None else self.cloth.view(view, np.random.default_rng([seed, _CLOTH]))
 
         views = spread(bake, list(wanted), workers(self.device) if self._fresh else 1)
-        changes = is_photometric(settings)
-        on_logo = settings.photometric_on == "logo"
         rows = blank(len(views), size, size, self.device)
-        lay_backdrop(
-            rows, [self._backdrop(*one) for one in zip(draws.background.tolist(), draws.seed.tolist(), strict=True)]
-        )
+        lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
         # A photograph is moved by the part of it that is shown.
         shifts = torch.from_numpy(np.where(draws.person[:, None] >= 0, 0, draws.shift)).to(
             self.device, non_blocking=True
         )
-        on_render = render_change(draws, settings, self.device) if changes and not on_logo else None
-        distorted = distortion(draws, settings, self.device)
+        distorted = self.techniques.distortions(draws.seed, self.device)
+        hidden = self.techniques.hidden(draws.seed)
         return Batch(
             empty,
-            self._occlude(Canvas.of(views, rows, shifts, on_render), views, draws),
-            LogoChange.draw(draws, settings, self.color_count, self.device) if changes and on_logo else None,
+            Canvas.of(views, rows, shifts),
+            LogoChange.draw(draws, settings, self.color_count, self.device) if is_photometric(settings) else None,
             distorted,
-            None if self._centres is None else self._cutout(draws),
+            None if hidden is None else torch.from_numpy(hidden).to(self.device),
             distorted.boxes(true_boxes(views, shifts), size, size),
             self._company(views, draws, distorted),
         )
 
-    def _company(self, views: list[BakedView], draws: Draws, distorted: Distortion) -> Company | None:
+    def _company(self, views: list[BakedView], draws: Draws, distorted: Distortions) -> Company | None:
         if self.people is None:
             return None
         boxes = [
@@ -159,39 +152,6 @@ class Batcher:
         moved = [distorted.boxes(others[:, k], size, size) for k in range(others.shape[1])]
         others = torch.stack(moved, dim=1) if moved else others
         return Company(others.to(self.device), torch.from_numpy(draws.person < 0).to(self.device))
-
-    def _backdrop(self, index: int, seed: int) -> UInt8[Tensor, "3 H W"]:
-        """Take a background, mixed with a share of another one where the settings say so."""
-        size, most = self.views.size, self.augmentation.background_mix
-        image = self.backgrounds.image(index, (size, size))
-        if not most:
-            return image
-        random = np.random.default_rng([seed, _MIX])
-        other = self.backgrounds.image(int(random.integers(len(self.backgrounds))), (size, size))
-        return torch.lerp(image.float(), other.float(), random.uniform(0, most)).round().to(torch.uint8)
-
-    def _cutout(self, draws: Draws) -> Bool[Tensor, "B L"]:
-        hidden = np.zeros((len(draws), len(self._centres)), bool)
-        for row, seed in zip(hidden, draws.seed, strict=True):
-            random = np.random.default_rng([seed, _CUTOUT])
-            about = self._centres[random.integers(len(row))]
-            count = round(random.uniform(0, self.augmentation.cutout) * len(row))
-            apart = ((self._centres - about) ** 2).sum(1)
-            row[np.argsort(apart, kind="stable")[:count]] = True
-        return torch.from_numpy(hidden).to(self.device)
-
-    def _occlude(self, canvas: Canvas, views: list[BakedView], draws: Draws) -> Canvas:
-        if not self.augmentation.occluders:
-            return canvas
-        size, boxes, pictures = self.views.size, [], []
-        bodies = true_boxes(views, torch.from_numpy(draws.shift)).cpu().tolist()
-        for image, seed in enumerate(draws.seed.tolist()):
-            random = np.random.default_rng(seed)
-            own = draw_occluders(random, bodies[image], self.augmentation.occluders, size)
-            boxes += [(image, *box) for box in own]
-            chosen = random.integers(len(self.backgrounds), size=len(own)).tolist()
-            pictures += [self.backgrounds.image(index, (size, size)) for index in chosen]
-        return occluded(canvas, boxes, pictures)
 
 
 class Prefetcher:
@@ -272,37 +232,6 @@ class LogoChange:
 def is_photometric(settings: AugmentationSettings) -> bool:
     """Tell whether contrast, brightness or noise change anything."""
     return bool(settings.noise) or settings.contrast != Range(1.0, 1.0) or settings.brightness != Range(0.0, 0.0)
-
-
-def distortion(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Distortion:
-    """Gather what happens to the finished images."""
-    return Distortion(
-        _on(device, draws.zoom) if settings.zoom != Range(1.0, 1.0) else None,
-        _on(device, _windows(draws, settings)) if settings.crop or settings.pad else None,
-        _on(device, _tints(draws, settings)) if settings.tint else None,
-        _on(device, draws.blur) if settings.blur else None,
-        _on(device, draws.quality) if settings.jpeg is not None else None,
-    )
-
-
-def _windows(draws: Draws, settings: AugmentationSettings) -> Float[np.ndarray, "B 3"]:
-    drawn = [draw_window(np.random.default_rng([seed, _WINDOW]), settings.crop, settings.pad) for seed in draws.seed]
-    return np.array(drawn).reshape(-1, 3)
-
-
-def _tints(draws: Draws, settings: AugmentationSettings) -> Float[np.ndarray, "B 4"]:
-    drawn = [np.random.default_rng([seed, _TINT]).uniform(-settings.tint, settings.tint, 4) for seed in draws.seed]
-    return 1 + np.array(drawn).reshape(-1, 4)
-
-
-def render_change(draws: Draws, settings: AugmentationSettings, device: torch.device) -> Photometric:
-    """Draw contrast, brightness and noise on the body's pixels.
-
-    The noise has one seed for all images that a process composes together.
-    """
-    seed = int(draws.seed[0]) if len(draws) else 0
-    contrast, brightness = _on(device, draws.contrast), _on(device, draws.brightness)
-    return Photometric(contrast, brightness, settings.noise, seed)
 
 
 def _on(device: torch.device, values: np.ndarray) -> Tensor:

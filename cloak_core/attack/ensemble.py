@@ -6,35 +6,29 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.settings.components import LossSettings
+from cloak_core.attack.technique import NO_TECHNIQUES, Techniques
 from cloak_core.files.errors import InputError
 
 _STREAM = 0xDE7
 """Of random numbers, apart from those that draw the images."""
-_MEMORY = 0.9
-"""Weight of what was known of a detector when it is asked again."""
-_SHARPNESS = 5.0
-"""Of an adaptive ensemble: a detector that sees surely weighs e^5 as much as one that sees nothing."""
 _EVEN = 0.5
-"""Share of an adaptive ensemble's draws that go to all detectors alike: what is never asked is never known better."""
-_STATE = "ensemble."
+"""Share of the draws that go to all detectors alike where a technique weighs them: what is never asked is never known
+better."""
 
 
 class Ensemble:
     """The detectors of a run by their number, 0 .. count - 1. InputError: weights that do not fit them."""
 
-    def __init__(self, settings: LossSettings, count: int, seed: int = 0) -> None:
+    def __init__(
+        self, settings: LossSettings, count: int, seed: int = 0, techniques: Techniques = NO_TECHNIQUES
+    ) -> None:
         self.count, self.settings, self.seed = count, settings, seed
         self.per_step = min(settings.detectors_per_step or count, count)
         weights = settings.detector_weights or (1.0,) * count
         if len(weights) != count:
             raise InputError(f"--detector-weights: {len(weights)} weights, but the run has {count} --detector")
         self._weights = np.array(weights) / sum(weights)
-        # Nothing known: all see.
-        self._levels = np.ones(count)
-
-    @property
-    def is_adaptive(self) -> bool:
-        return self.settings.ensemble == "adaptive"
+        self._weighing = next(iter(techniques.at("weights")), None)
 
     @property
     def is_subset(self) -> bool:
@@ -43,36 +37,11 @@ class Ensemble:
 
     @property
     def weights(self) -> Float[np.ndarray, " detectors"]:
-        """Each detector's weight now; they sum to 1. An adaptive subset asks more often instead, and weighs alike."""
-        if not self.is_adaptive or self.is_subset:
-            return self._weights
-        return self._standing()
+        """Each detector's weight now; they sum to 1.
 
-    def _standing(self) -> Float[np.ndarray, " detectors"]:
-        """Weigh detectors by how surely each found a person lately; the weights sum to 1."""
-        grown = np.exp(_SHARPNESS * (self._levels - self._levels.max()))
-        return grown / grown.sum()
-
-    def observe(self, levels: dict[int, float]) -> None:
-        """Note after a step how surely each detector found a person (`level`), by its number.
-
-        From 0 over 0.5 at its own operating point to 1. In every process for the whole batch.
+        Where a technique weighs them, a subset asks more often instead, and weighs alike.
         """
-        for number, level in levels.items():
-            self._levels[number] = _MEMORY * self._levels[number] + (1 - _MEMORY) * level
-
-    def state(self) -> dict[str, Tensor]:
-        """Give the state for a checkpoint."""
-        return {_STATE + "levels": torch.from_numpy(self._levels.copy())} if self.is_adaptive else {}
-
-    def load(self, tensors: dict[str, Tensor]) -> None:
-        """Continue from `state()`. KeyError or ValueError where the tensors belong to another run."""
-        if not self.is_adaptive:
-            return
-        levels = tensors[_STATE + "levels"].cpu().numpy()
-        if levels.shape != self._levels.shape:
-            raise ValueError("the ensemble's state is that of other detectors")
-        self._levels = levels.astype(np.float64, copy=True)
+        return self._weights if self._weighing is None or self.is_subset else self._weighing.weights()
 
     def asked(self, step: int | None) -> list[list[int]]:
         """Choose the detectors of a step (None: all), in groups whose losses need each other: alone but for the
@@ -83,7 +52,9 @@ class Ensemble:
         chosen = np.arange(self.count)
         if step is not None and self.is_subset:
             random = np.random.default_rng([self.seed, _STREAM, step])
-            often = _EVEN / self.count + (1 - _EVEN) * self._standing() if self.is_adaptive else None
+            often = None
+            if self._weighing is not None:
+                often = _EVEN / self.count + (1 - _EVEN) * self._weighing.weights()
             chosen = np.sort(random.choice(self.count, self.per_step, replace=False, p=often))
         if self.settings.ensemble == "max":
             return [chosen.tolist()]
@@ -99,12 +70,3 @@ class Ensemble:
             return stacked.amax(dim=0)
         weights = [float(self.weights[number]) * self.count / asked for number in losses]
         return (stacked * stacked.new_tensor(weights)[:, None]).sum(dim=0)
-
-
-def level(scores: Float[Tensor, "B"], operating_point: float) -> Float[Tensor, "B"]:
-    """Measure how surely a person is found beside the detector's operating point: 0.5 there, in [0, 1].
-
-    The odds of the score over the sum of its odds and those of the operating point.
-    """
-    found = scores * (1 - operating_point)
-    return found / (found + (1 - scores) * operating_point)

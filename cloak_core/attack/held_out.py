@@ -74,9 +74,7 @@ def _split(random: np.random.Generator, count: int, share: float) -> tuple[list[
 def held_out_settings(settings: TrainSettings) -> TrainSettings:
     """Make settings whose `steps` batches are the images of one measurement."""
     steps = math.ceil(IMAGES / settings.run.batch)
-    return settings.changed(
-        epochs=None, steps=steps, seed=settings.run.seed ^ 1, held_out=0.0, patience=0, hard_views=0.0
-    )
+    return settings.changed(epochs=None, steps=steps, seed=settings.run.seed ^ 1, held_out=0.0, patience=0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -18,7 +18,6 @@ from cloak_core.attack.checkpoints import (
     save_checkpoint,
     send_checkpoint,
 )
-from cloak_core.attack.ensemble import level
 from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
 from cloak_core.attack.held_out import HeldOut
 from cloak_core.attack.objective import Objective, Step, StepFigures, gradient_step
@@ -64,8 +63,8 @@ class RunResult:
     """The step they are of."""
     enough: str = ""
     """Why it was complete before its last step: nothing better on what was held out."""
-    closeness: tuple[float, float] | None = None
-    """Mean and 95th percentile of CIEDE2000 from the garment that the colours were kept close to."""
+    report: dict[str, float] = dataclasses.field(default_factory=dict)
+    """What techniques measured of the colours."""
 
     def record(self) -> dict:
         """Make the record that the command line prints."""
@@ -79,10 +78,12 @@ class RunResult:
             "distinct_colors": len(np.unique(self.colors, axis=0)),
         }
         record |= {"enough": self.enough} if self.enough else {}
-        record |= (
-            {} if self.closeness is None else dict(zip(("de2000_mean", "de2000_p95"), self.closeness, strict=True))
+        return (
+            record
+            | self.report
+            | figures
+            | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
         )
-        return record | figures | ({"stopped": f"stopped at step {self.step}: {self.stopped}"} if self.stopped else {})
 
 
 class TrainingLoop:
@@ -100,6 +101,7 @@ class TrainingLoop:
         world: World,
     ) -> None:
         self.run, self.batcher, self.objective = run, batcher, objective
+        self.techniques = objective.techniques
         self.settings, self.sampler = settings, batcher.sampler
         self.optimizer, self.held_out, self.world = optimizer, held_out, world
         self.step = 0
@@ -130,7 +132,7 @@ class TrainingLoop:
             colors=colors,
             colors_step=colors_step,
             enough=self._enough(),
-            closeness=None if self.optimizer.near is None else self.optimizer.near.closeness(_as_array(last)),
+            report=self.techniques.report(_as_array(last)),
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
@@ -209,30 +211,17 @@ class TrainingLoop:
         return step.figures
 
     def _watch(self, step: Step) -> None:
-        """Tell the sampler and the ensemble how surely a person was found in the batch's images, every process's."""
-        if self.objective.ensemble.is_adaptive:
-            self._watch_detectors(step)
-        if self.sampler.hard_views is None:
-            return
-        found = torch.zeros(self.sampler.images_of(self.step), dtype=torch.float64, device=self.batcher.device)
-        if step.detections:
-            scores = [max_person_score(said).detach() for said in step.detections.values()]
-            found[self.world.rank :: self.world.size] = torch.stack(scores).mean(0).double()
-        draws = self.sampler.draw(self.step)
-        found = self.world.sum(found).cpu().numpy()
-        seen = draws.person < 0  # photographs show no pose of the scene
-        self.sampler.hard_views.observe(self.step, draws.pose[seen], draws.sector[seen], found[seen])
-
-    def _watch_detectors(self, step: Step) -> None:
-        ensemble, device = self.objective.ensemble, self.batcher.device
-        asked = [number for group in ensemble.asked(self.step) for number in group]
-        total = torch.zeros(len(asked), dtype=torch.float64, device=device)
-        for place, number in enumerate(asked):
-            if number in step.detections:
-                point = self.objective.detectors[number].operating_point
-                total[place] = level(max_person_score(step.detections[number]).double(), point).sum()
-        mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
-        ensemble.observe(dict(zip(asked, mean, strict=True)))
+        """Tell techniques how surely each detector found a person in the batch's images, every process's."""
+        device = self.batcher.device
+        for technique in self.techniques.at("observe"):
+            asked = [number for group in self.objective.ensemble.asked(self.step) for number in group]
+            total = torch.zeros(len(asked), dtype=torch.float64, device=device)
+            for place, number in enumerate(asked):
+                if number in step.detections:
+                    point = self.objective.detectors[number].operating_point
+                    total[place] = technique.level(max_person_score(step.detections[number]).double(), point).sum()
+            mean = (self.world.sum(total) / self.sampler.images_of(self.step)).tolist()
+            technique.observe(dict(zip(asked, mean, strict=True)))
 
     def _refuse(self, step: Step) -> None:
         names = [
@@ -260,13 +249,14 @@ class TrainingLoop:
     def _on_faces(self, colors: Float[Tensor, "N 3"]) -> Float[np.ndarray, "L 3"]:
         """Give the colours of the logo's faces: of a cloth, the mean of the squares on each face.
 
-        Where colours are restricted (`PatternSettings.binds`) the mean might not be allowed; then it is the colour of
-        the square under the face's centre.
+        Where a technique restricts colours the mean might not be allowed; then it is the colour of the square under the
+        face's centre.
         """
         cloth, colors = self.batcher.cloth, _as_array(colors)
         if cloth is None:
             return colors
-        return colors[cloth.square] if self.settings.pattern.binds else cloth.on_faces(colors)
+        is_exact = any(technique.is_exact for technique in self.techniques)
+        return colors[cloth.square] if is_exact else cloth.on_faces(colors)
 
     def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
         """Give the colours the run ends with, and the step they are of."""
@@ -282,8 +272,7 @@ class TrainingLoop:
             if self.batcher.cloth is not None:
                 self.run.write_cloth(_as_array(colors), self.batcher.cloth.cloth)
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
-            tensors |= self.sampler.hard_views.state() if self.sampler.hard_views else {}
-            tensors |= self.objective.ensemble.state()
+            tensors |= self.techniques.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
             self._shown = time.perf_counter()
             self._tell("checkpoint")
@@ -301,11 +290,9 @@ class TrainingLoop:
         if checkpoint is not None:
             try:
                 self.optimizer.load(checkpoint.tensors)
-                self.objective.ensemble.load(checkpoint.tensors)
+                self.techniques.load(checkpoint.tensors)
                 if self.held_out is not None:
                     self.held_out.load(checkpoint.tensors)
-                if self.sampler.hard_views is not None:
-                    self.sampler.hard_views.load(checkpoint.tensors)
             except (KeyError, ValueError) as error:
                 raise InputError(f"{self.run.checkpoint}: holds another run's state ({error})") from None
             self.step, self._earlier = checkpoint.step, checkpoint.time

@@ -15,17 +15,13 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from cloak_core.attack.settings.components import Loss, Reduce
+from cloak_core.attack.settings.components import Loss
 from cloak_core.detectors import THRESHOLD
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import max_objectness, max_person_score, row_max
 from cloak_core.files.errors import InputError
 from cloak_core.render.compiled import arrays, loop, use_loops
 
-TOP = 10
-"""Boxes that reduction "topk" averages."""
-SHARPNESS = 20.0
-"""Of the soft maximum: boxes within 1 / SHARPNESS of the best one count."""
 SURE = 1 - 2**-24
 """The largest float32 below 1: the log of a saturated score is 16.6 and not infinity."""
 
@@ -33,35 +29,32 @@ SURE = 1 - 2**-24
 def disappearance(
     detections: Detections,
     kind: Loss = "score",
-    reduce: Reduce = "max",
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
 ) -> Float[Tensor, ""]:
     """Average `person_loss` over the batch."""
-    return person_loss(detections, kind, reduce, operating_point, margin).mean()
+    return person_loss(detections, kind, operating_point, margin).mean()
 
 
 def person_loss(
     detections: Detections,
     kind: Loss = "score",
-    reduce: Reduce = "max",
     operating_point: float = THRESHOLD,
     margin: float = 1.0,
 ) -> Float[Tensor, "B"]:
-    """Measure how surely each image shows a person.
+    """Measure how surely each image shows a person, by its surest box.
 
     In [0, 1] for "score" and "objectness", in [0, inf) for the others.
 
     kind: "score", "objectness" (the reference's: boxes whose likeliest class is person; InputError for detectors
     without objectness), "log" or "margin", which alone asks for the `operating_point`, the score in (0, 1) at which the
-    detector reports a person, and the `margin`, how far below it, in logits, half the gradient is left; reduce, over
-    the boxes of an image: "max", "topk" or "logsumexp". No boxes count 0, but for "margin" the little that a score of 0
-    does.
+    detector reports a person, and the `margin`, how far below it, in logits, half the gradient is left. No boxes count
+    0, but for "margin" the little that a score of 0 does.
     """
     if kind == "objectness":
-        best = max_objectness(detections) if reduce == "max" else _reduce(_person_objectness(detections), reduce)
+        best = max_objectness(detections)
     else:
-        best = max_person_score(detections) if reduce == "max" else _reduce(detections.scores, reduce)
+        best = max_person_score(detections)
     if kind == "log":
         best = -torch.log1p(-best.clamp(max=SURE))
     if kind == "margin":
@@ -69,7 +62,7 @@ def person_loss(
     return best
 
 
-def proposal_loss(detections: Detections, reduce: Reduce = "max") -> Float[Tensor, "B"]:
+def proposal_loss(detections: Detections) -> Float[Tensor, "B"]:
     """Measure the first stage's objectness of proposals, each as far as it became a person (two-stage detectors).
 
     The product of both, its gradient reaching the first stage alone (the second has `person_loss`); a proposal that the
@@ -77,8 +70,7 @@ def proposal_loss(detections: Detections, reduce: Reduce = "max") -> Float[Tenso
     """
     if detections.proposal_scores is None:
         raise InputError("--rpn-weight: the detector gives no scores of proposals")
-    values = detections.proposal_scores * detections.scores.detach()
-    return row_max(values) if reduce == "max" else _reduce(values, reduce)
+    return row_max(detections.proposal_scores * detections.scores.detach())
 
 
 def total_variation(
@@ -126,37 +118,6 @@ def _variation(colors: np.ndarray, edges: np.ndarray, lengths: np.ndarray, gradi
     return total
 
 
-def non_printability(colors: Float[Tensor, "L 3"], palette: Float[Tensor, "P 3"]) -> Float[Tensor, ""]:
-    """Average the faces' Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
-
-    The non-printability score of Sharif et al., "Accessorize to a Crime" (CCS 2016), as Thys et al., "Fooling automated
-    surveillance cameras" (CVPR workshops 2019) use it: Sharif's product of the distances to all palette colours
-    vanishes, with its gradient, once there are more than a few of them. A colour of the palette itself has gradient 0.
-    """
-    # Who is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
-    with torch.no_grad():
-        squares = (palette**2).sum(dim=1) - 2 * colors @ palette.T
-        nearest = palette[squares.argmin(dim=1)]
-    # The root's gradient is infinite at 0; below a millionth of a colour there is none.
-    return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
-
-
 def _logit(p: float) -> float:
     p = min(max(p, 1 - SURE), SURE)
     return math.log(p / (1 - p))
-
-
-def _person_objectness(detections: Detections) -> Float[Tensor, "B N"]:
-    if detections.objectness is None or detections.is_person is None:
-        raise InputError("--loss objectness: the detector has no objectness; use --loss score")
-    return torch.where(detections.is_person, detections.objectness, 0.0)
-
-
-def _reduce(values: Float[Tensor, "B N"], reduce: str) -> Float[Tensor, "B"]:
-    if not values.shape[1]:
-        return values.sum(dim=1)
-    if reduce == "topk":
-        return values.topk(min(TOP, values.shape[1]), dim=1).values.mean(dim=1)
-    # Over the best boxes alone, less the log of their number: hundreds of empty boxes must not count for something.
-    top = values.topk(min(TOP, values.shape[1]), dim=1).values
-    return (torch.logsumexp(SHARPNESS * top, dim=1) - math.log(top.shape[1])) / SHARPNESS

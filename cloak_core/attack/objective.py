@@ -1,19 +1,18 @@
 """What a step minimises, and its gradient."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch, Company
 from cloak_core.attack.ensemble import Ensemble
-from cloak_core.attack.losses import non_printability, person_loss, proposal_loss, total_variation
+from cloak_core.attack.losses import person_loss, proposal_loss, total_variation
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.self_ensemble import SelfEnsemble
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.technique import NO_TECHNIQUES, Techniques
 from cloak_core.attack.world import ALONE, World
 from cloak_core.detectors.outcomes import as_anything, only_hers
 from cloak_core.detectors.protocol import Detections, Detector, join_detections
@@ -37,7 +36,7 @@ class LossAndGradient:
 
 
 class Objective:
-    """What is minimised: the ensemble's disappearance loss plus weighted total variation and printability."""
+    """What is minimised: the ensemble's disappearance loss plus weighted total variation and techniques' penalties."""
 
     def __init__(
         self,
@@ -45,20 +44,21 @@ class Objective:
         logo: Logo,
         detectors: Sequence[Detector],
         device: torch.device,
-        palette: Float[np.ndarray, "P 3"] | None = None,
+        techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
-        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed)
-        self.surrogates = SelfEnsemble(settings.surrogates, settings.run.seed)
-        self.ascent = settings.optimization.ascent if settings.optimization.sharpness else None
+        self.techniques = techniques
+        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
         self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
-        self.palette = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=device)
         self._without_proposals: set[int] = set()
 
-    def printability(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
-        """Compute non-printability against the palette; 0 without one."""
-        return colors.new_zeros(()) if self.palette is None else non_printability(colors, self.palette)
+    def penalty(self, colors: Float[Tensor, "L 3"]) -> tuple[float, Float[Tensor, ""]]:
+        """Compute what techniques add to the loss: a weight, and what it weighs; 0 without any."""
+        penalties = [technique.penalty(colors) for technique in self.techniques.at("penalty")]
+        if len(penalties) == 1:
+            return penalties[0]
+        return 1.0, sum((weight * value for weight, value in penalties), colors.new_zeros(()))
 
     def total_variation(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
         """Compute the colours' total variation."""
@@ -113,11 +113,11 @@ class Objective:
         bodies: Float[Tensor, "B 4"] | None = None,
         company: Company | None = None,
     ) -> Detections:
-        """Ask detector `number` about images, its network shaken where settings say so and `step` is not None.
+        """Ask detector `number` about images, within what techniques put around it where `step` is not None.
 
         Its scores are of what is to be hidden: of persons, or (`hide` everything) of any class on the bodies.
         """
-        with self.surrogates.shaken(number, step):
+        with self.techniques.around(number, step):
             detections = self.detectors[number](images)
         if company is not None:
             detections = only_hers(detections, bodies, company.others, company.anywhere)
@@ -132,11 +132,11 @@ class Objective:
         settings = self.settings
         # Success is said at both: the lower one is what has to be passed.
         point = min(self.detectors[number].operating_point, self.run.threshold)
-        loss = person_loss(detections, settings.loss, settings.reduce, point, settings.margin)
+        loss = person_loss(detections, settings.loss, point, settings.margin)
         if not settings.rpn_weight:
             return loss
         if detections.proposal_scores is not None:
-            return loss + settings.rpn_weight * proposal_loss(detections, settings.reduce)
+            return loss + settings.rpn_weight * proposal_loss(detections)
         self._without_proposals.add(number)
         if len(self._without_proposals) == len(self.detectors):
             raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
@@ -151,7 +151,7 @@ class StepFigures:
     disappearance: float
     tv: float
     nps: float
-    """Non-printability: how far the colours are from the palette's, in the mean; 0 without a palette."""
+    """What techniques' penalties come to, before their weight: non-printability; 0 without any."""
     success: float
     """Share of the batch (over all detectors) in which nothing was found that is to be hidden."""
 
@@ -177,35 +177,18 @@ def gradient_step(
     share: float = 1.0,
     step: int = 0,
 ) -> Step:
-    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images.
-
-    With a `sharpness` it is that of colours which are worse; the figures, too, unless both were asked for.
-    """
-    if objective.ascent is None:
-        return _gradient(objective, optimizer, batch, world, share, step)
-    if objective.ascent == "momentum":
-        with optimizer.perturbed(optimizer.momentum):
-            return _gradient(objective, optimizer, batch, world, share, step)
-    here = _gradient(objective, optimizer, batch, world, share, step)
-    with optimizer.perturbed(optimizer.gradient.clone()):
-        worse = _gradient(objective, optimizer, batch, world, share, step)
-    return replace(worse, figures=here.figures, is_finite=here.is_finite and worse.is_finite)
-
-
-def _gradient(
-    objective: Objective, optimizer: ColorOptimizer, batch: Batch, world: World, share: float, step: int
-) -> Step:
+    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
     optimizer.clear()
     colors = optimizer.colors()
     images = batch.images(colors)
     found = objective.forward_backward(images, step, batch.bodies, batch.company)
-    variation, unprintable = objective.total_variation(colors), objective.printability(colors)
-    weight, print_weight = objective.settings.tv_weight, objective.settings.nps_weight
-    restless = (weight * variation + print_weight * unprintable) / world.size
+    variation, weight = objective.total_variation(colors), objective.settings.tv_weight
+    penalty_weight, penalty = objective.penalty(colors)
+    restless = (weight * variation + penalty_weight * penalty) / world.size
     gradient = torch.zeros_like(images) if found.gradient is None else found.gradient
     torch.autograd.backward([images, restless], [gradient if share == 1 else gradient.mul_(share), None])
     gradient = optimizer.gradient
-    shares = [share * found.disappearance, variation / world.size, unprintable / world.size, share * found.success]
+    shares = [share * found.disappearance, variation / world.size, penalty / world.size, share * found.success]
     values = torch.stack(shares).detach()
     if world.size > 1:
         message = world.sum(torch.cat([gradient.view(-1), values]))
@@ -213,7 +196,7 @@ def _gradient(
         values = message[-len(values) :]
     finite = torch.isfinite(gradient).all() & torch.isfinite(values).all()
     # One transfer for everything the host wants to know.
-    seen, variation, unprintable, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
-    loss = seen + weight * variation + print_weight * unprintable
-    figures = StepFigures(loss, seen, variation, unprintable, success)
+    seen, variation, penalty, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
+    loss = seen + weight * variation + penalty_weight * penalty
+    figures = StepFigures(loss, seen, variation, penalty, success)
     return Step(figures, bool(is_finite), images.detach(), found.detections)

@@ -8,19 +8,17 @@ importing torch takes 1.9 to 4.0 s. To measure it again:
         torch.optim.Adam([p]); print(time.perf_counter() - t)"
 """
 
-import contextlib
 import math
-from collections.abc import Iterator
 from functools import partial
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.near import Near
-from cloak_core.attack.octaves import Octaves
-from cloak_core.attack.pattern import Pattern
+from cloak_core.attack.coloring import Coloring
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.settings.components import OptimizerSettings
+from cloak_core.attack.technique import NO_TECHNIQUES, Techniques
 
 _STATE = "optimizer."
 ADAM_BETAS = (0.9, 0.999)
@@ -49,99 +47,47 @@ class ColorOptimizer:
     def __init__(
         self,
         settings: OptimizerSettings,
-        initial: Float[Tensor, "N 3"],
-        pattern: Pattern | None = None,
-        near: Near | None = None,
-        octaves: Octaves | None = None,
+        initial: Float[Tensor, "C 3"],
+        techniques: Techniques = NO_TECHNIQUES,
+        fabric: Fabric | None = None,
     ) -> None:
-        """Begin with N values, `initial`. `pattern` makes colours of them; without one they are the colours.
-
-        `near`: the garment that the colours stay close to. `octaves`: coarse grids whose sum moves the values, too.
-        """
-        self._sigmoid, self._pattern, self.settings = settings.gamut == "sigmoid", pattern, settings
-        self.near, self._octaves = near, octaves
-        # 0.02 from the ends, where a sigmoid still moves.
-        start = torch.logit(initial.clamp(0.02, 0.98)) if self._sigmoid else initial.clone()
-        if octaves is not None:
-            start = torch.cat([start.new_zeros(octaves.nodes, 3), start])
-        self._parameter = start.requires_grad_()
-        moves = {"sgd": partial(_sgd, momentum=settings.momentum), "mi": partial(_mi, momentum=settings.momentum)}
-        self._move = moves.get(settings.optimizer, _adam)
-        self._names = {"exp_avg", "exp_avg_sq"} if settings.optimizer == "adam" else set()
-        self._names |= {"momentum_buffer"} if settings.momentum or settings.optimizer == "mi" else set()
+        """Begin with parameters that make the colours `initial`, or near them; fabric: where colours share values."""
+        self.settings = settings
+        self._coloring = Coloring(techniques, fabric, settings.gamut == "sigmoid")
+        self._parameter = self._coloring.begin(initial).requires_grad_()
+        movers = [technique for technique in techniques.at("move") if technique.choice[1] == settings.optimizer]
+        if movers:
+            self._move, self._names = movers[0].move, set(movers[0].memory)
+        elif settings.optimizer == "adam":
+            self._move, self._names = _adam, {"exp_avg", "exp_avg_sq"}
+        else:
+            self._move = partial(_sgd, momentum=settings.momentum)
+            self._names = {"momentum_buffer"} if settings.momentum else set()
         self._state: dict[str, Tensor] = {}
         self._project()
 
-    @torch.no_grad()
     def reach(self, step: int, steps: int) -> None:
-        """Say that `step` of `steps` begins: a pattern hangs on it. Until it is said, the run is at its beginning."""
-        if self._pattern is not None and self._pattern.reach(step, steps):
-            values = self._pattern.with_inks(self._values())
-            inks = slice(-self._pattern.learnt, None)
-            self._parameter[inks] = torch.logit(values[inks].clamp(0.02, 0.98)) if self._sigmoid else values[inks]
+        """Say that `step` of `steps` begins. Until it is said, the run is at its beginning."""
+        self._coloring.reach(step, steps, self._parameter)
 
-    def colors(self) -> Float[Tensor, "L 3"]:
+    def colors(self) -> Float[Tensor, "C 3"]:
         """Give the colours, in [0, 1], as part of the graph."""
-        return self._kept_near(self._values() if self._pattern is None else self._pattern(self._values()))
+        return self._coloring(self._parameter)
 
     @torch.no_grad()
-    def finished(self) -> Float[Tensor, "L 3"]:
-        """Give the colours if the run ended here: with an ink for each patch, where it is to end so."""
-        return self._kept_near(
-            self._values() if self._pattern is None else self._pattern.finished(self._values())
-        ).detach()
-
-    def _kept_near(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:
-        """Keep the colours close to the garment; parameters that are colours are kept so themselves."""
-        if self.near is None or self._direct:
-            return colors
-        # Straight through, as for inks: what is cut off may still come back.
-        return self.near.project(colors) + (colors - colors.detach())
-
-    @property
-    def _direct(self) -> bool:
-        return self._pattern is None and not self._sigmoid
+    def finished(self) -> Float[Tensor, "C 3"]:
+        """Give the colours if the run ended here."""
+        return self._coloring(self._parameter, is_final=True).detach()
 
     @torch.no_grad()
     def _project(self) -> None:
-        if self.near is not None and self._direct:
-            self._parameter.copy_(self.near.project(self._parameter))
-
-    def _values(self) -> Float[Tensor, "N 3"]:
-        if self._octaves is None:
-            return torch.sigmoid(self._parameter) if self._sigmoid else self._parameter
-        coarse, own = self._parameter.split([self._octaves.nodes, len(self._parameter) - self._octaves.nodes])
-        summed = self._octaves(coarse)
-        # Inks that are learnt come after the faces, and lie on no grid.
-        return torch.sigmoid(own + torch.cat([summed, own.new_zeros(len(own) - len(summed), 3)]))
+        if self._coloring.is_direct:
+            self._parameter.copy_(self._coloring.kept(self._parameter))
 
     @property
     def gradient(self) -> Float[Tensor, "P 3"]:
         """What the last backward pass left, with respect to the free parameters."""
         return self._parameter.grad
-
-    @property
-    def momentum(self) -> Float[Tensor, "P 3"] | None:
-        """Where the gradient has pointed lately, as the optimiser remembers it; None before its first step."""
-        return self._state.get("exp_avg", self._state.get("momentum_buffer"))
-
-    @contextlib.contextmanager
-    def perturbed(self, direction: Float[Tensor, "P 3"] | None) -> Iterator[None]:
-        """Move the free parameters by `sharpness` (root mean square) along `direction` inside the block (SAM)."""
-        if direction is None or not self.settings.sharpness:
-            yield
-            return
-        kept = self._parameter.detach().clone()
-        with torch.no_grad():
-            size = direction.square().mean().sqrt().clamp_min(torch.finfo(direction.dtype).tiny)
-            self._parameter.addcdiv_(self.settings.sharpness * direction, size)
-            if not self._sigmoid:
-                self._parameter.clamp_(0, 1)
-        try:
-            yield
-        finally:
-            with torch.no_grad():
-                self._parameter.copy_(kept)
 
     def clear(self) -> None:
         self._parameter.grad = None
@@ -150,7 +96,7 @@ class ColorOptimizer:
     def update(self, lr: float) -> None:
         """Take one step against the gradient; projected colours are cut back to [0, 1]."""
         self._move(self._parameter, self._parameter.grad, self._state, lr)
-        if not self._sigmoid:
+        if not self._coloring.is_sigmoid:
             self._parameter.clamp_(0, 1)
         self._project()
 
@@ -185,13 +131,6 @@ def _sgd(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: floa
             state["momentum_buffer"] = gradient.clone()
         gradient = state["momentum_buffer"]
     parameter.add_(gradient, alpha=-lr)
-
-
-def _mi(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float, momentum: float) -> None:
-    gradient = gradient / gradient.abs().mean().clamp_min(torch.finfo(gradient.dtype).tiny)
-    kept = state.setdefault("momentum_buffer", torch.zeros_like(parameter))
-    kept.mul_(momentum).add_(gradient)
-    parameter.add_(kept.sign(), alpha=-lr)
 
 
 def _adam(parameter: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: float) -> None:

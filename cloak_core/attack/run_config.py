@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,9 @@ import torch
 from cloak_core import __version__
 from cloak_core.attack.held_out import TrainingData
 from cloak_core.attack.settings import TrainSettings, settings_from_record, settings_record
+from cloak_core.attack.technique import NO_TECHNIQUES, discovered
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.profiles import Profile
 from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays, sha256_record
@@ -21,15 +22,15 @@ from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
+FILES = tuple(name for technique in discovered() for name in technique.files)
+"""Settings of techniques that name files."""
 FREE_SETTINGS = (
     "checkpoint_every",
     "preview_every",
     "snapshot_every",
     "max_seconds",
-    "palette",
     "init",
-    "profile",
-    "near",
+    *FILES,
 )
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
 DECISIVE = {
@@ -40,15 +41,26 @@ DECISIVE = {
     "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
     "people": ("sha256",),
-    "palette": (),
-    "profile": (),
     "start": (),
-    "near": (),
+    **dict.fromkeys(FILES, ()),
     "query_prior": ("sha256", "precision", "compiled", "source"),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
 AROUND = ("torch", "numpy", "device", "threads", "processes")
 """What of the environment may move the last bits of a result."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunInputs:
+    """What beside the material decides a run."""
+
+    processes: int = 1
+    held_out: TrainingData | None = None
+    start: np.ndarray | None = None
+    files: Mapping[str, object] | None = None
+    """Content of the files that techniques read, by the setting's name."""
+    query_prior: Sequence[Detector] = ()
+    people: Sequence[Fit] = ()
 
 
 def run_config(
@@ -58,16 +70,11 @@ def run_config(
     detectors: Sequence[Detector],
     backgrounds: Backgrounds,
     inputs: Mapping[str, str],
-    processes: int = 1,
-    palette: np.ndarray | None = None,
-    held_out: TrainingData | None = None,
-    start: np.ndarray | None = None,
-    profile: Profile | None = None,
-    query_prior: Sequence[Detector] = (),
-    people: Sequence[Fit] = (),
-    near: np.ndarray | None = None,
+    more: RunInputs | None = None,
 ) -> dict:
     """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
+    more = more or RunInputs()
+    held_out, start = more.held_out, more.start
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
@@ -79,16 +86,14 @@ def run_config(
         "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
         "detectors": [_detector(detector) for detector in detectors],
         "backgrounds": _backgrounds(backgrounds),
-        "people": _people(people),
-        "palette": None if palette is None else {"colors": len(palette), "sha256": sha256_arrays(palette)},
-        "profile": None if profile is None else {"sha256": sha256_arrays(profile.table)},
+        "people": _people(more.people),
         "start": None if start is None else {"sha256": sha256_arrays(start)},
-        "near": None if near is None else {"sha256": sha256_arrays(near)},
-        "query_prior": [_detector(detector) for detector in query_prior] or None,
+        **(NO_TECHNIQUES.content() if more.files is None else more.files),
+        "query_prior": [_detector(detector) for detector in more.query_prior] or None,
         "held_out": held_out
         and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
         "inputs": dict(inputs),
-        "environment": environment() | {"processes": processes, "device": device_kind(settings.compute.device)},
+        "environment": environment() | {"processes": more.processes, "device": device_kind(settings.compute.device)},
     }
 
 

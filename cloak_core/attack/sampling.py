@@ -1,82 +1,17 @@
 """Which body, angle, background and augmentation each training image gets.
 
-Everything drawn is a function of (seed, step), and with hard views of what earlier steps found: a resumed run draws
-what the uninterrupted one drew, and each of several processes can draw the whole batch and take its share.
+Everything drawn is a function of (seed, step): a resumed run draws what the uninterrupted one drew, and each of several
+processes can draw the whole batch and take its share.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
-from jaxtyping import Float, Int
-from torch import Tensor
 
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.components import ViewSettings
 from cloak_core.attack.settings.values import Range
 from cloak_core.scene.cameras import Camera
-
-EVERY = 20
-"""Steps that share their chances."""
-MEMORY = 0.7
-"""Weight of what was known of a view when it is seen again."""
-LEAST = 0.02
-"""Added to every view's mean, so that none is forgotten."""
-_STATE = "hard_views."
-
-
-class HardViews:
-    """Chances of P poses x A azimuths: views in which a person is still found are drawn more often.
-
-    A running mean of how surely a person is found is kept for every pose at every azimuth. Every `EVERY` steps new
-    chances are worked out from it for the next block of steps, two steps before that block begins: a batch is built
-    while the detector still works on the one before. So a step's draws depend on finished steps alone, and a resumed
-    run, or one in several processes, draws the same.
-    """
-
-    def __init__(self, poses: int, azimuths: int) -> None:
-        # Nothing known: as hard as can be, until it was seen.
-        self._mean = np.ones((poses, azimuths))
-        self._chances: dict[int, np.ndarray] = {}
-
-    def draw(self, step: int, random: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Pose and azimuth index, [count] int64 each, of images of `step`."""
-        azimuths = self._mean.shape[1]
-        chances = self._chances.get(step // EVERY)
-        total = np.ones(self._mean.size) if chances is None else chances.ravel()
-        ladder = np.cumsum(total)
-        cell = np.searchsorted(ladder, random.random(count) * ladder[-1], side="right")
-        return np.divmod(np.minimum(cell, len(ladder) - 1), azimuths)
-
-    def observe(
-        self, step: int, pose: Int[np.ndarray, "B"], azimuth: Int[np.ndarray, "B"], found: Float[np.ndarray, "B"]
-    ) -> None:
-        """Note how surely a person was found, 0..1, in each image of `step`. In every process for the whole batch."""
-        for p, a, value in zip(pose, azimuth, found, strict=True):
-            self._mean[p, a] = MEMORY * self._mean[p, a] + (1 - MEMORY) * value
-        if (step + 2) % EVERY == 0:
-            block = (step + 2) // EVERY
-            self._chances = {k: v for k, v in self._chances.items() if k == block - 1}
-            self._chances[block] = self._mean + LEAST
-
-    def state(self) -> dict[str, Tensor]:
-        """Give the state for a checkpoint."""
-        blocks = sorted(self._chances)
-        kept = np.stack([self._chances[block] for block in blocks]) if blocks else np.empty((0, *self._mean.shape))
-        return {
-            _STATE + "mean": torch.from_numpy(self._mean.copy()),
-            _STATE + "blocks": torch.tensor(blocks, dtype=torch.int64),
-            _STATE + "chances": torch.from_numpy(kept),
-        }
-
-    def load(self, tensors: dict[str, Tensor]) -> None:
-        """Continue from `state()`. KeyError or ValueError where the tensors belong to another run."""
-        mean, blocks, chances = (tensors[_STATE + name].cpu().numpy() for name in ("mean", "blocks", "chances"))
-        if mean.shape != self._mean.shape or chances.shape != (len(blocks), *mean.shape):
-            raise ValueError("the hard views are those of other poses or angles")
-        self._mean = mean.copy()
-        self._chances = dict(zip(blocks.tolist(), chances.copy(), strict=True))
-
 
 _EPOCH, _STEP, _PEOPLE = 0, 1, 4
 """Streams of random numbers, kept apart."""
@@ -107,13 +42,7 @@ class Draws:
     brightness: np.ndarray
     """float64 summands."""
     seed: np.ndarray
-    """int64, for what else an image needs at random (noise, occluders)."""
-    zoom: np.ndarray
-    """float64 factors."""
-    blur: np.ndarray
-    """float64, standard deviations in pixels."""
-    quality: np.ndarray
-    """float64, of JPEG."""
+    """int64, for what else an image needs at random (noise, cutout)."""
     person: np.ndarray
     """int64, index of the person in a photograph who is shown instead of a body; -1: none, it is a render."""
 
@@ -140,7 +69,6 @@ class Sampler:
         views = settings.views
         self.outfit_count = outfit_count if views.outfits == "random" else 1
         self.angles, self.sector_width = np.array(views.angles.starts), views.angles.width
-        self.hard_views = HardViews(pose_count, len(self.angles)) if views.hard_views else None
         self.epoch_images = settings.epoch_images(background_count)
         self.steps = settings.total_steps(background_count)
         self.images = self.steps * settings.run.batch
@@ -171,7 +99,7 @@ class Sampler:
             return random.uniform(values.low, values.high, count)
 
         jitter = spread(Range(-views.angle_jitter, views.angle_jitter))
-        draws = Draws(
+        return Draws(
             background=background,
             pose=pose,
             outfit=random.integers(self.outfit_count, size=count),
@@ -183,12 +111,8 @@ class Sampler:
             contrast=spread(augmentation.contrast),
             brightness=spread(augmentation.brightness),
             seed=random.integers(2**62, size=count),
-            zoom=spread(augmentation.zoom),
-            blur=random.uniform(0, augmentation.blur, count),
-            quality=spread(augmentation.jpeg or Range(100.0, 100.0)),
             person=self._people(step, images),
         )
-        return draws if self.hard_views is None else self._harden(draws, step, random)
 
     def _people(self, step: int, images: np.ndarray) -> np.ndarray:
         """Choose who is shown in each image: everybody equally often, in random order; -1 in the share of renders."""
@@ -200,14 +124,6 @@ class Sampler:
         orders = {r: order.permutation(self.people_count) for r, order in orders.items()}
         person = np.array([orders[r][p] for r, p in zip(rounds.tolist(), places.tolist(), strict=True)], np.int64)
         return np.where(random.random(len(images)) < self.settings.photographs.people_share, person, -1)
-
-    def _harden(self, draws: Draws, step: int, random: np.random.Generator) -> Draws:
-        """Give some images other poses and angles: those in which a person is still found."""
-        chosen = random.random(len(draws)) < self.settings.views.hard_views
-        drawn = self.hard_views.draw(step, random, len(draws))
-        pose, sector = (np.where(chosen, *pair) for pair in zip(drawn, (draws.pose, draws.sector), strict=True))
-        turn = self.angles[sector] - self.angles[draws.sector]
-        return replace(draws, pose=pose, sector=sector, azimuth=draws.azimuth + turn)
 
     def _deal(self, images: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Deal background, pose and angle index to images counted from the start of the run."""

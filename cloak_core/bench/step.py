@@ -22,11 +22,13 @@ import torch
 
 from cloak_core.attack.batches import Batcher, Prefetcher
 from cloak_core.attack.events import EventLog, read_events
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.losses import disappearance
 from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.attack.technique import Setup, Techniques
 from cloak_core.attack.training import make_view_cache
 from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine
@@ -100,22 +102,27 @@ class _Bench:
         self.logo = make_logo(bodies, faces)
         self.sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
         cache = make_view_cache(bodies, settings.views, self.device)
-        self.batcher = Batcher(settings, self.sampler, cache, self.logo.face_ids, backgrounds, self.device)
+        self.fabric = Fabric(bodies, self.logo)
+        setup = Setup(settings, self.fabric, [], self.device)
+        techniques, faces = Techniques.built(setup), self.logo.face_ids
+        self.batcher = Batcher(settings, self.sampler, cache, faces, backgrounds, self.device, techniques=techniques)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)
 
     def measure(self, detector: Detector, repeats: int) -> dict:
         settings = self.settings
-        objective = Objective(settings, self.logo, [detector], self.device)
-        optimizer = ColorOptimizer(settings.optimization, torch.full((len(self.logo), 3), 0.5, device=self.device))
+        techniques = Techniques.built(Setup(settings, self.fabric, [detector], self.device))
+        objective = Objective(settings, self.logo, [detector], self.device, techniques)
+        grey = torch.full((len(self.logo), 3), 0.5, device=self.device)
+        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.fabric)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)
 
         def floor() -> None:
             ready.grad = None
-            disappearance(detector(ready), settings.objective.loss, settings.objective.reduce).backward()
+            disappearance(detector(ready), settings.objective.loss).backward()
 
         def step(number: int) -> None:
             figures = gradient_step(objective, optimizer, prefetcher.batch(number)).figures

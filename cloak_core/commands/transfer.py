@@ -43,9 +43,8 @@ class Transfer(Splitting, Detecting, Sharing):
     out: Path
     """Folder for runs, evaluations, cells and the table; what is there already is not done again."""
     rungs: tuple[str, ...] = ("recipe",)
-    """What to train: best, recipe (preset transfer), a technique alone upon best (score, adaptive, shake, depth,
-    noise, cutout, window, quality, colour, background, sharpness, mi, smooth, views), +NAME for all up to it, or
-    ladder."""
+    """What to train: best, recipe (preset transfer), a technique alone upon best (score, smooth, animal, window,
+    adaptive, cutout, blur, shake, mi, views), +NAME for all up to it, or ladder."""
     strangers_only: bool = False
     """Also leave detectors of the judged one's family out of its surrogates."""
     kin: UseAppendAction[tuple[str, ...]] = ()

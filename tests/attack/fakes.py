@@ -1,10 +1,14 @@
 """A tiny scene and a tiny detector: everything training needs, small enough to run it hundreds of times."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import nn
 
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.attack.technique import Setup, Techniques
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
@@ -137,3 +141,12 @@ class RenamingDetector(RedDetector):
         boxes = torch.stack([x, y, x + 8, y + 8], dim=-1).flatten(0, 1).expand(*scores.shape, 4)
         other = torch.sigmoid(-redness)
         return Detections(boxes, scores, other=other, other_class=torch.ones_like(other, dtype=torch.int64))
+
+
+def techniques_of(
+    settings: TrainSettings, detectors: Sequence[Detector] = (), bodies: Bodies | None = None
+) -> Techniques:
+    """The techniques that the settings have on, for the front of a box."""
+    bodies = bodies or box_bodies()
+    fabric = Fabric.of(settings.pattern, bodies, front_logo(bodies))
+    return Techniques.built(Setup(settings, fabric, detectors, torch.device("cpu")))

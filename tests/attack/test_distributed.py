@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from safetensors.torch import load_file
 
-from cloak_core.attack import sampling
 from cloak_core.attack.checkpoints import load_checkpoint
 from cloak_core.attack.events import read_events
 from cloak_core.exchange.colors import read_colors
+from cloak_core.techniques.adaptive import Adaptive
+from tests.attack.fakes import TinyDetector
 from tests.attack.test_training import run
 from tests.reliability_record import record
 
@@ -23,12 +24,11 @@ import json, os, sys
 from pathlib import Path
 from safetensors.torch import save_file
 from cloak_core.files.errors import InputError
-from cloak_core.attack import loop, sampling
+from cloak_core.attack import loop
+from tests.attack.fakes import TinyDetector
 from tests.attack.test_training import run
 plan = json.loads(sys.argv[1])
 out = Path(plan["out"])
-for name, value in plan["hard_views"].items():
-    setattr(sampling, name, value)
 def say(event):
     if event["type"] == "step":
         print(event["step"], flush=True)
@@ -47,21 +47,18 @@ if os.environ["RANK"] == "1" and plan["die_at"] and os.environ["TORCHELASTIC_RES
 class Telling(loop.TrainingLoop):
     def run_to_end(self, stop):
         result = super().run_to_end(stop)
-        if self.sampler.hard_views:
-            save_file(self.sampler.hard_views.state(), f"{out}.rank{self.world.rank}")
+        if self.techniques:
+            save_file(self.techniques.state(), f"{out}.rank{self.world.rank}")
         return result
 from cloak_core.attack import training
 training.TrainingLoop = Telling
 try:
-    run(out, batch=5, resume=True, threads=1, checkpoint_every=100, on_event=say, **plan["settings"])
+    detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
+    run(out, detectors, batch=5, resume=True, threads=1, checkpoint_every=100, on_event=say, **plan["settings"])
 except InputError as error:
     print(error, file=sys.stderr, flush=True)
     sys.exit(2)
 """
-
-
-QUICK_TO_JUDGE = {"EVERY": 3, "MEMORY": 0.0}
-"""Of hard views: new chances every third step, so that they differ much within a few."""
 
 
 SMOOTH = {"initial": "random"}
@@ -76,7 +73,6 @@ def torchrun(
     script = out.with_name("rank.py")
     script.write_text(RANK)
     plan = {"out": str(out), "settings": settings, "die_at": die_at, "cancel_at": cancel_at}
-    plan["hard_views"] = QUICK_TO_JUDGE
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     command += ["--max-restarts", str(restarts), str(script), json.dumps(plan)]
@@ -97,7 +93,8 @@ def test_two_processes_lose_one_go_on_and_reach_what_one_does(tmp_path):
     assert done.returncode == 0, done.stderr
     events = read_events(tmp_path / "two" / "events.jsonl")
     assert [e["step"] for e in events if e["type"] == "resume"] == [7, 14]
-    one = run(tmp_path / "one", batch=5, threads=1, **scheme)
+    detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
+    one = run(tmp_path / "one", detectors, batch=5, threads=1, **scheme)
     difference = np.abs(read_colors(tmp_path / "two" / "colors.npy") - one.colors).max()
     assert difference < 1e-5
     section = "Several processes"
@@ -109,9 +106,9 @@ def test_two_processes_lose_one_go_on_and_reach_what_one_does(tmp_path):
 
 
 @pytest.mark.long
-def test_processes_agree_about_hard_views_and_resume_to_the_same_bits(tmp_path, monkeypatch):
+def test_processes_agree_about_an_adaptive_ensemble_and_resume_to_the_same_bits(tmp_path, monkeypatch):
     """The odd batch leaves one process an image more than the other."""
-    scheme = {"steps": 14, "angles": "0..360", "hard_views": 0.7} | SMOOTH
+    scheme = {"steps": 14, "angles": "0..360", "ensemble": "adaptive"} | SMOOTH
     done = torchrun(tmp_path / "two", scheme)
     assert done.returncode == 0, done.stderr
     seen = [load_file(tmp_path / f"two.rank{rank}") for rank in (0, 1)]
@@ -122,10 +119,9 @@ def test_processes_agree_about_hard_views_and_resume_to_the_same_bits(tmp_path, 
     assert done.returncode == 0, done.stderr
     two, resumed = (read_colors(tmp_path / name / "colors.npy") for name in ("two", "stopped"))
     assert np.array_equal(two, resumed)
-    for name, value in QUICK_TO_JUDGE.items():
-        monkeypatch.setattr(sampling, name, value)
-    one = run(tmp_path / "one", batch=5, threads=1, **scheme)
+    detectors = [TinyDetector(0), TinyDetector(1, bias=2.0)]
+    one = run(tmp_path / "one", detectors, batch=5, threads=1, **scheme)
     assert np.abs(two - one.colors).max() < 1e-5
-    # What was found decides what is drawn: without it the same run goes elsewhere.
-    monkeypatch.setattr(sampling.HardViews, "observe", lambda *args: None)
-    assert np.abs(run(tmp_path / "blind", batch=5, threads=1, **scheme).colors - one.colors).max() > 1e-3
+    # What was found decides who counts: without it the same run goes elsewhere.
+    monkeypatch.setattr(Adaptive, "observe", lambda *args: None)
+    assert np.abs(run(tmp_path / "blind", detectors, batch=5, threads=1, **scheme).colors - one.colors).max() > 1e-3

@@ -116,28 +116,3 @@ def _pushed(optimizer: ColorOptimizer, gradient: torch.Tensor, lr: float = 0.1) 
     (optimizer.colors() * gradient).sum().backward()
     optimizer.update(lr)
     return optimizer.colors().detach().clone()
-
-
-def test_mi_steps_along_the_signs_of_normalised_gradients_with_momentum():
-    optimizer = ColorOptimizer(
-        make_settings("best", optimizer="mi", momentum=0.5).optimization, torch.full((2, 3), 0.5)
-    )
-    large, small = torch.tensor([[1000.0] * 3, [-1000.0] * 3]), torch.tensor([[-1e-3] * 3, [1e-3] * 3])
-    torch.testing.assert_close(_pushed(optimizer, large), 0.5 - 0.1 * large.sign())
-    # The second gradient is as long as the first, whatever its size, and outweighs half of it.
-    torch.testing.assert_close(_pushed(optimizer, small), torch.full((2, 3), 0.5))
-    other = ColorOptimizer(make_settings("best", optimizer="mi").optimization, torch.full((2, 3), 0.5))
-    other.load(optimizer.state())
-    assert torch.equal(_pushed(other, large), _pushed(optimizer, large))
-
-
-def test_a_raised_optimiser_comes_back():
-    optimizer = ColorOptimizer(make_settings("best", sharpness=0.1).optimization, torch.full((4, 3), 0.5))
-    direction = torch.randn(4, 3, generator=torch.Generator().manual_seed(0)) * 1e-6
-    with optimizer.perturbed(direction):
-        moved = optimizer.colors().detach() - 0.5
-    torch.testing.assert_close(moved.square().mean().sqrt(), torch.tensor(0.1))
-    torch.testing.assert_close(moved / moved.norm(), direction / direction.norm(), atol=1e-5, rtol=1e-4)
-    assert (optimizer.colors() == 0.5).all()
-    with optimizer.perturbed(None):
-        assert (optimizer.colors() == 0.5).all()

@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 
-from cloak_core.attack import run_folder, sampling
+from cloak_core.attack import run_folder
 from cloak_core.attack.events import read_events
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -58,17 +58,18 @@ def test_fresh_views_go_on_to_the_same_bits(tmp_path):
 
 
 @pytest.mark.slow
-def test_hard_views_and_distortions_go_on_to_the_same_bits(tmp_path, monkeypatch):
-    """New chances every third step, so that the run stops with some that are not yet in force."""
-    monkeypatch.setattr(sampling, "EVERY", 3)
-    scheme = {"angles": "0..360", "hard_views": 0.6, "occluders": 2, "blur": 1, "jpeg": "40:80", "zoom": "0.8:1.2"}
-    whole = run(tmp_path / "whole", steps=9, **scheme)
-    for seconds in (1e-6,) * 4:
-        run(tmp_path / "part", steps=9, max_seconds=seconds, resume=True, **scheme)
-    rest = run(tmp_path / "part", steps=9, resume=True, **scheme)
-    assert rest.stopped == "" and np.array_equal(whole.colors, rest.colors)
-    others = run(tmp_path / "even", steps=9, **(scheme | {"hard_views": 0.0}))
-    assert not np.array_equal(whole.colors, others.colors)
+def test_a_run_that_names_retired_options_resumes_where_they_were_off(tmp_path):
+    off = {"hard_views": 0.0, "zoom": "1", "jpeg": None, "reduce": "max", "ascent": "momentum", "wrinkle_draws": 4}
+    done = run(tmp_path / "run")
+    path = tmp_path / "run" / "config.json"
+    record = json.loads(path.read_text())
+    record["settings"] |= off
+    path.write_text(json.dumps(record))
+    assert np.array_equal(run(tmp_path / "run", resume=True).colors, done.colors)
+    record["settings"]["hard_views"] = 0.5
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"config\.json: --hard-views 0\.5: this version has no such option"):
+        run(tmp_path / "run", resume=True)
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from cloak_core.attack.settings.components import (
     ViewSettings,
 )
 from cloak_core.attack.settings.people import PeopleSettings
+from cloak_core.attack.settings.retired import without_retired
 from cloak_core.attack.settings.values import Bounds, Parsable, from_plain, option
 from cloak_core.files.errors import InputError
 
@@ -181,13 +182,16 @@ def make_settings(preset: object = "best", **changes: object) -> TrainSettings:
 
 
 def settings_from_record(record: Mapping[str, object]) -> TrainSettings:
-    """Make settings from plain values as JSON or TOML give them; names that are missing keep the default."""
+    """Make settings from plain values as JSON or TOML give them; names that are missing keep the default.
+
+    Options that earlier versions had (`retired`) may be there as long as they are off.
+    """
     return TrainSettings(**components_from_record(record))
 
 
 def components_from_record(record: Mapping[str, object]) -> dict[str, object]:
     """Make what `TrainSettings` takes, of the right types, but not checked whether they go together."""
-    known = _kinds()
+    known, record = _kinds(), without_retired(dict(record))
     unknown = sorted(set(record) - set(known))
     if unknown:
         raise InputError(f"{option(unknown[0])}: no such setting (known: {', '.join(known)})")
@@ -213,8 +217,9 @@ def check_settings(settings: object) -> None:
         for bounds in getattr(kind, "__metadata__", ()):
             if isinstance(bounds, Bounds) and value not in bounds:
                 raise InputError(f"{option(name)}: {value} is not in {bounds}")
-    if hasattr(settings, "check"):
-        settings.check()
+    for part in reversed(type(settings).__mro__):
+        if "check" in vars(part):
+            part.check(settings)
 
 
 @cache

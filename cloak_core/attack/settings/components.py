@@ -1,6 +1,7 @@
 """The settings of training's components, with their ranges and their help.
 
-Every field is an option of `cloak train` by its name; the string below it is its help.
+Every field is an option of `cloak train` by its name; the string below it is its help. The settings of techniques
+join those of a component (`attack.technique`).
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cloak_core.attack.settings.values import Angles, Azimuths, Bounds, NotNegative, Positive, Range, Weights
+from cloak_core.attack.technique import choices, with_techniques
 from cloak_core.files.errors import InputError
 from cloak_core.render.settings import RenderOptions
 from cloak_core.scene.cameras import Camera
@@ -75,9 +77,6 @@ class ViewSettings(RenderOptions):
     between, drawn evenly from sectors of ten degrees. 0..360 is the full circle."""
     angle_jitter: Annotated[float, Bounds(0, 180)] = 0.0
     """Change each azimuth by up to this many degrees, uniformly; 0 keeps the azimuths, so that views can be reused."""
-    hard_views: Annotated[float, Bounds(0, 1)] = 0.0
-    """Share of the images that show poses and azimuths where detectors still find the person; the others are drawn
-    evenly."""
     elevation: Annotated[Range, Bounds(-90, 90)] = Range(6.0, 6.0)
     """Camera elevation, degrees: one number, or LOW:HIGH for a uniform draw per image."""
     elevation_jitter: Annotated[float, Bounds(0, 22.5)] = 0.0
@@ -103,6 +102,7 @@ class ViewSettings(RenderOptions):
             raise InputError("--elevation-jitter: would carry the camera over the pole")
 
 
+@with_techniques("augmentation")
 @dataclass(frozen=True, kw_only=True)
 class AugmentationSettings:
     """What makes every image another one."""
@@ -117,39 +117,15 @@ class AugmentationSettings:
     """Range of what is added to the colours; 0 switches it off."""
     noise: Annotated[float, Bounds(0, 1)] = 0.1
     """Amplitude of uniform noise on the colours."""
-    photometric_on: Literal["logo", "render"] = "logo"
-    """Apply contrast, brightness and noise to the logo (per face), or to the render (per pixel of the body)."""
-    occluders: Annotated[int, Bounds(0, 16)] = 0
-    """Put at most this many rectangles, cut from other backgrounds, before each body."""
-    zoom: Annotated[Range, Bounds(0.25, 4)] = Range(1.0, 1.0)
-    """Range of the factor by which the finished image is enlarged about its centre; 1 switches it off."""
-    blur: Annotated[float, Bounds(0, 2)] = 0.0
-    """Blur the finished image by a Gaussian of at most this standard deviation, pixels; 0 switches it off."""
-    jpeg: Annotated[Range | None, Bounds(1, 100)] = None
-    """Range of the JPEG quality, 1 to 100, of the finished image; None switches it off."""
-    cutout: Annotated[float, Bounds(0, 1)] = 0.0
-    """Paint up to this share of the logo's faces grey in each image, around one face, so that no colour depends on the
-    others; 0 switches it off."""
-    crop: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Cut away up to this share of the finished image's width and height, and enlarge the rest."""
-    pad: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Shrink the finished image into a grey margin of up to this share of the width and height. With --crop, too, each
-    image gets one of the two."""
-    tint: Annotated[float, Bounds(0, 0.9)] = 0.0
-    """Multiply the finished image's red, green, blue and saturation each by up to 1 ± this."""
-    background_mix: Annotated[float, Bounds(0, 1)] = 0.0
-    """Mix up to this share of another background into the one behind the body."""
-    wrinkles: Annotated[float, Bounds(0, 0.1)] = 0.0
-    """Lay the cloth under the logo in random smooth folds of this depth, metres; 0 leaves the scene's shape."""
-    wrinkle_draws: Annotated[int, Bounds(1, 64)] = 4
-    """With --wrinkles: number of random folds in which each pose is seen."""
 
 
 Loss = Literal["score", "objectness", "log", "margin"]
-Reduce = Literal["max", "topk", "logsumexp"]
 Hide = Literal["person", "everything"]
+EnsembleKind = Literal[("mean", "max", "weighted", *choices("ensemble"))]
+OptimizerKind = Literal[("sgd", "adam", *choices("optimizer"))]
 
 
+@with_techniques("objective")
 @dataclass(frozen=True, kw_only=True)
 class LossSettings:
     """What training minimises."""
@@ -157,17 +133,15 @@ class LossSettings:
     hide: Hide = "person"
     """What to hide: the class person alone, or every class on the body."""
     loss: Loss = "score"
-    """What is minimised of each box: score, of the person; objectness, where person is the likeliest class; log, which
-    is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score lies above the
-    detector's own operating point, in logits."""
+    """What is minimised of an image's surest box: score, of the person; objectness, where person is the likeliest
+    class; log, which is -log(1 - score) and keeps its gradient where the score saturates; or margin, how far the score
+    lies above the detector's own operating point, in logits."""
     margin: NotNegative = 1.0
     """For --loss margin: logits below the operating point at which half of the gradient is left. A larger margin hides
     from more of the detectors that training never saw."""
-    reduce: Reduce = "max"
-    """How an image's boxes become one number: the largest, the mean of the ten largest (topk), or a soft maximum."""
     rpn_weight: NotNegative = 0.0
     """For two-stage detectors: weight of the first stage's objectness of the proposals behind person boxes."""
-    ensemble: Literal["mean", "max", "weighted", "adaptive"] = "mean"
+    ensemble: EnsembleKind = "mean"
     """How the losses of several detectors are combined: mean; max, the detector that sees most; weighted, by
     --detector-weights; adaptive, by how surely each detector found a person lately."""
     detector_weights: Weights | None = None
@@ -177,26 +151,18 @@ class LossSettings:
     tv_weight: NotNegative = 2.5
     """Weight of total variation: the sum over inner edges of length (metres) times colour difference, divided by the
     number of the logo's faces."""
-    nps_weight: NotNegative = 0.0
-    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
-    palette: str | None = None
-    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
-        if self.nps_weight and self.palette is None:
-            raise InputError("--nps-weight: needs a --palette to measure against")
         if (self.ensemble == "weighted") != (self.detector_weights is not None):
             raise InputError("--ensemble weighted and --detector-weights: one needs the other")
 
 
+@with_techniques("pattern")
 @dataclass(frozen=True, kw_only=True)
 class PatternSettings:
     """Which colours there may be, and how finely they may change."""
 
-    colors_at_most: Annotated[int | None, Bounds(2, 256)] = None
-    """End with at most this many distinct colours (inks, yarns, cloths): chosen from --palette, or learnt without one.
-    None gives each face its own colour."""
     pattern: Literal["free", "camouflage", "tile"] = "free"
     """Where colours may change: free, from face to face; camouflage, between patches no smaller than --feature-cm;
     tile, between squares of --feature-cm in a cloth that repeats every --tile-cm, and may lie anywhere on the body."""
@@ -204,40 +170,9 @@ class PatternSettings:
     """Diameter of the smallest patch, centimetres along the body in the first pose."""
     tile_cm: Annotated[float, Bounds(0, 1000, "(]")] = 50.0
     """For --pattern tile: width and height of the cloth that repeats, centimetres."""
-    profile: str | None = None
-    """Profile of a printer and a camera (`cloak calibrate`): train the colours as they are photographed after printing;
-    `cloak print --profile` writes the colours to send."""
-
-    near: str | None = None
-    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
-    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
-    each patch or square."""
-    within: Positive | None = None
-    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
-    within_most: Positive | None = None
-    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
-
-    def check(self) -> None:
-        """Check that values go together. InputError: they do not."""
-        if (self.near is None) != (self.within is None):
-            raise InputError("--near GARMENT and --within DE: one needs the other")
-        if self.within_most is not None and self.near is None:
-            raise InputError("--within-most: needs --near and --within")
-        if self.near is not None and self.profile is not None:
-            raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
-
-    @property
-    def on(self) -> bool:
-        """Whether any of it is asked for."""
-        recolored = self.colors_at_most is not None or self.pattern != "free"
-        return recolored or self.profile is not None or self.near is not None
-
-    @property
-    def binds(self) -> bool:
-        """Whether colours are restricted, to inks or to the neighbourhood of a garment; their mean may break that."""
-        return self.colors_at_most is not None or self.near is not None
 
 
+@with_techniques("surrogates")
 @dataclass(frozen=True, kw_only=True)
 class SurrogateSettings:
     """What makes many of each detector, so that colours do not hang on one network's peculiarities.
@@ -245,40 +180,19 @@ class SurrogateSettings:
     Drawn anew for each image from (seed, step); the detector itself stays as it is.
     """
 
-    shake: Annotated[float, Bounds(0, 1)] = 0.0
-    """Multiply residual branches by up to 1 ± this, as T-SEA's ShakeDrop (CVPR 2023); 0 switches it off."""
-    random_depth: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Probability that a residual branch is left out, for each image."""
-    activation_noise: Annotated[float, Bounds(0, 1, "[)")] = 0.0
-    """Multiply each channel of a convolution's output by up to 1 ± this; also for networks without residuals."""
 
-    @property
-    def on(self) -> bool:
-        return bool(self.shake or self.random_depth or self.activation_noise)
-
-
+@with_techniques("optimization")
 @dataclass(frozen=True, kw_only=True)
 class OptimizerSettings:
     """How the colours begin and move."""
 
-    optimizer: Literal["sgd", "adam", "mi"] = "sgd"
-    """SGD, Adam, or mi: sign steps along a momentum of normalised gradients (MI-FGSM, Dong et al., CVPR 2018)."""
+    optimizer: OptimizerKind = "sgd"
+    """SGD, Adam, or the baseline mi (MI-FGSM, Dong et al., CVPR 2018): sign steps along a momentum of normalised
+    gradients."""
     lr: Positive = 0.1
     """Learning rate, in units of colour [0, 1]."""
     momentum: Annotated[float, Bounds(0, 1, "[)")] = 0.0
     """For sgd and mi, in [0, 1)."""
-    sharpness: Annotated[float, Bounds(0, 0.5)] = 0.0
-    """Take the gradient where colours are worse by this much, root mean square (sharpness-aware minimisation, Foret et
-    al., ICLR 2021); 0 switches it off."""
-    ascent: Literal["gradient", "momentum"] = "gradient"
-    """With --sharpness, how the worse colours are found: along the gradient, which doubles the cost of a step, or along
-    the optimiser's momentum, which costs nothing (Becker et al., 2024)."""
-    smooth: Annotated[int, Bounds(0, 1000)] = 0
-    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
-    frequencies are learnt; 0 gives each face its own colour."""
-    octaves: Annotated[int, Bounds(1, 10)] = 1
-    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
-    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
     schedule: Literal["constant", "step", "cosine"] = "step"
     """Learning rate over time: constant, times 0.1 every --lr-epochs (step), or a cosine that ends at 1 %."""
     lr_epochs: Positive = 10.0
@@ -296,10 +210,6 @@ class OptimizerSettings:
         """Check that values go together. InputError: they do not."""
         if self.optimizer == "adam" and self.momentum:
             raise InputError("--momentum: Adam has its own, give it with --optimizer sgd")
-        if self.octaves > 1 and self.gamut != "sigmoid":
-            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
-        if self.sharpness and self.ascent == "momentum" and self.optimizer == "sgd" and not self.momentum:
-            raise InputError("--ascent momentum: there is none without --momentum")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,6 @@ CHANGES: dict[str, dict[str, object]] = {
     "loss: score": {"loss": "score"},
     "loss: objectness": {"loss": "objectness"},
     "loss: log": {"loss": "log"},
-    "ten best boxes": {"reduce": "topk"},
     "no total variation": {"tv_weight": 0.0},
     "no photometric noise": {"contrast": "1", "brightness": "0", "noise": 0.0},
     "the paper's photometric range": {"contrast": "0:1", "brightness": "0:1"},
@@ -21,11 +20,9 @@ CHANGES: dict[str, dict[str, object]] = {
     "one angle": {"angles": SINGLE},
     "from random colours": {"initial": "random"},
     "sigmoid instead of projection": {"gamut": "sigmoid"},
-    "half of the images: hard views": {"hard_views": 0.5},
-    "occluders, zoom, blur and JPEG": {"occluders": 2, "zoom": "0.8:1.2", "blur": 1.0, "jpeg": "40:95"},
 }
 """Each changes one choice of preset `best`."""
-FULL = ("constant learning rate", "loss: objectness", "ten best boxes", "the paper's photometric range")
+FULL = ("constant learning rate", "loss: objectness", "the paper's photometric range")
 FULL += ("no translation", "from random colours", "sigmoid instead of projection")
 """Left out when quick."""
 

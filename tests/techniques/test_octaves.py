@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.octaves import Octaves
 from cloak_core.attack.settings import make_settings
 from cloak_core.files.errors import InputError
+from cloak_core.techniques.octaves import Octaves
 
 
 def points(count: int = 50, dimensions: int = 3) -> np.ndarray:
@@ -16,7 +16,7 @@ def points(count: int = 50, dimensions: int = 3) -> np.ndarray:
 @pytest.mark.parametrize(("dimensions", "period"), [(3, None), (2, 0.5)])
 def test_every_grid_adds_its_own_constant(dimensions, period):
     octaves = Octaves(points(dimensions=dimensions), 0.05, 4, period)
-    assert torch.allclose(octaves(torch.ones(octaves.nodes, 3)), torch.full((50, 3), 3.0))
+    assert torch.allclose(octaves.summed(torch.ones(octaves.rows, 3)), torch.full((50, 3), 3.0))
 
 
 def test_a_grid_is_linear_between_its_nodes():
@@ -26,7 +26,7 @@ def test_a_grid_is_linear_between_its_nodes():
     nodes = torch.linalg.lstsq(
         octaves.weights.to_dense().double(), torch.from_numpy(np.c_[places, places[:, 0]])
     ).solution
-    assert np.allclose(octaves(nodes.float())[:, :2].numpy(), places, atol=1e-4)
+    assert np.allclose(octaves.summed(nodes.float())[:, :2].numpy(), places, atol=1e-4)
 
 
 def test_what_a_period_apart_lies_is_the_same():
@@ -37,9 +37,9 @@ def test_what_a_period_apart_lies_is_the_same():
 
 def test_the_gradient_is_the_transpose():
     octaves = Octaves(points(20), 0.1, 3)
-    values = torch.rand(octaves.nodes, 3, requires_grad=True)
+    values = torch.rand(octaves.rows, 3, requires_grad=True)
     upstream = torch.rand(20, 3)
-    octaves(values).backward(upstream)
+    octaves.summed(values).backward(upstream)
     assert torch.allclose(values.grad, octaves.weights.to_dense().T @ upstream, atol=1e-6)
 
 

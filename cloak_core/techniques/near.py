@@ -9,28 +9,75 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
+from cloak_core.attack.settings.values import Positive
+from cloak_core.attack.technique import Setup, Technique
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.lazy import Lazy
 from cloak_core.scene.color_difference import de2000, lab
 
+torch = Lazy("torch")
 HALVINGS = 12
 """Of the way to the garment's colour, until a face is near enough."""
 
 
-@dataclass(frozen=True, eq=False)
-class Near:
+@dataclass(frozen=True, kw_only=True)
+class NearSettings:
+    near: str | None = None
+    """Stay close to a garment: #rrggbb, clothing (the first outfit), camouflage (a woodland print), a picture as cloth
+    (FILE.png@tile=0.5, metres), colours of this logo (.npy), a run of it or zoo:NAME. With --pattern, to its mean in
+    each patch or square."""
+    within: Positive | None = None
+    """With --near: largest mean CIEDE2000 between the faces and that garment; 1 is just visible."""
+    within_most: Positive | None = None
+    """With --near: largest 95th percentile of CIEDE2000; None: twice the mean."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if (self.near is None) != (self.within is None):
+            raise InputError("--near GARMENT and --within DE: one needs the other")
+        if self.within_most is not None and self.near is None:
+            raise InputError("--within-most: needs --near and --within")
+        if self.near is not None and self.profile is not None:
+            raise InputError("--near: says how colours are to look, --profile what comes out of a printer; give one")
+
+
+class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
-    garment: Float[np.ndarray, "L 3"]
-    """sRGB in [0, 1], float32."""
-    mean: float
-    """The largest mean of CIEDE2000 over the faces."""
-    most: float
-    """The largest 95th percentile."""
+    group, settings = "pattern", NearSettings
+    files = ("near",)
+    is_exact = bars_search = True
+
+    def __init__(self, garment: Float[np.ndarray, "L 3"], mean: float, most: float) -> None:
+        """garment: sRGB in [0, 1], float32; mean and most: the largest mean and 95th percentile of CIEDE2000."""
+        self.garment, self.mean, self.most = garment, mean, most
+
+    @classmethod
+    def build(cls, setup: Setup) -> Near | None:
+        """Find the garment that colours stay close to; where faces share a colour, its mean there.
+
+        InputError: no such garment; one of several colours where inks are counted.
+        """
+        from cloak_core.attack.run_folder import read_start
+        from cloak_core.scene.logos.garment_colors import garment_colors
+
+        wanted, fabric = setup.settings.pattern, setup.fabric
+        if wanted.near is None:
+            return None
+        garment = garment_colors(wanted.near, fabric.bodies, fabric.logo)
+        garment = read_start(Path(wanted.near), fabric.logo, "--near") if garment is None else garment
+        if wanted.colors_at_most is not None:
+            if len(np.unique(garment, axis=0)) > 1:
+                raise InputError("--near: with --colors-at-most the garment must have one colour")
+            if setup.settings.objective.palette is not None:
+                raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
+        return cls(fabric.shared(garment), wanted.within, wanted.within_most or 2 * wanted.within)
 
     def distances(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, " L"]:
         """Compute each face's CIEDE2000 from the garment."""
@@ -41,8 +88,13 @@ class Near:
         far = self.distances(colors)
         return float(far.mean()), float(np.percentile(far, 95))
 
-    @torch.no_grad()
-    def project(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "L 3"]:
+    def content(self) -> dict[str, object]:
+        return {"near": {"sha256": sha256_arrays(self.garment)}}
+
+    def report(self, colors: Float[np.ndarray, "L 3"]) -> dict[str, float]:
+        return dict(zip(("de2000_mean", "de2000_p95"), self.closeness(colors), strict=True))
+
+    def keep(self, colors: Float[torch.Tensor, "L 3"]) -> Float[torch.Tensor, "L 3"]:
         """Move faces towards the garment until both bounds hold; colours that keep them stay to the bit.
 
         Faces of equal colours on equal garment colours stay equal.
@@ -91,3 +143,6 @@ def _threshold(far: Float[np.ndarray, " L"], total: float) -> float:
     counts = np.arange(1, len(far) + 1)
     last = np.flatnonzero(ordered > sums / counts)[-1]
     return float(sums[last] / counts[last])
+
+
+TECHNIQUE = Near

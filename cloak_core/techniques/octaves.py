@@ -9,22 +9,42 @@ Visualization", Distill, 2017).
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from scipy import sparse
-from torch import Tensor
 
-from cloak_core.render.sparse import csr
+from cloak_core.attack.settings.values import Bounds
+from cloak_core.attack.technique import Setup, Technique
+from cloak_core.files.errors import InputError
+from cloak_core.files.lazy import Lazy
+
+sparse = Lazy("scipy.sparse")
+torch = Lazy("torch")
 
 
-class Octaves:
+@dataclass(frozen=True, kw_only=True)
+class OctavesSettings:
+    octaves: Annotated[int, Bounds(1, 10)] = 1
+    """Make colours the sum of this many grids, each twice as coarse as the one before, so that large areas are found as
+    readily as single faces; 1 has the faces' own colours alone. Needs --gamut sigmoid."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if self.octaves > 1 and self.gamut != "sigmoid":
+            raise InputError("--octaves: sums of grids leave [0, 1]; give --gamut sigmoid")
+
+
+class Octaves(Technique):
     """The coarse grids: grid k = 1, 2 ... has nodes 2^k times `spacing` apart, and values between them are multilinear.
 
     points: of the N faces (or squares of a cloth), metres in D dimensions; count: of scales, the faces' own included;
     period: what repeats in every dimension (None: nothing does), into which a whole number of nodes is fitted.
     """
+
+    group, settings = "optimization", OctavesSettings
+    bars_search = True
 
     def __init__(
         self,
@@ -34,27 +54,23 @@ class Octaves:
         period: float | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
+        from cloak_core.render.linear import SparseMap
+
         weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
-        self.nodes = weights.shape[1]
-        """K, of all grids together."""
-        self.weights, self.transposed = _on_device(weights, device), _on_device(weights.T.tocsr(), device)
+        self.rows = weights.shape[1]
+        """Of all grids' nodes together."""
+        self.summed = SparseMap.from_scipy(weights).to(device, torch.float32)
+        """Nodes' values to their sums at the points."""
 
-    def __call__(self, values: Float[Tensor, "K 3"]) -> Float[Tensor, "N 3"]:
-        """Sum the grids' values at the points."""
-        return _Product.apply(values, self)
+    @classmethod
+    def build(cls, setup: Setup) -> Octaves | None:
+        count, fabric = setup.settings.optimization.octaves, setup.fabric
+        return cls(fabric.points, fabric.spacing, count, fabric.period, setup.device) if count > 1 else None
 
-
-class _Product(torch.autograd.Function):
-    """A product with a constant sparse matrix, and its gradient with the transposed one."""
-
-    @staticmethod
-    def forward(ctx: object, values: Tensor, octaves: Octaves) -> Tensor:
-        ctx.octaves = octaves
-        return octaves.weights @ values
-
-    @staticmethod
-    def backward(ctx: object, upstream: Tensor) -> tuple[Tensor, None]:
-        return ctx.octaves.transposed @ upstream, None
+    def free(
+        self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]
+    ) -> Float[torch.Tensor, "N 3"]:
+        return values + self.summed(own)
 
 
 def _grid(points: np.ndarray, spacing: float, period: float | None) -> sparse.csr_matrix:
@@ -71,7 +87,4 @@ def _grid(points: np.ndarray, spacing: float, period: float | None) -> sparse.cs
     return sparse.csr_matrix((np.concatenate(weights), (rows, column.ravel())), shape=(len(points), len(used)))
 
 
-def _on_device(matrix: sparse.csr_matrix, device: torch.device | str) -> Tensor:
-    matrix.sort_indices()
-    numbers = (matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data.astype(np.float32))
-    return csr(*(torch.from_numpy(array).to(device) for array in numbers), matrix.shape)
+TECHNIQUE = Octaves

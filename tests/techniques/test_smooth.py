@@ -4,8 +4,9 @@ import numpy as np
 import torch
 
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.pattern import Pattern, Smoothing
 from cloak_core.attack.settings import make_settings
+from cloak_core.attack.technique import Techniques
+from cloak_core.techniques.smooth import Smoothing
 from tests.attack.fakes import box_bodies, front_logo
 
 LOGO = front_logo(box_bodies())
@@ -20,14 +21,14 @@ def test_rounds_are_a_product_with_a_symmetric_matrix_whose_rows_sum_to_one():
     neighbours[LOGO.edges[:, 0], LOGO.edges[:, 1]] = True
     assert np.array_equal((matrix > 0).numpy() & ~np.eye(len(LOGO), dtype=bool), neighbours | neighbours.T)
     values = torch.rand(len(LOGO), 3, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(Smoothing(LOGO.edges, len(LOGO), 3)(values), matrix @ matrix @ matrix @ values)
+    torch.testing.assert_close(Smoothing(LOGO.edges, len(LOGO), 3).mix(values), matrix @ matrix @ matrix @ values)
 
 
 def test_its_gradient_is_that_of_the_product():
     smoothing = Smoothing(LOGO.edges, len(LOGO), 2)
     values = torch.rand(len(LOGO), 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     upstream = torch.randn(len(LOGO), 3, generator=torch.Generator().manual_seed(1))
-    (ours,) = torch.autograd.grad(smoothing(values), values, upstream)
+    (ours,) = torch.autograd.grad(smoothing.mix(values), values, upstream)
     matrix = smoothing.averaged(torch.eye(len(LOGO)))
     torch.testing.assert_close(ours, matrix.T @ upstream)
 
@@ -35,8 +36,8 @@ def test_its_gradient_is_that_of_the_product():
 def test_optimised_colours_are_smooth_and_in_bounds():
     spread = {}
     for rounds in (0, 10):
-        pattern = Pattern(Smoothing(LOGO.edges, len(LOGO), rounds)) if rounds else None
-        optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((len(LOGO), 3), 0.5), pattern)
+        techniques = Techniques([Smoothing(LOGO.edges, len(LOGO), rounds)] if rounds else [])
+        optimizer = ColorOptimizer(make_settings("best").optimization, torch.full((len(LOGO), 3), 0.5), techniques)
         generator = torch.Generator().manual_seed(0)
         for _ in range(20):
             optimizer.clear()

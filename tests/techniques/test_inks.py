@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 import torch
 
+from cloak_core.attack.coloring import Coloring
 from cloak_core.attack.events import read_events
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.pattern import HARD_FROM, Inks, Pattern, assigned, far_apart
 from cloak_core.attack.settings import PRESETS, make_settings
+from cloak_core.attack.technique import Techniques
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.profiles import Profile, write_profile
 from cloak_core.files.errors import InputError
+from cloak_core.scene.logos.logo import make_logo
+from cloak_core.techniques.inks import FREE_UNTIL, HARD_FROM, Inks, assigned, far_apart
+from cloak_core.techniques.momentum_iterative import MomentumIterative
+from cloak_core.techniques.profile import Photographed
+from tests.attack.fakes import box_bodies
 from tests.attack.test_training import run
 
 GREY = torch.full((6, 3), 0.5)
@@ -54,8 +61,7 @@ def test_every_optimiser_finds_the_two_colours_that_are_wanted(optimizer, gamut)
     """Six faces, of which each wants red or blue: learnt inks come to these."""
     wanted = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[[0, 0, 1, 0, 1, 1]]
     settings = make_settings("best", optimizer=optimizer, gamut=gamut).optimization
-    pattern = Pattern(inks=Inks(2))
-    colors = ColorOptimizer(settings, pattern.begin(GREY), pattern)
+    colors = ColorOptimizer(settings, GREY, Techniques([Inks(2), MomentumIterative(0.0)]))
     lr = {"sgd": 2.0 if gamut == "sigmoid" else 0.2, "adam": 0.05, "mi": 0.02}[optimizer]
     for step in range(80):
         colors.reach(step, 80)
@@ -67,10 +73,11 @@ def test_every_optimiser_finds_the_two_colours_that_are_wanted(optimizer, gamut)
 
 
 def test_an_ink_moves_as_its_patches_do():
-    pattern = Pattern(inks=Inks(2))
-    values = pattern.begin(torch.rand(6, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
-    pattern.progress = 1.0
-    colors = pattern(values)
+    inks = Inks(2)
+    coloring = Coloring(Techniques([inks]))
+    values = coloring.begin(torch.rand(6, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
+    inks.progress = 1.0
+    colors = coloring(values)
     colors.sum().backward()
     share = 2 / 6
     members = torch.tensor([(colors == ink).all(1).sum() for ink in colors.unique(dim=0)]).sort().values
@@ -82,35 +89,39 @@ def test_inks_of_a_palette_are_its_colours_and_the_useful_ones_are_chosen():
     random = np.random.default_rng(0)
     palette = torch.from_numpy(random.random((20, 3)).astype(np.float32))
     wanted = palette[[3, 3, 11, 11, 3, 11]]
-    pattern = Pattern(inks=Inks(2, palette))
-    colors = ColorOptimizer(make_settings("best").optimization, pattern.begin(GREY), pattern)
+    colors = ColorOptimizer(make_settings("best").optimization, GREY, Techniques([Inks(2, palette)]))
     for step in range(150):
         colors.reach(step, 150)
         colors.clear()
         ((colors.colors() - wanted) ** 2).sum().backward()
         colors.update(0.03)
     assert torch.equal(colors.finished(), wanted)
-    few = Pattern(inks=Inks(8, palette[:4]))
-    assert len(few.begin(GREY)) == 6 and few.learnt == 0
+    few = Inks(8, palette[:4])
+    assert len(Coloring(Techniques([few])).begin(GREY)) == 6 and few.rows == 0
 
 
 def test_inks_begin_as_clusters_of_the_free_colours():
     cube = far_apart(np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), -1).reshape(-1, 3), 8)
     assert set(np.unique(cube)) == {0.0, 1.0} and distinct(cube) == 8
-    pattern = Pattern(inks=Inks(2))
-    assert [step for step in range(13) if pattern.reach(step, 13)] == [4]
     first = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.2, 0.9]])[[0, 1, 0, 1, 0, 1]]
-    values = pattern.begin(first)
-    inks = pattern.with_inks(values)[6:]
+    assert [step for step in range(13) if Inks(2).reach(step, 13, lambda: first) is not None] == [4]
+    coloring = Coloring(Techniques([Inks(2)]))
+    values = coloring.begin(first)
+    coloring.reach(4, 13, values)
+    inks = values[6:]
     torch.testing.assert_close(inks[inks[:, 0].argsort()], first[[1, 0]])
-    assert torch.equal(pattern.with_inks(values)[:6], first)
-    grey = pattern.begin(GREY)
-    assert torch.equal(pattern.with_inks(grey), grey)
+    assert torch.equal(values[:6], first)
+    grey = coloring.begin(GREY)
+    begun = grey.clone()
+    coloring.reach(4, 13, grey)
+    assert torch.equal(begun, grey)
 
 
 def test_patches_share_a_colour_and_begin_as_their_mean():
     first = torch.rand(6, 3, generator=torch.Generator().manual_seed(0))
-    pattern = Pattern(patch=np.array([0, 0, 1, 2, 2, 2]))
+    bodies = box_bodies()
+    logo = make_logo(bodies, np.arange(6))
+    pattern = Coloring(fabric=Fabric(bodies, logo, patch=np.array([0, 0, 1, 2, 2, 2])))
     values = pattern.begin(first)
     torch.testing.assert_close(values[2], first[3:].mean(0))
     assert torch.equal(pattern(values), values[[0, 0, 1, 2, 2, 2]])
@@ -118,7 +129,7 @@ def test_patches_share_a_colour_and_begin_as_their_mean():
 
 def test_colours_are_those_that_are_photographed_and_their_gradient_is_right():
     profile = dull()
-    pattern = Pattern(profile=profile)
+    pattern = Coloring(Techniques([Photographed(profile)]))
     sent = torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
     np.testing.assert_allclose(pattern(sent).numpy(), profile.photographed(sent.numpy()), atol=1e-6)
     first = torch.from_numpy(profile.photographed(sent.numpy()))
@@ -178,9 +189,10 @@ def test_a_search_for_answers_alone_refuses_patterns(tmp_path, change):
 
 
 def test_colours_stay_soft_before_the_last_part_and_are_hard_in_it():
-    pattern = Pattern(inks=Inks(2))
-    values = pattern.begin(torch.rand(6, 3, generator=torch.Generator().manual_seed(0)))
-    assert torch.equal(pattern(values), values[:6])
-    for progress, is_hard in ((0.0, False), (HARD_FROM - 0.01, False), (HARD_FROM, True), (1.0, True)):
-        pattern.progress = progress
-        assert torch.equal(pattern(values), pattern.finished(values)) == is_hard
+    inks = Inks(2)
+    coloring = Coloring(Techniques([inks]))
+    values = coloring.begin(torch.rand(6, 3, generator=torch.Generator().manual_seed(0)))
+    assert torch.equal(coloring(values), values[:6])
+    for progress, is_hard in ((FREE_UNTIL - 0.01, False), (HARD_FROM - 0.01, False), (HARD_FROM, True), (1.0, True)):
+        inks.progress = progress
+        assert torch.equal(coloring(values), coloring(values, is_final=True)) == is_hard

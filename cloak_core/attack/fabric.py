@@ -1,0 +1,103 @@
+"""What of a logo has colours: its faces, patches of them, or the squares of a cloth that repeats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int64
+
+from cloak_core.attack.on_cloth import ClothOnLogo
+from cloak_core.attack.settings.components import PatternSettings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.scene.geometry import face_areas, face_centres
+from cloak_core.scene.logos.cloth import Cloth
+from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.logos.patches import patch_of_face
+
+
+@dataclass(frozen=True, eq=False)
+class Fabric:
+    """N values that may differ, and the C colours that they make: equal but for patches, whose faces share a value."""
+
+    bodies: Bodies
+    logo: Logo
+    cloth: ClothOnLogo | None = None
+    patch: Int64[np.ndarray, " L"] | None = None
+    """Of each face; None: values are the faces', or a cloth's."""
+
+    @classmethod
+    def of(cls, settings: PatternSettings, bodies: Bodies, logo: Logo) -> Fabric:
+        """Lay what the settings ask for onto a logo."""
+        if settings.pattern == "tile":
+            cloth = Cloth.of(settings.tile_cm / 100, settings.feature_cm / 100)
+            return cls(bodies, logo, ClothOnLogo.of(cloth, bodies, logo))
+        if settings.pattern == "camouflage":
+            return cls(bodies, logo, patch=patch_of_face(bodies, logo, settings.feature_cm / 100))
+        return cls(bodies, logo)
+
+    @cached_property
+    def count(self) -> int:
+        """N."""
+        if self.cloth is not None:
+            return self.cloth.count
+        return len(self.logo) if self.patch is None else int(self.patch.max()) + 1
+
+    @cached_property
+    def edges(self) -> Int64[np.ndarray, "E 2"]:
+        """Pairs of values that lie side by side."""
+        if self.cloth is not None:
+            return self.cloth.cloth.neighbours()
+        if self.patch is None:
+            return self.logo.edges
+        edges = self.patch[self.logo.edges]
+        return edges[edges[:, 0] != edges[:, 1]]
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "N D"]:
+        """Where the values lie, metres: on the body in the first pose, or on the cloth."""
+        if self.patch is None:
+            return self.centres
+        members = np.bincount(self.patch)
+        return np.stack([np.bincount(self.patch, axis) for axis in self.centres.T], axis=1) / members[:, None]
+
+    @cached_property
+    def spacing(self) -> float:
+        """Metres from a value to the next, in the median."""
+        if self.cloth is not None:
+            return self.cloth.cloth.metres / self.cloth.cloth.count
+        areas = face_areas(self.bodies)[self.logo.face_ids]
+        return float(np.sqrt(np.median(areas if self.patch is None else np.bincount(self.patch, areas))))
+
+    @property
+    def period(self) -> float | None:
+        """Metres after which values repeat; None: they do not."""
+        return None if self.cloth is None else self.cloth.cloth.metres
+
+    @cached_property
+    def centres(self) -> Float[np.ndarray, "C D"]:
+        """Where the colours lie, metres."""
+        return face_centres(self.bodies)[self.logo.face_ids] if self.cloth is None else self.cloth.cloth.centres()
+
+    @cached_property
+    def bordered(self) -> Logo:
+        """The logo with the colours' neighbours in place of its faces', for total variation."""
+        return self.logo if self.cloth is None else self.cloth.as_logo(self.logo)
+
+    def colors(self, faces: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
+        """Turn colours of faces into those of what has colours; faces of a patch may still differ."""
+        return faces if self.cloth is None else self.cloth.of_faces(faces)
+
+    def shared(self, faces: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
+        """Turn colours of faces into those of what has colours; faces of a patch get their mean."""
+        if self.patch is None:
+            return self.colors(faces)
+        return self.means(faces)[self.patch].astype(np.float32)
+
+    def means(self, colors: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "N 3"]:
+        """Average colours over those that share a value."""
+        if self.patch is None:
+            return colors
+        total = np.stack([np.bincount(self.patch, channel) for channel in colors.T], axis=1)
+        return total / np.bincount(self.patch)[:, None]

@@ -1,0 +1,82 @@
+"""The non-printability score: how far colours are from those that a palette has.
+
+Sharif et al., "Accessorize to a Crime" (CCS 2016), in the form of Thys et al., "Fooling automated surveillance cameras"
+(CVPR workshops 2019): Sharif's product of the distances to all palette colours vanishes, with its gradient, once there
+are more than a few of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from cloak_core.attack.settings.values import NotNegative
+from cloak_core.attack.technique import Setup, Technique
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.lazy import Lazy
+
+torch = Lazy("torch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintabilitySettings:
+    nps_weight: NotNegative = 0.0
+    """Weight of non-printability: the mean distance of the colours to the nearest colour of --palette."""
+    palette: str | None = None
+    """File of printable colours: one a line, three numbers in [0, 1] or #rrggbb; or a GIMP .gpl."""
+
+    def check(self) -> None:
+        """Check that values go together. InputError: they do not."""
+        if self.nps_weight and self.palette is None:
+            raise InputError("--nps-weight: needs a --palette to measure against")
+
+
+class Printability(Technique):
+    """Adds the mean distance to the palette to the loss."""
+
+    group, settings = "objective", PrintabilitySettings
+    files = ("palette",)
+
+    def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:
+        self.weight, self.colors = weight, palette
+        self.palette = torch.as_tensor(palette, dtype=torch.float32, device=device)
+
+    @classmethod
+    def build(cls, setup: Setup) -> Printability | None:
+        settings = setup.settings.objective
+        return cls(settings.nps_weight, palette_of(setup), setup.device) if settings.palette is not None else None
+
+    def penalty(self, colors: Float[torch.Tensor, "C 3"]) -> tuple[float, Float[torch.Tensor, ""]]:
+        return self.weight, non_printability(colors, self.palette)
+
+    def content(self) -> dict[str, object]:
+        return {"palette": {"colors": len(self.colors), "sha256": sha256_arrays(self.colors)}}
+
+
+def palette_of(setup: Setup) -> Float[np.ndarray, "P 3"] | None:
+    """Read the palette; None where none is named. InputError: it cannot be read."""
+    from cloak_core.scene.logos.palette import read_palette
+
+    file = setup.settings.objective.palette
+    return None if file is None else read_palette(file)
+
+
+def non_printability(
+    colors: Float[torch.Tensor, "L 3"], palette: Float[torch.Tensor, "P 3"]
+) -> Float[torch.Tensor, ""]:
+    """Average the faces' Euclidean distance to the nearest colour of `palette`, sRGB in [0, 1]; at most sqrt(3).
+
+    A colour of the palette itself has gradient 0.
+    """
+    # Which one is nearest does not need a gradient, and [L, P] of floats is all that is kept at once.
+    with torch.no_grad():
+        squares = (palette**2).sum(dim=1) - 2 * colors @ palette.T
+        nearest = palette[squares.argmin(dim=1)]
+    # The root's gradient is infinite at 0; below a millionth of a colour there is none.
+    return ((colors - nearest) ** 2).sum(dim=1).clamp_min(1e-12).sqrt().mean()
+
+
+TECHNIQUE = Printability

@@ -1,0 +1,124 @@
+"""ShakeDrop, a baseline: a detector's residual branches are scaled anew for every image of a step.
+
+The self-ensemble of T-SEA (Huang et al., CVPR 2023), without touching the detector: while it runs, torch's functions
+are looked at as they are called. Where two feature maps are added, the residual branch is multiplied by a random
+factor. So it works on any network that torch runs step by step (Darknet's shortcuts, torchvision's blocks, converted
+ONNX graphs, a user's own module), not on compiled ones.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from cloak_core.attack.settings.values import Bounds
+from cloak_core.attack.technique import Setup, Technique
+from cloak_core.files.errors import InputError
+from cloak_core.files.lazy import Lazy
+
+torch = Lazy("torch")
+_STREAM = 0x5EA
+"""Of random numbers, apart from those that draw the images."""
+_ADDITIONS = ("add", "__add__", "__radd__", "__iadd__")
+_READERS = ("conv2d", "batch_norm", "layer_norm", "group_norm")
+"""What reads the input of a residual block first."""
+_FEW_CHANNELS = 8
+"""Maps with fewer are boxes and anchors being decoded, no features."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShakeSettings:
+    shake: Annotated[float, Bounds(0, 1)] = 0.0
+    """Baseline (T-SEA's ShakeDrop, Huang et al., CVPR 2023): multiply residual branches by up to 1 ± this; 0 switches
+    it off."""
+
+
+class Shake(Technique):
+    """Makes a context for each detector and step in which the detector's network is another one."""
+
+    group, settings = "surrogates", ShakeSettings
+
+    def __init__(self, reach: float, seed: int) -> None:
+        self.reach, self.seed = reach, seed
+
+    @classmethod
+    def build(cls, setup: Setup) -> Shake | None:
+        """InputError: a detector is compiled, so that nothing reaches into it."""
+        reach = setup.settings.surrogates.shake
+        if not reach:
+            return None
+        for detector in setup.detectors:
+            if detector.compiled:
+                raise InputError(f"--detector {detector.spec}: compiled, so --shake and the like do not reach into it")
+        return cls(reach, setup.settings.run.seed)
+
+    def around(self, number: int, step: int) -> contextlib.AbstractContextManager:
+        """Shake detector `number` in `step`, by (seed, step, number)."""
+        state = np.random.SeedSequence([self.seed, _STREAM, step, number]).generate_state(1, np.uint64)
+        return _shaking(self.reach, torch.Generator().manual_seed(int(state[0] >> 1)))
+
+
+def _shaking(reach: float, random: torch.Generator) -> contextlib.AbstractContextManager:
+    """Change what feature maps add up to while the block runs."""
+    from torch.overrides import TorchFunctionMode
+
+    shaker = _Shaker(reach, random)
+
+    class Shaking(TorchFunctionMode):
+        def __torch_function__(
+            self, function: Callable, types: object, args: tuple = (), kwargs: dict | None = None
+        ) -> object:
+            return shaker(function, args, kwargs or {})
+
+    return Shaking()
+
+
+class _Shaker:
+    """Calls torch's functions, their summands changed."""
+
+    def __init__(self, reach: float, random: torch.Generator) -> None:
+        self.reach, self.random = reach, random
+        # By where they lie, for a slice of all channels is still the same map; the tensors themselves are kept so that
+        # no other comes to lie there.
+        self._read: dict[int, torch.Tensor] = {}
+
+    def __call__(self, function: Callable, args: tuple, kwargs: dict) -> object:
+        name = getattr(function, "__name__", "")
+        if name in _ADDITIONS and len(args) >= 2 and _are_maps(args[0], args[1]):
+            args = (*self._branches(args[0], args[1]), *args[2:])
+        result = function(*args, **kwargs)
+        if name in _READERS and args and isinstance(args[0], torch.Tensor):
+            self._read[args[0].data_ptr()] = args[0]
+        return result
+
+    def _branches(self, one: torch.Tensor, other: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Multiply the residual branch of two summands (or both, where neither is one).
+
+        What a layer has read already is the way around; what none has read comes out of the branch.
+        """
+        is_way_around = [x.data_ptr() in self._read for x in (one, other)]
+        is_residual = is_way_around[0] != is_way_around[1]
+        changed = [
+            x if is_residual and around else x * self._factors(x)
+            for x, around in zip((one, other), is_way_around, strict=True)
+        ]
+        return changed[0], changed[1]
+
+    def _factors(self, x: torch.Tensor) -> torch.Tensor:
+        """Draw [B, 1, 1, 1], uniform in 1 ± reach."""
+        drawn = torch.rand(len(x), 1, 1, 1, generator=self.random)
+        return (1 + self.reach * (2 * drawn - 1)).to(x.device, x.dtype)
+
+
+def _are_maps(one: object, other: object) -> bool:
+    """Tell whether both are feature maps of one size."""
+    if not (isinstance(one, torch.Tensor) and isinstance(other, torch.Tensor)):
+        return False
+    return one.dim() == 4 and one.shape == other.shape and one.shape[1] >= _FEW_CHANNELS and one.is_floating_point()
+
+
+TECHNIQUE = Shake

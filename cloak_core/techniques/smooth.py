@@ -1,0 +1,68 @@
+"""Smoothing: colours are averages over neighbouring faces, so that only low frequencies are learnt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from cloak_core.attack.settings.values import Bounds
+from cloak_core.attack.technique import Setup, Technique
+from cloak_core.files.lazy import Lazy
+
+torch = Lazy("torch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothSettings:
+    smooth: Annotated[int, Bounds(0, 1000)] = 0
+    """Rounds of averaging with neighbouring faces between the free parameters and the colours, so that only low
+    frequencies are learnt; 0 gives each face its own colour."""
+
+
+class Smoothing(Technique):
+    """So many rounds in which each face takes a share of its neighbours' values.
+
+    Face i takes 1 / (1 + max(d_i, d_j)) of neighbour j, d the numbers of neighbours, and keeps the rest (Metropolis
+    and Hastings' weights): a symmetric matrix W whose rows sum to 1. So values stay within the bounds they had, the
+    mean colour stays, and the gradient goes through the same matrix.
+    """
+
+    group, settings = "optimization", SmoothSettings
+
+    def __init__(
+        self, edges: Int[np.ndarray, "E 2"], count: int, rounds: int, device: torch.device | str = "cpu"
+    ) -> None:
+        """Build the matrix; edges: positions of two neighbouring faces among the `count`."""
+        from cloak_core.render.linear import SparseMap, offsets
+
+        self.rounds = rounds
+        pairs = np.unique(np.sort(edges, axis=1), axis=0)
+        degree = np.bincount(pairs.ravel(), minlength=count)
+        weight = 1 / (1 + np.maximum(degree[pairs[:, 0]], degree[pairs[:, 1]]))
+        own = 1 - np.bincount(pairs.ravel(), np.repeat(weight, 2), count)
+        diagonal = np.arange(count)
+        row = np.concatenate([pairs[:, 0], pairs[:, 1], diagonal])
+        column = np.concatenate([pairs[:, 1], pairs[:, 0], diagonal])
+        value = np.concatenate([weight, weight, own])
+        order = np.lexsort((column, row))
+        rows, columns, values = (torch.from_numpy(x[order]).to(device) for x in (row, column, value))
+        self.once = SparseMap(offsets(rows, count), columns, values.float(), count)
+
+    @classmethod
+    def build(cls, setup: Setup) -> Smoothing | None:
+        rounds, fabric = setup.settings.optimization.smooth, setup.fabric
+        return cls(fabric.edges, fabric.count, rounds, setup.device) if rounds else None
+
+    def mix(self, values: Float[torch.Tensor, "L C"]) -> Float[torch.Tensor, "L C"]:
+        """Average the values; they stay within [0, 1] where the given ones do."""
+        mean = values
+        for _ in range(self.rounds):
+            mean = self.once(mean)
+        # Rounding may carry a mean a hair beyond what it is the mean of; the gradient passes.
+        return mean + (mean.clamp(0, 1) - mean).detach()
+
+
+TECHNIQUE = Smoothing
