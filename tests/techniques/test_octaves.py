@@ -24,14 +24,14 @@ def test_a_grid_is_linear_between_its_nodes():
     octaves = Octaves(places, 0.05, 2)
     # The nodes' own places are what the grid says where it is asked for the places themselves.
     nodes = torch.linalg.lstsq(
-        octaves.weights.to_dense().double(), torch.from_numpy(np.c_[places, places[:, 0]])
+        octaves.summed.matrix.to_dense().double(), torch.from_numpy(np.c_[places, places[:, 0]])
     ).solution
     assert np.allclose(octaves.summed(nodes.float())[:, :2].numpy(), places, atol=1e-4)
 
 
 def test_what_a_period_apart_lies_is_the_same():
     places = points(dimensions=2)
-    one, other = (Octaves(at, 0.04, 3, 0.5).weights.to_dense() for at in (places, places + np.array([0.5, -1.0])))
+    one, other = (Octaves(at, 0.04, 3, 0.5).summed.matrix.to_dense() for at in (places, places + np.array([0.5, -1.0])))
     assert torch.allclose(one, other, atol=1e-5)
 
 
@@ -40,7 +40,7 @@ def test_the_gradient_is_the_transpose():
     values = torch.rand(octaves.rows, 3, requires_grad=True)
     upstream = torch.rand(20, 3)
     octaves.summed(values).backward(upstream)
-    assert torch.allclose(values.grad, octaves.weights.to_dense().T @ upstream, atol=1e-6)
+    assert torch.allclose(values.grad, octaves.summed.matrix.to_dense().T @ upstream, atol=1e-6)
 
 
 def test_octaves_need_a_sigmoid():

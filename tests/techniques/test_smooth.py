@@ -14,7 +14,7 @@ LOGO = front_logo(box_bodies())
 
 def test_rounds_are_a_product_with_a_symmetric_matrix_whose_rows_sum_to_one():
     once = Smoothing(LOGO.edges, len(LOGO), 1)
-    matrix = once.averaged(torch.eye(len(LOGO)))
+    matrix = once.mix(torch.eye(len(LOGO)))
     torch.testing.assert_close(matrix, matrix.T)
     torch.testing.assert_close(matrix.sum(1), torch.ones(len(LOGO)))
     neighbours = np.zeros((len(LOGO), len(LOGO)), bool)
@@ -29,7 +29,7 @@ def test_its_gradient_is_that_of_the_product():
     values = torch.rand(len(LOGO), 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     upstream = torch.randn(len(LOGO), 3, generator=torch.Generator().manual_seed(1))
     (ours,) = torch.autograd.grad(smoothing.mix(values), values, upstream)
-    matrix = smoothing.averaged(torch.eye(len(LOGO)))
+    matrix = smoothing.mix(torch.eye(len(LOGO)))
     torch.testing.assert_close(ours, matrix.T @ upstream)
 
 
