@@ -22,14 +22,13 @@ from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
-FILES = tuple(name for technique in discovered() for name in technique.files)
-"""Settings of techniques that name files."""
+FILES = {setting: name for technique in discovered() for setting, name in technique.files}
+"""Settings of techniques that name files, and where a configuration has their content."""
 FREE_SETTINGS = (
     "checkpoint_every",
     "preview_every",
     "snapshot_every",
     "max_seconds",
-    "init",
     *FILES,
 )
 """What a resumed run may change: nothing of it reaches the colours (of files, it is the content that counts)."""
@@ -41,8 +40,7 @@ DECISIVE = {
     "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
     "people": ("sha256",),
-    "start": (),
-    **dict.fromkeys(FILES, ()),
+    **dict.fromkeys(FILES.values(), ()),
     "query_prior": ("sha256", "precision", "compiled", "source"),
 }
 """The parts of a configuration that decide the result, and what of a part does (all where nothing is named)."""
@@ -56,7 +54,6 @@ class RunInputs:
 
     processes: int = 1
     held_out: TrainingData | None = None
-    start: np.ndarray | None = None
     files: Mapping[str, object] | None = None
     """Content of the files that techniques read, by the setting's name."""
     query_prior: Sequence[Detector] = ()
@@ -74,7 +71,7 @@ def run_config(
 ) -> dict:
     """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
     more = more or RunInputs()
-    held_out, start = more.held_out, more.start
+    held_out = more.held_out
     return {
         "format": "cloak run",
         "version": FORMAT_VERSION,
@@ -87,7 +84,6 @@ def run_config(
         "detectors": [_detector(detector) for detector in detectors],
         "backgrounds": _backgrounds(backgrounds),
         "people": _people(more.people),
-        "start": None if start is None else {"sha256": sha256_arrays(start)},
         **(NO_TECHNIQUES.content() if more.files is None else more.files),
         "query_prior": [_detector(detector) for detector in more.query_prior] or None,
         "held_out": held_out

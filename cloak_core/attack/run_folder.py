@@ -17,11 +17,11 @@ from torch import Tensor
 
 from cloak_core.attack.checkpoints import remove_unfinished
 from cloak_core.attack.run_config import changes_around, check_same
-from cloak_core.detectors.check import draw_boxes
+from cloak_core.detectors.drawing import draw_boxes
 from cloak_core.detectors.protocol import Detections
 from cloak_core.detectors.scoring import person_boxes
-from cloak_core.exchange.colors import read_colors, write_colors
-from cloak_core.exchange.face_lists import read_face_list, write_face_list
+from cloak_core.exchange.colors import write_colors
+from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
@@ -29,7 +29,6 @@ from cloak_core.files.writing import new_folder, write_json, written
 from cloak_core.scene.logos.cloth import CLOTH_FILE, Cloth
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import save_picture
-from cloak_core.zoo.entry import run_path
 
 _log = logging.getLogger("cloak")
 
@@ -63,20 +62,6 @@ class RunFolder:
         with written(self.snapshots):
             self.snapshots.mkdir(exist_ok=True)
         write_colors(self.snapshots / f"step-{step:08d}.npy", colors)
-
-
-def read_start(path: Path, logo: Logo, option: str = "--init") -> Float32[np.ndarray, "L 3"]:
-    """Read colours [L, 3] to begin with: a file of them, or a run (or zoo:NAME) of the same logo. InputError."""
-    path = run_path(path)
-    if not path.is_dir():
-        return read_colors(path, len(logo.face_ids))
-    run = RunFolder(path)
-    if not run.config.exists():
-        raise InputError(f"{option} {path}: not a run folder (no config.json in it)")
-    trained = read_face_list(run.logo)
-    if trained.topology != logo.topology or not np.array_equal(trained.ids, logo.face_ids):
-        raise InputError(f"{option} {path}: was trained on another logo (`cloak logo transfer` carries colours over)")
-    return read_colors(run.colors, len(logo.face_ids))
 
 
 @contextlib.contextmanager

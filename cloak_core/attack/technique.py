@@ -63,8 +63,8 @@ class Technique:
     """Dataclass of its settings: frozen, keywords only."""
     choice: ClassVar[tuple[str, str] | None] = None
     """A word that it adds to a setting of the core: the setting's name, the word."""
-    files: ClassVar[tuple[str, ...]] = ()
-    """Settings that name a file: config.json has the content under the same name, and the name may change."""
+    files: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Pairs: a setting that names a file, which may be moved, and the name under which config.json has its content."""
     order: ClassVar[int] = 0
     """Among techniques with the same hook; equal ones go by the name of their file."""
     is_exact: ClassVar[bool] = False
@@ -102,7 +102,12 @@ class Technique:
     def observe(self, levels: dict[int, float]) -> None:
         """Hear the mean level of each detector that was asked, by its number; in every process for the whole batch."""
 
-    # --- on the colours: N values that are free parameters become C colours
+    # --- on the colours
+
+    def first(self) -> Float[np.ndarray, "L 3"]:
+        """Give the colours of faces that training begins with."""
+
+    # N values that are free parameters become C colours
 
     rows: int = 0
     """Free parameters of its own, beside the N values."""
@@ -149,7 +154,7 @@ class Technique:
     # --- on what is written
 
     def content(self) -> dict[str, object]:
-        """Record the content of its `files`, by the setting's name."""
+        """Record the content of its `files`, by the name in config.json."""
         return {}
 
     def report(self, colors: Float[np.ndarray, "C 3"]) -> dict[str, float]:
@@ -195,7 +200,7 @@ class Techniques(tuple[Technique, ...]):
 
     def content(self) -> dict[str, object]:
         """Record every technique's files; None of those that are off."""
-        found = {name: None for technique in discovered() for name in technique.files}
+        found = dict.fromkeys(name for technique in discovered() for _, name in technique.files)
         for technique in self:
             found |= technique.content()
         return found

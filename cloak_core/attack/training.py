@@ -24,7 +24,7 @@ from cloak_core.attack.objective import Objective
 from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.run_config import RunInputs, run_config
-from cloak_core.attack.run_folder import RunFolder, open_run, read_start
+from cloak_core.attack.run_folder import RunFolder, open_run
 from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings
 from cloak_core.attack.settings.components import ViewSettings
@@ -115,11 +115,10 @@ class Job:
 
 def _train(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
     settings, logo, bodies = job.settings, job.logo, job.material.bodies
-    device, init = local_device(settings.compute.device), settings.optimization.init
+    device = local_device(settings.compute.device)
     detectors = [detector.to(device) for detector in job.detectors]
     fabric = Fabric.of(settings.pattern, bodies, logo)
     techniques = Techniques.built(Setup(settings, fabric, detectors, device))
-    start = None if init is None else read_start(Path(init), logo)
     trained, held = set_aside(settings.run, job.material)
     search = None
     if settings.queries.black_box_queries is not None:
@@ -130,10 +129,10 @@ def _train(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: W
     batcher = make_batcher(drawn, trained, fabric, device, techniques)
     if not job.material.people or settings.photographs.people_share < 1:
         require_visible_logo(batcher.view_cache, logo.face_ids, trained.bodies.pose_count, settings.views)
-    more = RunInputs(world.size, held, start, techniques.content(), job.query_prior, job.material.people)
+    more = RunInputs(world.size, held, techniques.content(), job.query_prior, job.material.people)
     config = run_config(settings, bodies, logo, detectors, job.material.backgrounds, job.inputs, more)
-    if start is None:
-        start = first_colors(settings.optimization, bodies, logo, settings.run.seed).numpy()
+    begun = [technique.first() for technique in techniques.at("first")]
+    start = begun[0] if begun else first_colors(settings.optimization, bodies, logo, settings.run.seed).numpy()
     first = torch.from_numpy(fabric.colors(start)).to(device)
     with contextlib.ExitStack() as stack:
         run = world.on_rank0(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)

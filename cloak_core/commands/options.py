@@ -32,7 +32,7 @@ def prepare_process(settings: ComputeSettings) -> None:
     check_settings(settings)
     keep_freed_memory()
     if settings.device != "cpu":
-        from cloak_core.detectors.loading import usable_device
+        from cloak_core.detectors.devices import usable_device
 
         usable_device(settings.device)
     if settings.threads is not None:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image, ImageDraw, ImageOps
+from PIL import ImageOps
 from torch import Tensor
 
+from cloak_core.detectors.drawing import draw_boxes
 from cloak_core.detectors.pixels import USUAL, PixelFormat
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.scoring import THRESHOLD, box_iou, max_person_score, person_boxes, suppressed
@@ -19,9 +20,6 @@ from cloak_core.scene.pictures import open_picture, save_picture
 
 if TYPE_CHECKING:
     from cloak_core.detectors.onnx_family.detector import OnnxDetector
-
-
-FRAME = (255, 60, 60)
 
 
 def check_image(
@@ -65,23 +63,6 @@ def read_image(path: Path) -> Float[Tensor, "3 H W"]:
     with open_picture(path) as file:
         pixels = np.array(ImageOps.exif_transpose(file).convert("RGB"))
     return torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
-
-
-def draw_boxes(image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 5"]) -> Image.Image:
-    """Draw each box (x1, y1, x2, y2, score) onto the image, its score beside it."""
-    pixels = (image.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
-    picture = Image.fromarray(pixels)
-    draw = ImageDraw.Draw(picture)
-    size = max(12, picture.height // 30)
-    for x1, y1, x2, y2, score in boxes.tolist():
-        x1, x2 = sorted(min(max(x, 0), picture.width - 1) for x in (x1, x2))
-        y1, y2 = sorted(min(max(y, 0), picture.height - 1) for y in (y1, y2))
-        draw.rectangle((x1, y1, x2, y2), outline=FRAME, width=max(2, size // 8))
-        label = f"{score:.2f}"
-        corner = (x1, max(0.0, y1 - size * 1.2))
-        draw.rectangle(draw.textbbox(corner, label, font_size=size), fill=FRAME)
-        draw.text(corner, label, fill=(255, 255, 255), font_size=size)
-    return picture
 
 
 SHOWN, SAME, MOST = 0.2, 0.5, 50

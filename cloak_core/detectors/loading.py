@@ -7,10 +7,11 @@ from typing import Literal
 import torch
 
 from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
+from cloak_core.detectors.devices import usable_device
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.specs import Request, parse_spec, with_person_class
-from cloak_core.files.errors import InputError, first_line
+from cloak_core.files.errors import InputError
 
 FILES = {
     ".pt": "ultralytics:{}",
@@ -99,18 +100,6 @@ def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool,
     if person_class is not None:
         request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
     return replace(request, letterbox=letterbox or request.letterbox)
-
-
-def usable_device(device: str | torch.device) -> torch.device:
-    """Find the torch device of this name. InputError: there is none, or it cannot be used on this machine."""
-    try:
-        found = torch.device(device)
-        if found.type == "meta":
-            raise RuntimeError("holds no numbers")
-        torch.empty(1, device=found)
-    except (RuntimeError, AssertionError, NotImplementedError, ImportError) as error:  # each backend has its own
-        raise InputError(f"--device {device}: {first_line(error)}") from None
-    return found
 
 
 def _precision(wanted: str, device: torch.device) -> Literal["float32", "bfloat16"]:

@@ -19,8 +19,8 @@ from jaxtyping import Float32, Int64
 
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
-from cloak_core.attack.run_folder import read_start
 from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
+from cloak_core.attack.starting import read_start
 from cloak_core.attack.training import train
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluation.cloaked import Cloaked

@@ -51,7 +51,7 @@ class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
     group, settings = "pattern", NearSettings
-    files = ("near",)
+    files = (("near", "near"),)
     is_exact = bars_search = True
 
     def __init__(self, garment: Float[np.ndarray, "L 3"], mean: float, most: float) -> None:
@@ -64,7 +64,7 @@ class Near(Technique):
 
         InputError: no such garment; one of several colours where inks are counted.
         """
-        from cloak_core.attack.run_folder import read_start
+        from cloak_core.attack.starting import read_start
         from cloak_core.scene.logos.garment_colors import garment_colors
 
         wanted, fabric = setup.settings.pattern, setup.fabric

@@ -38,7 +38,7 @@ class Printability(Technique):
     """Adds the mean distance to the palette to the loss."""
 
     group, settings = "objective", PrintabilitySettings
-    files = ("palette",)
+    files = (("palette", "palette"),)
 
     def __init__(self, weight: float, palette: Float[np.ndarray, "P 3"], device: torch.device) -> None:
         self.weight, self.colors = weight, palette

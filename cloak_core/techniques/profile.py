@@ -26,7 +26,7 @@ class Photographed(Technique):
     """Values are what is sent to the printer, colours what is photographed."""
 
     group, settings = "pattern", ProfileSettings
-    files = ("profile",)
+    files = (("profile", "profile"),)
     bars_search = True
 
     def __init__(self, profile: Profile, device: torch.device | str = "cpu") -> None:

@@ -9,7 +9,8 @@ import trimesh
 from PIL import Image
 
 from cloak_core import library
-from cloak_core.attack.run_folder import RunFolder, read_start
+from cloak_core.attack.run_folder import RunFolder
+from cloak_core.attack.starting import read_start
 from cloak_core.cli import main
 from cloak_core.evaluation.cloaked import colors_of
 from cloak_core.exchange.colors import read_colors, write_colors

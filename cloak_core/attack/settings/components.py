@@ -202,9 +202,6 @@ class OptimizerSettings:
     initial: Literal["grey", "random", "clothing", "animal"] = "grey"
     """First colours: grey; random, uniform per face and channel; clothing, the first outfit; or animal, a dog's face on
     front and back, which helps against detectors of many classes."""
-    init: str | None = None
-    """Begin with these colours instead: a run folder of the same logo, zoo:NAME, or colours [L, 3] (`cloak logo
-    transfer`)."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""
