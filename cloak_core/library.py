@@ -6,10 +6,9 @@ may be called twice, and from any thread.
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from cloak_core.render.photographs.fitting import Fit
 
 T = TypeVar("T")
-_log = logging.getLogger("cloak")
 Named = str | os.PathLike
 """What the command line takes: a path, or a spec such as sample:train."""
 
@@ -117,78 +115,62 @@ def evaluate(
     """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
-    colours [L, 3], a picture on the scene's UV map, another run, or zoo:NAME; then into RUN/evaluation-NAME. profile:
+    colours [L, 3], a picture on the scene's UV map (on people FILE.png@tile=METRES or FILE.png@patch=METRES), another
+    run, or zoo:NAME; then into RUN/evaluation-NAME. profile:
     of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print --profile`; then
     into RUN/evaluation-printed. over_time:
-    judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png).
+    judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png; on people
+    RUN/curve-people.json and .png). An evaluation of the same content in its folder is not made again.
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
     loaded on `device`; None takes those that the run was trained against. people: in photographs (`load_people`, or a
-    COCO file): judge on these instead of renders, into RUN/evaluation-people; `settings` then decide threshold, size
-    and batch alone. angles: azimuths in degrees. How to evaluate: `settings`, or `changes` of the defaults by the names
-    of `cloak evaluate`'s options (`images_per_view=2`).
+    COCO file): judge on these instead of renders, into RUN/evaluation-people, all else alike; `settings` then decide
+    size, threshold, controls, bare, resamples, batch and seed. angles: azimuths in degrees. How to evaluate:
+    `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
     `on_progress` hears (images done, images in all), in the calling thread.
 
     Returns what `cloak evaluate --json` prints: success under the logo and each control, in [0, 1], per detector and by
     angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
     finished run, a scene of another topology, nothing to evaluate on.
     """
-    from cloak_core.evaluation.cloaked import open_cloaked
-    from cloak_core.evaluation.evaluate import FOLDER
-    from cloak_core.evaluation.evaluate import evaluate as evaluate_logo  # brings matplotlib, which training needs not
-    from cloak_core.evaluation.evaluate import over_time as judge_snapshots
+    # They bring matplotlib, which training needs not.
+    from cloak_core.evaluation import cloaked, evaluate
+    from cloak_core.evaluation.wearing import dressed
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
-    if people is not None:
-        if (scene, colors, profile) != (None, None, None) or over_time:
-            raise InputError("--people: judges the run's own colours: without --scene, --colors and the like")
-        specs = [trained["spec"] for trained in config["detectors"]] if detectors is None else detectors
-        place = folder / "evaluation-people" if out is None else Path(out)
-        return _on_people(folder, config, people, _by_name(specs, device), backgrounds, place, settings, on_progress)
-    cloaked, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
-    place = f"{FOLDER}-{name}" if name else FOLDER
     if over_time and (profile is not None or settings.cycles is not None):
         raise InputError(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
         )
-    if profile is not None:
-        printer = read_profile(profile)
-        cloaked = replace(cloaked, colors=printer.photographed(printer.to_send(cloaked.colors)))
-        place = f"{place}-printed"
-    if settings.cycles is not None:
-        place = f"{place}-{settings.cycles}"
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
-    angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
-    target = folder / place if out is None else Path(out)
-    if (target / "summary.json").exists():
-        _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", target)
-    asked = (cloaked, judges, angles, settings)
-    summary = evaluate_logo(*asked, training=trained, out=target, on_progress=on_progress)
+    heard = {"detectors": judges, "on_progress": on_progress}
+    if people is not None:
+        if scene is not None or settings.cycles is not None:
+            raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
+        shown, trained, name = dressed.open_dressed(folder, config, people, backgrounds, colors)
+        place, curve, measure = dressed.FOLDER, "curve-people", partial(dressed.evaluate_dressed, **heard)
+        if over_time:
+            dressed.warn_of_coarse_snapshots(folder)
+    else:
+        shown, trained, name = cloaked.open_cloaked(folder, config, scene, backgrounds, colors)
+        angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
+        place, curve, measure = evaluate.FOLDER, "curve", partial(evaluate.evaluate, angles=angles, **heard)
+    parts = [place, name, "printed" if profile is not None else "", settings.cycles or ""]
+    target = folder / "-".join(part for part in parts if part) if out is None else Path(out)
+    if profile is not None:
+        shown = shown.printed(read_profile(profile))
+    summary = measure(shown, settings=settings, training=trained, out=target)
+    if people is not None:
+        summary["out"] = str(target)
     if over_time:
-        summary["over_time"] = judge_snapshots(folder, *asked, on_progress)
+
+        def judge(path: Path, bare: EvaluateSettings) -> dict:
+            return measure(shown.in_colors(path), settings=bare)
+
+        summary["over_time"] = evaluate.over_time(folder, judge, settings, curve)
     return summary
-
-
-def _on_people(
-    folder: Path,
-    config: dict,
-    people: People | Named,
-    detectors: dict[str, Detector],
-    backgrounds: Backgrounds | Named | None,
-    out: Path,
-    settings: EvaluateSettings,
-    on_progress: OnProgress | None,
-) -> dict:
-    from cloak_core.evaluation.settings import WearSettings
-    from cloak_core.evaluation.wearing.wearing import evaluate_on_people
-
-    chosen = WearSettings(size=settings.size, threshold=settings.threshold, bare=settings.bare, batch=settings.batch)
-    people = people if isinstance(people, People) else load_people(people)
-    if not isinstance(backgrounds, Backgrounds):
-        backgrounds = load_backgrounds(backgrounds or "procedural:test")
-    return evaluate_on_people(folder, config, people, detectors, backgrounds, out, chosen, on_progress)
 
 
 def film(

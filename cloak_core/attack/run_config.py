@@ -18,6 +18,7 @@ from cloak_core.exchange.versions import FORMAT_VERSION
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays, sha256_record
 from cloak_core.files.likeness import pose_shape
+from cloak_core.render.photographs.fits import people_identity
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
@@ -39,7 +40,7 @@ DECISIVE = {
     "logo": (),
     "detectors": ("sha256", "precision", "compiled", "source", "operating_point"),
     "backgrounds": ("identities",),
-    "people": ("sha256",),
+    "people": ("sha256", "identity"),
     **dict.fromkeys(FILES.values(), ()),
     "query_prior": ("sha256", "precision", "compiled", "source"),
 }
@@ -124,14 +125,18 @@ def _backgrounds(backgrounds: Backgrounds) -> dict:
 
 
 def _people(fits: Sequence[Fit]) -> dict | None:
-    """Record who was trained on, photographs by name, so that evaluation can tell them from unseen ones."""
+    """Record who was trained on, photographs by content and by name, so that evaluation can tell them from others."""
     if not fits:
         return None
-    licences = {fit.person.photograph: fit.person.licence for fit in fits}
+    photographs = {fit.person.photograph: fit.person for fit in fits}.values()
     return {
         "count": len(fits),
-        "photographs": list(licences),
-        "licences": list(licences.values()),
+        "photographs": [person.photograph for person in photographs],
+        "licences": [person.licence for person in photographs],
+        "pixels": [person.pixels for person in photographs],
+        "looks": [person.look for person in photographs],
+        "identity": people_identity(fit.person for fit in fits),
+        # As versions before "identity" recorded and compare it.
         "sha256": sha256_record({"fits": [fit.identity for fit in fits]}),
     }
 

@@ -13,7 +13,7 @@ from cloak_core.attack.settings.values import Angles
 from cloak_core.commands.base import Command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
-from cloak_core.commands.wear import show_worn
+from cloak_core.commands.wear import show_people
 from cloak_core.detectors import THRESHOLD
 from cloak_core.evaluation.settings import EvaluateSettings
 
@@ -33,13 +33,16 @@ class Evaluate(Detecting):
     """Profile of a printer and a camera (`cloak calibrate`): judge the colours as they come out of `cloak print
     --profile`, the nearest that can where they cannot; written to RUN/evaluation-printed."""
     out: Path | None = None
-    """Folder for the evaluation (default: RUN/evaluation; an evaluation that is there is replaced, with a warning)."""
+    """Folder for the evaluation (default: RUN/evaluation; another evaluation that is there is replaced, with a warning;
+    one of the same content is not made again)."""
     people: str | None = None
-    """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people."""
+    """Judge on people in photographs instead: a COCO file with masks and landmarks; into RUN/evaluation-people. Angles,
+    distances and the like are the photographs' own; --colors takes FILE.png@tile=0.5 and FILE.png@patch=0.3 as well."""
     images: Path | None = None
     """Folder of these photographs (default: beside the file, or images/ beside it)."""
     over_time: bool = False
-    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png."""
+    """Judge the snapshots that training kept (--snapshot-every), too: RUN/curve.json and curve.png (with --people
+    curve-people)."""
     scene: str | None = None
     """Bodies to judge on: scene folder, .npz, or sample:unseen (the default after training on sample:train)."""
     backgrounds: str | None = None
@@ -81,9 +84,9 @@ class Evaluate(Detecting):
             )
 
     def show(self, result: dict) -> None:
-        if "people" in result:
-            return show_worn(result, self.settings.threshold)
         show_success(result)
+        if "people" in result:
+            show_people(result)
         for row in result.get("over_time", []):
             rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
             seconds = "" if row["seconds"] is None else f", {row['seconds']:.0f} s"

@@ -89,7 +89,16 @@ def show_worn(result: dict, threshold: float | int) -> None:
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
             table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s))
         out.print(table)
-    left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
-    out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}")
+    show_people(result)
     if "out" in result:
         out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")
+
+
+SEEN = {True: "; training saw none of these photographs", False: "; training saw some of these photographs"}
+
+
+def show_people(result: dict) -> None:
+    """Say who was judged, who was left out, and whether training saw these photographs."""
+    left = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
+    seen = SEEN.get(result.get("unseen", {}).get("photographs"), "")
+    out.print(f"{result['people']} people in {result['photographs']} photographs; left out: {left or 'nobody'}{seen}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from PIL import Image
 from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
+from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.render.texture import look_up
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
@@ -50,6 +51,14 @@ class Cloaked:
             raise InputError(f"colours for {len(self.colors)} faces, but the logo has {len(logo.face_ids)}")
         if not len(self.backgrounds):
             raise InputError("no background to evaluate on")
+
+    def printed(self, profile: Profile) -> Cloaked:
+        """Wear the same colours as they come out of this printer and camera."""
+        return replace(self, colors=profile.photographed(profile.to_send(self.colors)))
+
+    def in_colors(self, path: Path) -> Cloaked:
+        """Wear the colours of a file instead. InputError: they are of another number of faces."""
+        return replace(self, colors=read_colors(path, len(self.logo)))
 
 
 def open_cloaked(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from cloak_core.attack.events import read_events
-from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.cycles import in_cycles
 from cloak_core.evaluation.film import write_turntable
@@ -30,15 +30,16 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.statistics import summarize
 from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.evaluation.trials import draw_trials
-from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
 
+ROOMS = ("exchange", "scene", "render", "detectors", "evaluation")
+"""The rooms whose code decides the figures of an evaluation."""
 _log = logging.getLogger("cloak")
 
 
@@ -64,6 +65,7 @@ def evaluate(
     check_asked(detectors, angles)
     if out is not None:
         check_folder(out)
+    shown = [cloaked.bodies.identity, sha256_arrays(cloaked.logo.face_ids), cloaked.backgrounds.identities()]
     unseen, warnings = seen_in_training(training, cloaked.bodies, cloaked.backgrounds)
     for warning in warnings:
         _log.warning("%s", warning)
@@ -81,6 +83,8 @@ def evaluate(
         "logo_faces": len(cloaked.logo.face_ids),
         "colors": sha256_arrays(cloaked.colors),
     }
+    if settings.cycles is None:  # nobody knows what decides Blender's frames
+        inputs["identity"] = sha256_record(shown)
     circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
     circumstances |= {"unseen": unseen, "white_box": trained_against(training, detectors), "warnings": warnings}
     return evaluate_renderer(renderer, detectors, settings, circumstances, out=out, on_progress=on_progress)
@@ -92,20 +96,55 @@ def evaluate_renderer(
     settings: EvaluateSettings,
     circumstances: Mapping[str, object],
     *,
+    controls: Sequence[str] | None = None,
     out: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> dict:
     """Measure the renderer's trials and count: `summarize`, `detector_facts` and the circumstances in one record.
 
     circumstances: more keys of the summary; `settings` and `inputs` (which gets the detectors' hashes) are among them.
+    controls: see `measure_frozen`. Where `out` holds an evaluation of the same content, its summary is returned; any
+    other one is replaced.
     """
-    results, hashes = measure_frozen(renderer, detectors, settings, on_progress)
+    content = _content(detectors, circumstances)
+    if out is not None and (out / "summary.json").exists():
+        summary = _finished(out, content)
+        if summary is not None:
+            _log.warning("%s: holds this very evaluation already: nothing is measured again", out)
+            return summary
+        _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", out)
+    results, hashes = measure_frozen(renderer, detectors, settings, on_progress, controls)
     summary = summarize(results, settings.threshold, settings.resamples)
     summary |= {"n": len(renderer.trials)} | detector_facts(detectors) | dict(circumstances)
-    summary["inputs"] = summary["inputs"] | {"detector_hashes": hashes}
+    summary["inputs"] = summary["inputs"] | {"detector_hashes": hashes} | ({"content": content} if content else {})
     if out is not None:
         write_evaluation(out, summary, results, renderer, detectors)
     return summary
+
+
+def _content(detectors: Mapping[str, Detector], circumstances: Mapping[str, object]) -> str | None:
+    """Hash (SHA-256, hex) all that decides an evaluation; None where that is not known.
+
+    Not known: inputs without an `identity`, or a detector that no family loaded, whose code may be anything.
+    """
+    if "identity" not in circumstances["inputs"] or not all(detector.source for detector in detectors.values()):
+        return None
+    judges = [
+        [spec, detector_record(detector), detector.operating_point, detector.device.type]
+        for spec, detector in detectors.items()
+    ]
+    around = {"code": code_hash(*ROOMS), "packages": package_versions("torch", "numpy", "numba", "pillow")}
+    return sha256_record([judges, dict(circumstances), around])
+
+
+def _finished(folder: Path, content: str | None) -> dict | None:
+    """Return the summary of a whole evaluation of this content; None where the folder holds another one."""
+    try:
+        summary = read_evaluation(folder).summary
+    except InputError:  # damaged: it is replaced
+        return None
+    kept = summary.get("inputs")
+    return summary if content and isinstance(kept, dict) and kept.get("content") == content else None
 
 
 def measure_frozen(
@@ -113,11 +152,15 @@ def measure_frozen(
     detectors: dict[str, Detector],
     settings: EvaluateSettings,
     on_progress: OnProgress | None = None,
+    controls: Sequence[str] | None = None,
 ) -> tuple[Results, dict[str, str]]:
-    """Measure under the settings' controls and return the detectors' hashes, which the evaluation must not change."""
+    """Measure, and return the detectors' hashes, which the evaluation must not change.
+
+    controls: what is measured, the trained colours first; None: the settings' controls.
+    """
     # Of more backgrounds than are looked at, a draw by the seed.
     order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    bare, controls = np.sort(order[: settings.bare]), all_controls(settings)
+    bare, controls = np.sort(order[: settings.bare]), controls or all_controls(settings)
     with kept_frozen(detectors) as hashes:
         results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
     return results, hashes
@@ -164,9 +207,17 @@ class StoredEvaluation:
 def check_folder(folder: Path) -> Path:
     """Refuse a folder that holds something that is no evaluation (InputError); asked before the work begins, too."""
     folder = Path(folder)
-    if folder.exists() and not (folder.is_dir() and ((folder / "summary.json").exists() or not any(folder.iterdir()))):
+    known = (folder / "summary.json").exists() or is_earlier_on_people(folder)
+    if folder.exists() and not (folder.is_dir() and (known or not any(folder.iterdir()))):
         raise InputError(f"{folder}: holds something that is no evaluation, and is left alone")
     return folder
+
+
+def is_earlier_on_people(folder: Path) -> bool:
+    """Tell whether a folder holds a run's evaluation on photographs as earlier versions wrote it (wear.json)."""
+    path = folder / "wear.json"
+    # What `cloak wear` writes says nothing of a training.
+    return path.is_file() and "white_box" in read_json(path)
 
 
 def read_evaluation(folder: Path) -> StoredEvaluation:
@@ -212,17 +263,13 @@ _NAME = re.compile(r"step-(\d{8,})\.npy")
 
 
 def over_time(
-    run: Path,
-    cloaked: Cloaked,
-    detectors: dict[str, Detector],
-    angles: Sequence[float],
-    settings: EvaluateSettings,
-    on_progress: OnProgress | None = None,
+    run: Path, judge: Callable[[Path, EvaluateSettings], dict], settings: EvaluateSettings, name: str = "curve"
 ) -> list[dict]:
-    """Measure every snapshot of a run on the same images; write RUN/curve.json, .png and .svg.
+    """Measure every snapshot of a run on the same images; write RUN/NAME.json, .png and .svg.
 
-    A row each: {"step", "seconds", "queries" (of a search), "detectors": {SPEC: {"success", "success_own", "ci95",
-    "ci95_own", "n"}}}. InputError: the run kept none (`cloak train --snapshot-every`).
+    judge: measures the colours of a file. A row each: {"step", "seconds", "queries" (of a search), "detectors": {SPEC:
+    {"success", "success_own", "ci95", "ci95_own", "n"}}}. InputError: the run kept none (`cloak train
+    --snapshot-every`).
     """
     found = {int(m[1]): path for path in (run / "snapshots").glob("*.npy") if (m := _NAME.fullmatch(path.name))}
     if not found:
@@ -234,10 +281,9 @@ def over_time(
     for step, path in sorted(found.items()):
         event = told.get(step, {})
         row = {"step": step, "seconds": event.get("time")} | {k: event[k] for k in ("queries",) if k in event}
-        snapshot = replace(cloaked, colors=read_colors(path, len(cloaked.logo)))
-        summary = evaluate(snapshot, detectors, angles, bare, on_progress=on_progress)
+        summary = judge(path, bare)
         rows.append(row | {"detectors": {spec: headline(x["logo"]) for spec, x in summary["detectors"].items()}})
-    write_json(run / "curve.json", {"rows": rows})
+    write_json(run / f"{name}.json", {"rows": rows})
     with style():
-        save_figure(success_over_time(rows), run / "curve")
+        save_figure(success_over_time(rows), run / name)
     return rows

@@ -71,9 +71,9 @@ def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
         detector.verify(hashes[spec])
 
 
-def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float]) -> None:
-    """Refuse an evaluation without a detector or an angle (InputError)."""
-    for option, given in (("--detector", detectors), ("--angles", angles)):
+def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float] | None = None) -> None:
+    """Refuse an evaluation without a detector, or without an angle where there are angles (InputError)."""
+    for option, given in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
         if not len(given):
             raise InputError(f"{option}: none given")
 

@@ -93,7 +93,7 @@ def summarize(results: Results, threshold: float = THRESHOLD, resamples: int = R
 def _detector_summary(results: Results, spec: str, threshold: float, resamples: int) -> dict:
     record = lambda rows: success_record(results, rows, threshold, resamples)
     rows = {control: results.rows(spec, control) for control in results.controls}
-    told = {control: record(mine) for control, mine in rows.items()}
+    told = {control: record(mine) | side_record(mine, threshold) for control, mine in rows.items()}
     logo = rows[results.controls[0]]
     told["by_angle"] = {f"{angle:g}": record(mine) for angle, mine in logo.groupby("angle")}
     told["by_body"] = {results.body_names[pose]: record(mine) for pose, mine in logo.groupby("pose") if pose >= 0}
@@ -164,6 +164,23 @@ def outcome_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
             names = rows["other_name"][gone & other].value_counts() if known else {}
             record["named"] = {str(name): int(n) for name, n in list(names.items())[:NAMED]} if told else None
     return record
+
+
+def side_record(rows: pd.DataFrame, threshold: float = THRESHOLD) -> dict:
+    """Count success among people seen from the front, the side and the back: {"seen_from": ...}.
+
+    {} for images whose table has no column `seen_from`.
+    """
+    if "seen_from" not in rows:
+        return {}
+    point = operating_point(rows)
+    sides = {}
+    for side in ("front", "side", "back"):
+        seen = rows[(rows["seen_from"] == side).to_numpy()]
+        if len(seen):
+            own = None if point is None else finite(share(seen, point))
+            sides[side] = {"n": len(seen), "success": finite(share(seen, threshold)), "success_own": own}
+    return {"seen_from": sides}
 
 
 def operating_point(rows: pd.DataFrame) -> float | None:

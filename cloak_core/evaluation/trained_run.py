@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +18,8 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
 from cloak_core.files.reading import is_number, read_json
 from cloak_core.files.writing import write_json
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
+from cloak_core.scene.backdrops.backgrounds import Backgrounds, Picture
+from cloak_core.scene.photographs.people import Person
 from cloak_core.scene.selection import split_selection
 
 EMBEDDED = ("sample", "sample-clothed", "sample-tight", "procedural")
@@ -119,8 +120,25 @@ def seen_in_training(config: dict | None, bodies: Bodies, backgrounds: Backgroun
     if not config:
         return {"bodies": None, "backgrounds": None}, []
     unseen_bodies, warnings = _unseen_bodies(_part(config, "scene"), bodies)
-    unseen_backgrounds, more = _unseen_backgrounds(_part(config, "backgrounds"), backgrounds)
+    shown = dict(zip(backgrounds.names, backgrounds.pictures, strict=True))
+    trained = _part(config, "backgrounds")
+    unseen_backgrounds, more = _unseen_pictures("backgrounds", trained, "identities", "names", shown)
     return {"bodies": unseen_bodies, "backgrounds": unseen_backgrounds}, warnings + more
+
+
+def photographs_seen_in_training(config: dict | None, people: Iterable[Person]) -> tuple[dict, list[str]]:
+    """Compare people's photographs with those of the training: {"photographs": unseen or not}, and warnings.
+
+    As `seen_in_training` compares backgrounds: by content, whatever the photographs are called. None also where the run
+    recorded names alone, as earlier versions did.
+    """
+    if not config:
+        return {"photographs": None}, []
+    if config.get("people") is None:  # training saw nobody in photographs
+        return {"photographs": True}, []
+    shown = {person.photograph: Picture(person.pixels, person.look) for person in people}
+    unseen, warnings = _unseen_pictures("photographs", _part(config, "people"), "pixels", "photographs", shown)
+    return {"photographs": unseen}, warnings
 
 
 def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]:
@@ -138,19 +156,20 @@ def _unseen_bodies(scene: dict, bodies: Bodies) -> tuple[bool | None, list[str]]
     return not (seen or moved), warnings
 
 
-def _unseen_backgrounds(trained: dict, backgrounds: Backgrounds) -> tuple[bool | None, list[str]]:
-    identities = trained.get("identities")
-    if not isinstance(identities, list):
-        return None, ["the run does not record its training backgrounds: whether these are unseen is not known"]
-    known = set(map(str, identities))
+def _unseen_pictures(
+    what: str, trained: dict, identities: str, names: str, shown: Mapping[str, Picture]
+) -> tuple[bool | None, list[str]]:
+    """Compare pictures, by their names, with those that a record of training lists under these keys."""
+    if not isinstance(trained.get(identities), list):
+        return None, [f"the run does not record its training {what}: whether these are unseen is not known"]
+    known = set(map(str, trained[identities])) - {""}
     # Earlier versions knew an image by its file.
-    seen = [i for i, picture in enumerate(backgrounds.pictures) if known & {picture.pixels, picture.file}]
-    warnings = _overlap("backgrounds were in the training set", [backgrounds.names[i] for i in seen])
-    looks = [str(look) for look in _list(trained, "looks")]
-    pairs = similar_looks(looks, [picture.look for picture in backgrounds.pictures])
-    alike = {j: i for i, j in pairs if j not in seen}
-    names = [f"{backgrounds.names[j]} like {_name(trained, 'names', i)}" for j, i in alike.items()]
-    warnings += _overlap("backgrounds look like trained ones", names, "may not be unseen")
+    seen = {name for name, picture in shown.items() if known & {picture.pixels, picture.file}}
+    warnings = _overlap(f"{what} were in the training set", [name for name in shown if name in seen])
+    others = [name for name in shown if name not in seen]
+    pairs = similar_looks([str(look) for look in _list(trained, "looks")], [shown[name].look for name in others])
+    alike = [f"{others[j]} like {_name(trained, names, i)}" for j, i in {j: i for i, j in pairs}.items()]
+    warnings += _overlap(f"{what} look like trained ones", alike, "may not be unseen")
     return False if seen else None if alike else True, warnings
 
 
@@ -162,8 +181,8 @@ def _overlap(what: str, names: Sequence[str], verdict: str = "is not unseen") ->
 def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> dict[str, bool | None]:
     """Tell for each detector, by its spec, whether the colours were trained against it. None: `config` does not tell.
 
-    Weights count, not names: the same weights at another input size are no black box. A detector without weights is
-    known by the source that runs it.
+    Content counts, not names: the same weights at another input size are no black box. A detector without weights is
+    known by the source that runs it, at any input size and under any name of its file.
     """
     trained = (config or {}).get("detectors")
     if not isinstance(trained, list) or not all(isinstance(entry, dict) for entry in trained):
@@ -173,9 +192,16 @@ def trained_against(config: dict | None, detectors: Mapping[str, Detector]) -> d
         ours = detector_record(detector)
         same = [entry for entry in trained if entry.get("sha256") == ours["sha256"]]
         if not detector.state_dict():
-            same = [entry for entry in same if entry.get("source", ours["source"]) == ours["source"]]
+            same = [entry for entry in same if _code(entry.get("source", ours["source"])) == _code(ours["source"])]
         found[spec] = bool(same)
     return found
+
+
+def _code(source: object) -> object:
+    """Select of a detector's source what it computes, without how images are brought to its size."""
+    if not isinstance(source, dict) or "file" not in source:
+        return source
+    return {key: source[key] for key in ("file", "function", "data") if key in source}
 
 
 def _part(config: dict, key: str) -> dict:

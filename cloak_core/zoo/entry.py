@@ -136,9 +136,16 @@ def _kept(config: dict) -> dict:
     pictures = config["backgrounds"]
     kept["backgrounds"] = {key: pictures[key] for key in ("count", "identities", "looks") if key in pictures}
     if isinstance(pictures.get("looks"), list):
-        # Without the small copies, which would ship somebody's photographs.
-        kept["backgrounds"]["looks"] = [str(look).partition(".")[0] for look in pictures["looks"]]
+        # Without the small copies, which would ship somebody's photographs: of backgrounds and of people.
+        kept["backgrounds"]["looks"] = _without_copies(pictures["looks"])
+    people = config.get("people")
+    if isinstance(people, dict) and isinstance(people.get("looks"), list):
+        kept["people"] = people | {"looks": _without_copies(people["looks"])}
     return kept
+
+
+def _without_copies(looks: list) -> list[str]:
+    return [str(look).partition(".")[0] for look in looks]
 
 
 def _unplaced(detector: dict) -> dict:
@@ -170,16 +177,23 @@ def _photographs(run: Path, config: dict) -> dict:
     if config.get("people"):
         seen = config["people"]
         record["trained_on"] = dict(zip(seen["photographs"], seen["licences"], strict=True))
-    judged = run / "evaluation-people" / "wear.json"
-    if judged.exists():
-        told = read_json(judged)
-        kept = {key: told[key] for key in ("people", "photographs", "unseen", "false_alarms") if key in told}
+    folder = run / "evaluation-people"
+    if (folder / "summary.json").exists():
+        summary = read_json(folder / "summary.json")
+        kept = {key: summary[key] for key in ("people", "photographs", "unseen") if key in summary}
+        for key in ("false_alarms", "white_box", "operating_points"):
+            kept[key] = {without_folders(spec): value for spec, value in summary.get(key, {}).items()}
+        worn = ("logo", *summary["settings"]["controls"])
         rates = {
-            without_folders(spec): {name: {key: s.get(key) for key in _SHOWN} for name, s in worn.items()}
-            for spec, worn in told["detectors"].items()
+            without_folders(spec): {
+                name: {key: rates[name].get(key) for key in _SHOWN} for name in worn if name in rates
+            }
+            for spec, rates in summary["detectors"].items()
         }
-        kept["false_alarms"] = {without_folders(spec): rate for spec, rate in kept.get("false_alarms", {}).items()}
         record["people"] = kept | {"detectors": rates}
+    elif (folder / "wear.json").exists():
+        # Earlier versions told white boxes and unseen photographs by names alone.
+        raise InputError(f"{folder}: of an earlier version: evaluate on people again, or remove it")
     return record
 
 

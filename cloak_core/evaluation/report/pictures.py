@@ -16,7 +16,7 @@ from matplotlib import font_manager
 from PIL import Image, ImageFont
 from torch import Tensor
 
-from cloak_core.detectors.protocol import Detector
+from cloak_core.detectors.protocol import Detections, Detector
 from cloak_core.detectors.scoring import max_person_score, person_boxes
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.renderer import EvaluationRenderer
@@ -26,6 +26,7 @@ from cloak_core.evaluation.trials import complete
 from cloak_core.scene.pictures import save_picture
 
 BODIES = 3
+PEOPLE = 8
 ANGLES = 5
 FAILURES = 6
 WORST = 10
@@ -39,7 +40,7 @@ def write_pictures(
 ) -> dict:
     """Write an evaluation's pictures into `folder` (JPEG and PNG) and return what they show, ready for JSON.
 
-    `gallery`: the first image drawn of up to 3 bodies at up to 5 angles (evenly spaced), in own clothing and cloaked;
+    `gallery`: the images of `gallery_trials`, in own clothing and cloaked;
     `failures`: per detector, the cloaked images with the highest scores above the threshold; `worst`: per detector, of
     the bodies that the cloak hides least often the image with the highest score, and its success; `controls`: one image
     under every control; `flat`: the first body from four sides in the plain colours, without light and shade.
@@ -66,11 +67,13 @@ def write_pictures(
 def gallery_trials(trials: pd.DataFrame) -> list[int]:
     """Choose the first image of up to 3 bodies (evenly spaced) at up to 5 angles (likewise), in that order.
 
-    Of a body without an image at an angle (few images were asked for) the one nearest to it, once.
+    Without angles, of up to 8 people. Of a body without an image at an angle (few images were asked for) the one
+    nearest to it, once.
     """
     pose, angle = trials["pose"].to_numpy(), np.nan_to_num(trials["angle"].to_numpy())
     angles = _spaced(np.unique(angle), ANGLES)
-    images = [np.flatnonzero(pose == p) for p in _spaced(np.unique(pose), BODIES)]
+    bodies = PEOPLE if trials["angle"].isna().all() else BODIES
+    images = [np.flatnonzero(pose == p) for p in _spaced(np.unique(pose), bodies)]
     return list(dict.fromkeys(int(own[np.abs(angle[own] - a).argmin()]) for own in images for a in angles))
 
 
@@ -132,12 +135,15 @@ def draw_trial(
     detectors: Mapping[str, Detector],
     threshold: float,
 ) -> dict[str, dict]:
-    """Write one trial under these controls; return by control the file and what each detector reports in it."""
-    images = renderer.compose(renderer.views([trial]), [trial], controls)
-    return {
-        control: write_shot(folder / f"{trial:05d}-{control}.jpg", image, detectors, threshold)
-        for control, image in zip(controls, images, strict=True)
-    }
+    """Write one trial under these controls; return by control the file and what each detector reports of its person."""
+    views = renderer.views([trial])
+    images = renderer.compose(views, [trial], controls)
+    shots = {}
+    for control, image in zip(controls, images, strict=True):
+        about = {spec: renderer.about_person(detector(image), views, [trial]) for spec, detector in detectors.items()}
+        picture = _save(folder / f"{trial:05d}-{control}.jpg", image)
+        shots[control] = picture | _described(about, threshold)
+    return shots
 
 
 @torch.no_grad()
@@ -145,16 +151,24 @@ def write_shot(
     path: Path, image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float
 ) -> dict:
     """Write one image as JPEG; return its file, and each detector's boxes above the threshold and best score."""
+    return _save(path, image) | reported(image, detectors, threshold)
+
+
+def _save(path: Path, image: Float[Tensor, "1 3 H W"]) -> dict:
     save_picture(path, to_pil(image[0]), quality=92, subsampling=0)
-    return {"file": path.name} | reported(image, detectors, threshold)
+    return {"file": path.name}
 
 
 @torch.no_grad()
 def reported(image: Float[Tensor, "1 3 H W"], detectors: Mapping[str, Detector], threshold: float) -> dict:
     """Tell each detector's `boxes` above the threshold (x1, y1, x2, y2, score, best first) and its best `scores`."""
+    return _described({spec: detector(image) for spec, detector in detectors.items()}, threshold)
+
+
+def _described(detections: Mapping[str, Detections], threshold: float) -> dict:
+    """Describe what detectors report in one image; see `reported`."""
     boxes, scores = {}, {}
-    for spec, detector in detectors.items():
-        found = detector(image)
+    for spec, found in detections.items():
         scores[spec] = round(float(max_person_score(found)[0]), 4)
         boxes[spec] = [[round(v, 4) for v in row] for row in person_boxes(found, threshold)[0].tolist()]
     return {"boxes": boxes, "scores": scores}

@@ -7,12 +7,13 @@ from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 
-from cloak_core.evaluation.evaluate import FOLDER, StoredEvaluation, read_evaluation
+from cloak_core.evaluation.evaluate import FOLDER, StoredEvaluation, is_earlier_on_people, read_evaluation
 from cloak_core.evaluation.report import plots, words
 from cloak_core.evaluation.report.page import MAX_PICTURE, data_uri, page_style, shot, svg, write_page
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.statistics import hidden
 from cloak_core.evaluation.trained_run import read_history
+from cloak_core.evaluation.wearing.dressed import FOLDER as PEOPLE_FOLDER
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
 
@@ -25,7 +26,8 @@ TURNTABLE = "turntable.gif"
 def make_report(run: Path) -> Path:
     """Write RUN/report.html from what the run folder holds and return its path.
 
-    A run without an evaluation gets a report that says so. InputError names a folder that is no run, or a damaged file.
+    An evaluation on people in photographs comes before the one on rendered bodies. A run without any gets a report that
+    says so. InputError names a folder that is no run, or a damaged file.
     """
     run = Path(run)
     if not (run / "config.json").exists():
@@ -33,6 +35,8 @@ def make_report(run: Path) -> Path:
     config = read_json(run / "config.json")
     history = read_history(run)
     stored = read_evaluation(run / FOLDER) if (run / FOLDER).exists() else None
+    earlier = is_earlier_on_people(run / PEOPLE_FOLDER)
+    people = read_evaluation(run / PEOPLE_FOLDER) if (run / PEOPLE_FOLDER).exists() and not earlier else None
     with page_style():
         page = {
             "name": run.resolve().name,
@@ -44,6 +48,8 @@ def make_report(run: Path) -> Path:
             "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
             "turntable": _turntable(run, stored),
             "evaluation": _evaluation(stored) if stored else None,
+            "photographs": _photographs(people) if people else None,
+            "earlier_photographs": earlier,
         }
     return write_page(run / "report.html", "report.html", page)
 
@@ -80,6 +86,37 @@ def _evaluation(stored: StoredEvaluation) -> dict:
         "strip": _label(strip) | {"images": images},
         "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
         "size": summary["settings"]["size"],
+    }
+
+
+def _photographs(stored: StoredEvaluation) -> dict:
+    """Prepare what is shown of people in photographs: figures by detector, pictures of some people, the controls."""
+    summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
+    specs, controls = list(summary["detectors"]), stored.results.controls
+    images = pictures["controls"]["images"]
+    detectors = [
+        {
+            "spec": spec,
+            "name": words.short_name(spec),
+            "own": summary["operating_points"][spec],
+            "white_box": summary["white_box"].get(spec),
+            "rows": [(control, summary["detectors"][spec][control]) for control in controls],
+            "false_alarms": summary["false_alarms"][spec],
+            "bare": len(stored.results.rows(spec, NOBODY)),
+            "failures": [_pair(folder, [spec], pair) for pair in pictures["failures"].get(spec, [])],
+            "failed": int((~hidden(stored.results.rows(spec, controls[0]), summary["settings"]["threshold"])).sum()),
+            "hash": summary["inputs"]["detector_hashes"][spec],
+        }
+        for spec in specs
+    ]
+    return {
+        "summary": summary,
+        "threshold": summary["settings"]["threshold"],
+        "size": summary["settings"]["size"],
+        "unseen": summary["unseen"].get("photographs"),
+        "detectors": detectors,
+        "gallery": [_pair(folder, specs, pair) for pair in pictures["gallery"]],
+        "strip": {control: shot(folder, specs, picture) for control, picture in images.items()},
     }
 
 

@@ -1,9 +1,8 @@
-"""Dress people in photographs and judge them, for `cloak wear` and `cloak evaluate --people`."""
+"""Dress people in photographs in anything and judge them, for `cloak wear` and the card."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +10,19 @@ import pandas as pd
 from torch import Tensor
 
 from cloak_core.detectors.protocol import Detector
-from cloak_core.evaluation.controls import CLOTHING, LOGO
-from cloak_core.evaluation.measure import OnImages, OnProgress, measure
+from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.measure import OnImages, OnProgress, kept_frozen, measure
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.results import NOBODY, Results
 from cloak_core.evaluation.settings import WearSettings
-from cloak_core.evaluation.statistics import false_alarms, finite, operating_point, share, success_record
+from cloak_core.evaluation.statistics import false_alarms, finite, side_record, success_record
 from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, read_clothes
 from cloak_core.evaluation.wearing.pages import Album, Rating
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.render.photographs.fits import fit_people
+from cloak_core.render.photographs.fitting import Fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Number
 from cloak_core.scene.photographs.people import People
@@ -36,14 +36,12 @@ def wear_and_judge(
     out: Path | None = None,
     settings: WearSettings | None = None,
     on_progress: OnProgress | None = None,
-    more: Mapping[str, object] | None = None,
 ) -> dict:
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
     ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
-    more: what the result says besides.
     Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
@@ -57,40 +55,13 @@ def wear_and_judge(
     if out is None:
         if settings.pairs:
             raise InputError("--pairs: needs --out, the folder that the page is written to")
-        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | (more or {})
+        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None)
     if out.exists():
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder) | (more or {})
+        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
-
-
-def evaluate_on_people(
-    run: Path,
-    config: dict,
-    people: People,
-    detectors: Mapping[str, Detector],
-    backgrounds: Backgrounds,
-    out: Path,
-    settings: WearSettings | None = None,
-    on_progress: OnProgress | None = None,
-) -> dict:
-    """Judge a run's colours on people in photographs, beside controls, into the new folder `out`.
-
-    Returns what `cloak evaluate RUN --people --json` prints: contract C6's object with S for "logo" and the controls;
-    "unseen": whether training saw none of the photographs; "white_box": which detectors it was trained against.
-    """
-    if out.exists():
-        raise InputError(f"{out}: exists already (--out names another folder)")
-    clothes = replace(read_clothes(str(run)), name=LOGO)
-    trained = (config.get("people") or {}).get("photographs", [])
-    known = {record["spec"] for record in config["detectors"]}
-    more = {
-        "unseen": {"photographs": not np.isin(people.photographs, trained).any()},
-        "white_box": {spec: spec in known for spec in detectors},
-    }
-    return wear_and_judge([clothes], people, detectors, backgrounds, out, settings, on_progress, more)
 
 
 def _judged(
@@ -111,9 +82,10 @@ def _judged(
     if settings.pairs:
         compared = [*(one.name for one in clothes), CLOTHING]
         pages.append(Rating(folder, renderer.body_names, compared, settings.pairs))
-    told = {"on_progress": on_progress, "on_images": _shown_on(pages) if pages else None}
+    told = {"batch": settings.batch, "on_progress": on_progress, "on_images": _shown_on(pages) if pages else None}
     bare = np.arange(min(settings.bare, len(backgrounds)))
-    results = measure(renderer, detectors, tuple(renderer.clothes), bare, batch=settings.batch, **told)
+    with kept_frozen(detectors):
+        results = measure(renderer, detectors, tuple(renderer.clothes), bare, **told)
     for page in pages:
         page.write()
     if folder is not None:
@@ -128,7 +100,7 @@ def _judged(
         "left_out": people.left_out,
         "false_alarms": {spec: finite(false_alarms(results, spec, settings.threshold)) for spec in detectors},
         "operating_points": points,
-        "fit": {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in sorted(fits[0].quality)},
+        "fit": mean_quality(fits),
     }
 
 
@@ -145,16 +117,14 @@ def _shown_on(pages: Sequence[Album | Rating]) -> OnImages:
 
 
 def _record(results: Results, spec: str, name: str, threshold: Number) -> dict:
-    """S of contract C8, and the shares of people seen from the front, from the side and from behind."""
+    """Count S of contract C8 with `seen_from`: the people seen from the front, from the side and from behind."""
     rows = results.rows(spec, name)
-    sides = {side: rows[(rows["seen_from"] == side).to_numpy()] for side in ("front", "side", "back")}
-    point = operating_point(rows)
-    told = {
-        side: {"n": len(seen), "success": finite(share(seen, threshold)), "success_own": finite(share(seen, point))}
-        for side, seen in sides.items()
-        if len(seen)
-    }
-    return success_record(results, rows, threshold) | {"seen_from": told}
+    return success_record(results, rows, threshold) | side_record(rows, threshold)
+
+
+def mean_quality(fits: Sequence[Fit]) -> dict[str, float]:
+    """Average the quality of people's fits."""
+    return {key: round(float(np.mean([fit.quality[key] for fit in fits])), 4) for key in sorted(fits[0].quality)}
 
 
 def _table(results: Results, people: People) -> str:

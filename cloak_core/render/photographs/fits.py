@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields
 
 import numpy as np
@@ -26,7 +25,7 @@ def fit_people(people: People, on_progress: Callable[[int, int], None] | None = 
     fitter: Fitter | None = None
     found = []
     for number, person in enumerate(people.people):
-        name = sha256_record({"person": person.identity, "box": person.box, "version": VERSION})
+        name = person_identity(person)
         data = files.get(name)
         if data is None:
             fitter = fitter or Fitter()
@@ -39,12 +38,14 @@ def fit_people(people: People, on_progress: Callable[[int, int], None] | None = 
     return found
 
 
-def people_identity(people: People) -> str:
-    """SHA-256 over all people as they are dressed: pixels, masks, landmarks, and how they are fitted."""
-    digest = hashlib.sha256(f"fits {VERSION}".encode())
-    for person in people.people:
-        digest.update(f"{person.identity} {person.box}".encode())
-    return digest.hexdigest()
+def person_identity(person: Person) -> str:
+    """SHA-256 (hex) of a person as she is dressed: all of `Person.identity`, and how she is fitted."""
+    return sha256_record({"person": person.identity, "version": VERSION})
+
+
+def people_identity(people: Iterable[Person]) -> str:
+    """SHA-256 (hex) of people in their order, as they are dressed; names of files and photographs decide nothing."""
+    return sha256_record([person_identity(person) for person in people])
 
 
 def _packed(fit: Fit) -> bytes:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from jaxtyping import Bool, UInt8
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.likeness import picture_look
 from cloak_core.files.reading import read_json
+from cloak_core.scene.photographs.annotations import description, listed_images, people_by_image
 from cloak_core.scene.photographs.landmarks import INDEX, LIMBS, SEEN, Landmarks, is_upright, read_landmarks
 from cloak_core.scene.photographs.masks import decode_mask, numbers
 from cloak_core.scene.pictures import open_picture
@@ -47,16 +50,27 @@ class Person:
     others: tuple[Box, ...] = ()
     """Boxes of the other annotated people."""
     licence: str = ""
+    pixels: str = ""
+    """SHA-256 (hex) of the whole photograph: decoded, upright, at full size."""
+    look: str = ""
+    """Of the whole photograph, see `files.likeness.picture_look`."""
 
     @property
     def name(self) -> str:
         """PHOTOGRAPH#ID."""
         return f"{self.photograph}#{self.number}"
 
-    @property
+    @cached_property
     def identity(self) -> str:
-        """SHA-256 of the pixels, the mask and the landmarks."""
-        return sha256_arrays(self.image, self.mask, self.landmarks.xy)
+        """SHA-256 (hex) of all that decides how she is dressed and judged, whatever her photograph is called.
+
+        The crop's pixels, mask, her box and the others', and the landmarks with visibility and depth (world coordinates
+        reach a fit as depth alone).
+        """
+        landmarks = self.landmarks
+        depth = np.zeros(0) if landmarks.depth is None else landmarks.depth
+        boxes = np.array([self.box, *self.others], np.float64)
+        return sha256_arrays(self.image, self.mask, boxes, landmarks.xy, landmarks.visibility, depth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +80,20 @@ class People:
     people: tuple[Person, ...]
     """In the order of the file."""
     left_out: dict[str, int]
-    """Reason -> how many: "crowd", "no landmarks", "no mask", "hidden", "cut", "small", "not upright", "sitting"."""
+    """Reason -> how many: "crowd", "no landmarks", "no mask", "hidden", "cut", "small", "not upright", "sitting",
+    "listed twice"."""
     name: str = "people"
     """What a run's record calls them."""
 
     def __len__(self) -> int:
         return len(self.people)
 
+    def __iter__(self) -> Iterator[Person]:
+        return iter(self.people)
+
     @property
     def photographs(self) -> tuple[str, ...]:
-        """File names, in order, each once."""
+        """File names, in order, each photograph once."""
         return tuple(dict.fromkeys(person.photograph for person in self.people))
 
     def halves(self) -> tuple[People, People]:
@@ -91,26 +109,26 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     """Read people in photographs from a COCO file: PEOPLE.json, or PEOPLE.json[0::2] for every second photograph.
 
     images: the photographs' folder; None: the file's own, or `images` in it. A selection counts or names photographs
-    (see `scene.selection`). `InputError` names annotation and file for whatever is broken or does not fit the picture.
+    (see `scene.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a photograph under two
+    names is one, and what is said of it twice counts once. `InputError` names annotation and file for whatever is
+    broken or does not fit the picture.
     """
     path, selection = split_selection(str(spec))
     record = read_json(path)
     folders = [Path(images)] if images is not None else [Path(path).parent, Path(path).parent / "images"]
-    listed = _table(record, "images", path)
+    listed = listed_images(record, path)
     if selection is not None:
         names = [str(entry.get("file_name")) for entry in listed]
         listed = [listed[i] for i in select(selection, names, str(spec))]
     licences = {entry.get("id"): str(entry.get("name")) for entry in record.get("licenses") or []}
-    of_image: dict[object, list[dict]] = {}
-    for annotation in _table(record, "annotations", path):
-        of_image.setdefault(annotation.get("image_id"), []).append(annotation)
+    of_image = people_by_image(record, path)
+    reader = _Reader(path, folders)
     found: list[Person] = []
     left_out: Counter[str] = Counter()
     disordered: list[str] = []
     for entry in listed:
-        annotations = of_image.get(entry.get("id"), [])
         licence = licences.get(entry.get("license"), "")
-        for what, person in _annotated(entry, annotations, folders, licence, path):
+        for what, person in reader.people_of(entry, of_image.get(repr(entry.get("id")), []), licence):
             if isinstance(person, Person):
                 found.append(person)
             else:
@@ -127,27 +145,48 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     return People(tuple(found), dict(left_out), Path(path).stem)
 
 
-def _table(record: dict, name: str, path: str) -> list[dict]:
-    table = record.get(name)
-    if not isinstance(table, list) or not all(isinstance(entry, dict) for entry in table):
-        raise InputError(f"{path}: no list '{name}' of objects in it: not a file in COCO's format")
-    return table
+class _Reader:
+    """Reads the people of one photograph after the other.
+
+    The same pixels under another name are the same photograph, called as it was first.
+    """
+
+    def __init__(self, path: str, folders: Sequence[Path]) -> None:
+        self._path, self._folders = path, folders
+        self._names: dict[str, str] = {}
+        self._listed: set[tuple[str, str]] = set()
+
+    def people_of(self, entry: dict, annotations: list[dict], licence: str) -> Iterator[tuple[str, Person | str]]:
+        """Yield what each annotation is called, with its person, or the reason why she is left out."""
+        if not annotations:
+            return
+        name = entry.get("file_name")
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{self._path}: image {entry.get('id')} has no file_name")
+        image = _read_upright(name, entry, self._folders, f"{self._path}: image {entry.get('id')} ({name})")
+        pixels = sha256_arrays(image)
+        photograph = {"photograph": self._names.setdefault(pixels, name), "licence": licence}
+        photograph |= {"pixels": pixels, "look": picture_look(image)}
+        named: list[tuple[str, dict]] = []
+        for annotation in annotations:
+            what = f"{self._path}: annotation {annotation['id']} ({name})"
+            content = (pixels, description(annotation))
+            if content in self._listed:
+                yield what, "listed twice"
+            else:
+                named.append((what, annotation))
+            self._listed.add(content)
+        for what, person in _annotated(image, named):
+            yield what, person if isinstance(person, str) else replace(person, **photograph)
 
 
 def _annotated(
-    entry: dict, annotations: list[dict], folders: list[Path], licence: str, path: str
+    image: UInt8[np.ndarray, "h w 3"], named: Sequence[tuple[str, dict]]
 ) -> Iterator[tuple[str, Person | str]]:
-    """Yield what each annotation of a photograph is called, with its person, or the reason why she is left out."""
-    if not annotations:
-        return
-    name = entry.get("file_name")
-    if not isinstance(name, str) or not name:
-        raise InputError(f"{path}: image {entry.get('id')} has no file_name")
-    image = _read_upright(name, entry, folders, f"{path}: image {entry.get('id')} ({name})")
+    """Yield each annotation's name with its person, cut out, or the reason why she is left out."""
     height, width = image.shape[:2]
-    whats = [f"{path}: annotation {a.get('id')} ({name})" for a in annotations]
-    boxes = [_box(a, width, height, what) for a, what in zip(annotations, whats, strict=True)]
-    for number, (annotation, what) in enumerate(zip(annotations, whats, strict=True)):
+    boxes = [_box(annotation, width, height, what) for what, annotation in named]
+    for number, (what, annotation) in enumerate(named):
         box = boxes[number]
         # Everything given is checked, also of those who are then left out.
         mask = None
@@ -158,12 +197,11 @@ def _annotated(
         if reason:
             yield what, reason
             continue
-        others = tuple(b for i, b in enumerate(boxes) if i != number and not annotations[i].get("iscrowd"))
-        whole = Person(name, int(annotation.get("id") or 0), image, mask, box, landmarks, others)
-        yield what, _cropped(whole, licence)
+        others = tuple(b for i, b in enumerate(boxes) if i != number and not named[i][1].get("iscrowd"))
+        yield what, _cropped(Person("", annotation["id"], image, mask, box, landmarks, others))
 
 
-def _read_upright(name: str, entry: dict, folders: list[Path], what: str) -> UInt8[np.ndarray, "h w 3"]:
+def _read_upright(name: str, entry: dict, folders: Sequence[Path], what: str) -> UInt8[np.ndarray, "h w 3"]:
     from PIL import ImageOps
 
     if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -237,7 +275,7 @@ def _sits(landmarks: Landmarks) -> bool:
     return bool((drop < 0.54 * trunk).all())
 
 
-def _cropped(person: Person, licence: str) -> Person:
+def _cropped(person: Person) -> Person:
     """The person with as much of the photograph as `SURROUNDINGS` says, resized where she is larger than needed."""
     from PIL import Image
 
@@ -254,13 +292,11 @@ def _cropped(person: Person, licence: str) -> Person:
         mask = np.array(Image.fromarray(mask).resize(size, Image.Resampling.BILINEAR))
     move = lambda box: tuple(float(scale * (v - o)) for v, o in zip(box, (left, top) * 2, strict=True))
     landmarks = person.landmarks.moved((float(left), float(top)), scale)
-    return Person(
-        person.photograph,
-        person.number,
-        np.ascontiguousarray(image),
-        np.ascontiguousarray(mask),
-        move(person.box),
-        landmarks,
-        tuple(move(box) for box in person.others),
-        licence,
+    return replace(
+        person,
+        image=np.ascontiguousarray(image),
+        mask=np.ascontiguousarray(mask),
+        box=move(person.box),
+        landmarks=landmarks,
+        others=tuple(move(box) for box in person.others),
     )
