@@ -156,7 +156,7 @@ def _train(
         if is_search:
             centres = face_centres(bodies)[logo.face_ids]
             prior = QueryPrior(Objective(drawn, logo, surrogates, device), centres) if surrogates else None
-            loop = Search(settings, run, batcher, objective, first, centres, on_event, prior)
+            loop = Search(drawn, run, batcher, objective, first, on_event, world, centres, prior)
         else:
             held_out = None if held is None else _held_out(settings, held, logo, objective, world, cloth)
             patch = patches(settings.pattern, bodies, logo)
