@@ -7,6 +7,7 @@ against the gradient of the loss; keep them in [0, 1]. This puts the parts toget
 import contextlib
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -126,11 +127,7 @@ def _train(
 ) -> RunResult:
     device, bodies = local_device(settings.compute.device), material.bodies
     detectors, surrogates = ([detector.to(device) for detector in group] for group in parties)
-    palette_file, profile_file, init = settings.objective.palette, settings.pattern.profile, settings.optimization.init
-    palette = None if palette_file is None else read_palette(palette_file)
-    profile = None if profile_file is None else read_profile(profile_file)
-    start = None if init is None else read_start(Path(init), logo)
-    near = None if settings.pattern.near is None else make_near(settings.pattern, bodies, logo)
+    files = read_named_files(settings, bodies, logo)
     trained, held = set_aside(settings.run, material)
     is_search = settings.queries.black_box_queries is not None
     if is_search:
@@ -140,19 +137,18 @@ def _train(
     batcher = make_batcher(drawn, trained, logo, device, cloth)
     if not material.people or settings.photographs.people_share < 1:
         require_visible_logo(batcher.view_cache, logo.face_ids, trained.bodies.pose_count, settings.views)
-    given = (world.size, palette, held, start, profile, surrogates, material.people)
-    garment, seen = None if near is None else near.garment, material.backgrounds
-    config = run_config(settings, bodies, logo, detectors, seen, inputs or {}, *given, near=garment)
-    if start is None:
+    circumstances = {"inputs": inputs, "processes": world.size, "held_out": held, "query_prior": surrogates}
+    config = training_config(settings, material, logo, detectors, files, **circumstances)
+    if files.start is None:
         first = first_colors(settings.optimization, bodies, logo, settings.run.seed, device)
     else:
-        first = torch.from_numpy(start).to(device)
+        first = torch.from_numpy(files.start).to(device)
     if cloth is not None:
         first = torch.from_numpy(cloth.of_faces(first.cpu().numpy())).to(device)
     with contextlib.ExitStack() as stack:
         run = world.on_rank0(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
-        objective = Objective(drawn, logo if cloth is None else cloth.as_logo(logo), detectors, device, palette)
+        objective = Objective(drawn, logo if cloth is None else cloth.as_logo(logo), detectors, device, files.palette)
         if is_search:
             centres = face_centres(bodies)[logo.face_ids]
             prior = QueryPrior(Objective(drawn, logo, surrogates, device), centres) if surrogates else None
@@ -160,15 +156,67 @@ def _train(
         else:
             held_out = None if held is None else _held_out(settings, held, logo, objective, world, cloth)
             patch = patches(settings.pattern, bodies, logo)
-            pattern = make_pattern(settings, logo, patch, cloth, palette, profile, device)
+            pattern = make_pattern(settings, logo, patch, cloth, files.palette, files.profile, device)
             begun = first if pattern is None else pattern.begin(first)
             octaves = make_octaves(settings, bodies, logo, patch, cloth, device)
-            optimizer = ColorOptimizer(settings.optimization, begun, pattern, near, octaves)
+            optimizer = ColorOptimizer(settings.optimization, begun, pattern, files.near, octaves)
             loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class NamedFiles:
+    """What the files hold that settings name; None where none is named."""
+
+    palette: np.ndarray | None
+    profile: Profile | None
+    start: np.ndarray | None
+    near: Near | None
+
+
+def read_named_files(settings: TrainSettings, bodies: Bodies, logo: Logo) -> NamedFiles:
+    """Read the files that settings name. InputError: one cannot be read, or does not fit the logo."""
+    palette = settings.objective.palette
+    profile = settings.pattern.profile
+    init = settings.optimization.init
+    return NamedFiles(
+        None if palette is None else read_palette(palette),
+        None if profile is None else read_profile(profile),
+        None if init is None else read_start(Path(init), logo),
+        None if settings.pattern.near is None else make_near(settings.pattern, bodies, logo),
+    )
+
+
+def training_config(
+    settings: TrainSettings,
+    material: TrainingData,
+    logo: Logo,
+    detectors: Sequence[Detector],
+    files: NamedFiles,
+    inputs: Mapping[str, str] | None = None,
+    **circumstances: object,
+) -> dict:
+    """Make the configuration that a training records; its `decisive` parts are the same before it is begun.
+
+    circumstances: further arguments of `run_config`.
+    """
+    return run_config(
+        settings,
+        material.bodies,
+        logo,
+        detectors,
+        material.backgrounds,
+        inputs or {},
+        palette=files.palette,
+        profile=files.profile,
+        start=files.start,
+        near=None if files.near is None else files.near.garment,
+        people=material.people,
+        **circumstances,
+    )
 
 
 def _require_plain(settings: TrainSettings, held: TrainingData | None, world: World) -> None:

@@ -25,7 +25,8 @@ from cloak_core.evaluation.report.plots import transfer_map
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.report.words import file_name, percent, short_name
 from cloak_core.evaluation.statistics_card import KINSHIPS, transfer_means, transfer_record
-from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained, training_times
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
@@ -220,7 +221,7 @@ class Matrix:
         settings = dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people is not None)
         trained = [self._trained(surrogates, seed, settings) for seed in self.store.options.seed_list]
         test = {"controls": STANDARD} | self.cameras.test
-        results = self.store.evaluate(trained, self.cameras.angles, [judged], **test)
+        results = self.store.measure_repetitions(trained, self.cameras.angles, [judged], **test)
         label = {"format": FORMAT, "rung": ablation, "judged": judged, "surrogates": list(surrogates)}
         label |= {"kin": kinship(judged, surrogates, self.family), "strangers_only": self.cross_family_only}
         split, made = self.store.split, trained[0].settings
@@ -232,7 +233,7 @@ class Matrix:
         left = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
         if left and left["max_seconds"] <= 0:
             raise Stopped("the time budget is spent; the same command goes on with what is left")
-        return self.store.train(self.faces, surrogates, seed=seed, **settings, **left)
+        return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, **left)
 
 
 def gather(out: Path) -> list[dict]:

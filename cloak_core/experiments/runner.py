@@ -17,7 +17,8 @@ from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.charts import Rows
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained, training_times
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
 from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
@@ -87,7 +88,11 @@ def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, li
     for cell in cells:
         own = cell.store or store
         trained = _trained(cell, own)
-        yield cell, trained, own.evaluate(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test)
+        yield (
+            cell,
+            trained,
+            own.measure_repetitions(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test),
+        )
 
 
 def _trained(cell: Cell, store: RunStore) -> list[Trained]:
@@ -97,7 +102,7 @@ def _trained(cell: Cell, store: RunStore) -> list[Trained]:
     training = dict(cell.training)
     if cell.begun:
         length = {"angles": MULTI, "steps": store.steps(cell.begun, angles=MULTI)}
-        begun = store.train(faces, cell.begun, seed=store.options.seed, **length)
+        begun = store.train_faces(faces, cell.begun, seed=store.options.seed, **length)
         training["init"] = str(begun.folder)
     return store.train_repetitions(faces, cell.specs or store.specs[:1], **training)
 

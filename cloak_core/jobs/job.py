@@ -27,6 +27,11 @@ class Job:
     gpus: float = 0.0
 
 
+def resources(threads: int | None, device: str, gpus: float) -> dict[str, float]:
+    """Say what a job takes that computes with so many threads on a torch device. gpus: of one, where it is a GPU."""
+    return {"cores": threads or 1, "gpus": 0.0 if device == "cpu" else gpus}
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How a job ended."""

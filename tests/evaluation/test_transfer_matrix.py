@@ -8,7 +8,7 @@ import pytest
 from cloak_core.attack.settings import make_settings, merge
 from cloak_core.cli import load
 from cloak_core.commands import parsing
-from cloak_core.evaluation import store as store_module
+from cloak_core.evaluation import training_store
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.settings import StoreOptions
 from cloak_core.evaluation.store import RunStore
@@ -134,7 +134,7 @@ def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     # A detector that is judged alone has the same surrogates, so the training is there already.
     matrix(out, judges=("onnx:red.onnx",)).fill(["best"])
     assert len(list((out / "runs").iterdir())) == 2
-    monkeypatch.setattr(store_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(training_store, "train", lambda *_, **__: pytest.fail("trained again"))
     matrix(out, judges=("yolo:a", "onnx:red.onnx")).fill(["best"])
     cells = gather(out)
     assert [cell["judged"] for cell in cells] == ["onnx:red.onnx", "yolo:a"]

@@ -44,7 +44,7 @@ def measure(store: RunStore) -> Numbers:
         for name, renderer in renderers.items():
             more = {} if renderer is ours else {"frames": frames.name, "light": name}
             make = lambda renderer=renderer: renderer
-            results = store.measured(make, trained, unseen, (spec,), angles, settings, outfit=0, **more)
+            results = store.measure_once(make, trained, unseen, (spec,), angles, settings, outfit=0, **more)
             found[name] = {"render": NAMES[name]} | training_row(results, spec)
             thresholds += threshold_rows(found[name], results, spec)
         rows += [row | _gap(found["ours"], row, ours, renderers[name]) for name, row in found.items()]
