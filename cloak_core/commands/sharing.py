@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Protocol, Self
 
 from tyro.conf import OmitArgPrefixes, arg
 
@@ -78,6 +78,10 @@ class Sharing(Command):
     sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
         default_factory=SharingOptions
     )
+
+    def part_of(self, **changes: object) -> Self:
+        """Make the same command for a part of the work, done where it is run."""
+        return replace(self, sharing=SharingOptions(), **changes)
 
 
 def do(part: Part) -> str:

@@ -21,7 +21,7 @@ from cloak_core.evaluation.store import RunStore
 from cloak_core.evaluation.training_store import Trained, training_times
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
-from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
+from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, Trainings, test_angles
 from cloak_core.experiments.options import names
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
@@ -37,8 +37,8 @@ FORMAT = "cloak experiment 1"
 def experiments() -> dict[str, Experiment]:
     """Load every declaration, by name, in the order in which `all` runs them."""
     package = "cloak_core.experiments.declared."
-    found = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
-    return dict(sorted(found.items(), key=lambda item: item[1].order))
+    declared = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
+    return dict(sorted(declared.items(), key=lambda item: item[1].order))
 
 
 def run_experiment(name: str, store: RunStore) -> dict:
@@ -57,7 +57,10 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
     """Train and judge every cell of an experiment; rows over all images come first, then rows along a column."""
     if experiment.measure:
         return experiment.measure(store)
-    whole, along, thresholds, trainings = [], [], [], []
+    whole: Rows = []
+    along: Rows = []
+    thresholds: Rows = []
+    trainings: Trainings = []
     for cell, trained, results in _measured(store, experiment.cells(store)):
         trainings.append((cell, trained))
         for spec in _judges(cell, store):
@@ -67,7 +70,8 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
             if cell.baseline is not None:
                 rate = statistics.hidden_rate(results.rows(spec, CLOTHING))
                 whole.append({**cell.baseline, "detector": spec} | statistics.rate_row(rate))
-            along += _rows_along(cell, results, spec) if cell.along else ()
+            if cell.along:
+                along += _rows_along(cell, results, spec)
     steps = {spec: store.steps([spec], angles=MULTI) for spec in store.specs}
     facts = {"angles": len(test_angles(store)), "steps": steps, **experiment.facts}
     return Numbers(experiment.finish(whole + along), facts, thresholds, experiment.pictures(store, trainings))
@@ -116,15 +120,17 @@ def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, s
     label = dict(cell.label)
     if cell.area:
         label["area_share"] = round(area_share(bodies, trained[0].logo.face_ids), 4)
-    label |= {column: "all" for column in list(cell.along)[:1]}
-    label |= {} if cell.judge_column in label else {cell.judge_column: spec}
-    label |= training_times(trained) if cell.timed else {}
+    if cell.along:
+        label[next(iter(cell.along))] = "all"
+    label.setdefault(cell.judge_column, spec)
+    if cell.timed:
+        label |= training_times(trained)
     if not cell.columns:
         row = statistics.training_row(results, spec)
         return label | {key: value for key, value in row.items() if key != "detector"} | cell.extra(results, spec)
     row = statistics.operating_row(results, spec)
-    told = {key: row[key] for key in ("success", "low", "high", "n", *cell.columns)}
-    return label | told | cell.extra(results, spec)
+    columns = {key: row[key] for key in ("success", "low", "high", "n", *cell.columns)}
+    return label | columns | cell.extra(results, spec)
 
 
 def _rows_along(cell: Cell, results: Results, spec: str) -> Iterator[dict]:
@@ -169,7 +175,8 @@ def draw_again(name: str, out: Path) -> dict:
 
     InputError: it was never run, or an unreadably early version ran it.
     """
-    experiment, folder = find(name), out / name
+    experiment = find(name)
+    folder = out / name
     record = read_json(folder / "numbers.json")
     if record.get("format") != FORMAT:
         raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
@@ -194,7 +201,7 @@ def finished(out: Path) -> dict[str, dict]:
     """Read the records of the experiments that OUT holds, in order. InputError: there is none."""
     paths = {name: out / name / "numbers.json" for name in experiments()}
     records = {name: read_json(path) for name, path in paths.items() if path.exists()}
-    found = {name: record for name, record in records.items() if "words" in record}
-    if not found:
+    drawn = {name: record for name, record in records.items() if "words" in record}
+    if not drawn:
         raise InputError(f"{out}: holds no finished experiment")
-    return found
+    return drawn

@@ -64,7 +64,9 @@ def in_order(jobs: Sequence[Job]) -> Iterator[Outcome]:
 
 def done(job: Job) -> Outcome:
     """Do a job now."""
-    started, result, error = time.perf_counter(), None, ""
+    started = time.perf_counter()
+    result = None
+    error = ""
     try:
         result = job.work(**job.arguments)
     except InputError as refused:
