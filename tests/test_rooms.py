@@ -15,10 +15,10 @@ MAY_IMPORT = {
     "scene": {"files", "exchange"},
     "render": {"files", "exchange", "scene"},
     "detectors": {"files", "exchange", "scene"},
-    "attack": {"files", "jobs", "exchange", "zoo", "scene", "render", "detectors"},
+    "attack": {"files", "exchange", "zoo", "scene", "render", "detectors"},
     "techniques": {"files", "exchange", "scene", "render", "detectors", "attack"},
     "defend": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack"},
-    "evaluation": {"files", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
+    "evaluation": {"files", "jobs", "exchange", "zoo", "scene", "render", "detectors", "attack", "defend"},
     "experiments": {"files", "exchange", "scene", "render", "detectors", "attack", "evaluation"},
     "output": {"files", "exchange", "scene", "render", "detectors"},
 }

@@ -11,9 +11,7 @@ against queries on the training material.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import time
 
 import numpy as np
 import torch
@@ -22,14 +20,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from cloak_core.attack.batches import Batch, Batcher
-from cloak_core.attack.checkpoints import Checkpoint, load_checkpoint, save_checkpoint
-from cloak_core.attack.events import EventLog, OnEvent, read_events, rewind_events
-from cloak_core.attack.loop import RunResult
-from cloak_core.attack.objective import Objective, StepFigures
+from cloak_core.attack.events import OnEvent, read_events
+from cloak_core.attack.loop import RunResult, TrainingLoop
+from cloak_core.attack.objective import Objective, Step, StepFigures
+from cloak_core.attack.optimizing import ColorOptimizer
 from cloak_core.attack.run_folder import RunFolder
 from cloak_core.attack.settings import TrainSettings
+from cloak_core.attack.settings.components import OptimizerSettings
 from cloak_core.attack.stopping import StopRequest
-from cloak_core.exchange.colors import write_colors
+from cloak_core.attack.world import World
 from cloak_core.files.errors import InputError
 
 EVERY = 8
@@ -65,7 +64,8 @@ def queries_after(steps: int, cost: int) -> int:
 
 def steps_within(settings: TrainSettings, detectors: int) -> int:
     """Count the steps that the allowed images last. InputError: not even for one."""
-    cost, allowed = settings.run.batch * detectors, settings.queries.black_box_queries or 0
+    cost = settings.run.batch * detectors
+    allowed = settings.queries.black_box_queries or 0
     if allowed < queries_after(1, cost):
         raise InputError(
             f"--black-box-queries: fewer than the {queries_after(1, cost)} that one step takes (--batch "
@@ -76,15 +76,68 @@ def steps_within(settings: TrainSettings, detectors: int) -> int:
 
 
 def search_settings(settings: TrainSettings, detectors: int) -> TrainSettings:
-    """Make the settings by which a search draws images and judges answers: a batch a step, the margin as loss."""
-    steps = steps_within(settings, detectors)
-    changes = {"steps": steps, "epochs": None, "hard_views": 0.0, "loss": "margin", "rpn_weight": 0.0}
-    ensemble = {"ensemble": "mean", "detector_weights": None, "detectors_per_step": None}
-    return settings.changed(**changes, **ensemble)
+    """Make the settings by which a search draws images, judges answers and moves: the margin as loss, its own rate."""
+    return settings.changed(
+        steps=steps_within(settings, detectors),
+        epochs=None,
+        loss="margin",
+        rpn_weight=0.0,
+        ensemble="mean",
+        detector_weights=None,
+        detectors_per_step=None,
+        lr=settings.queries.query_lr,
+        schedule="constant",
+        gamut="projection",
+    )
 
 
-class Search:
-    """One search from its last checkpoint (or its start) to its end. A step is a batch of pairs of questions."""
+class QueryOptimizer(ColorOptimizer):
+    """Colours that follow an estimated gradient: Adam with a single scale for all of them.
+
+    A step is short where answers contradict each other.
+    """
+
+    def __init__(self, settings: OptimizerSettings, initial: Float[Tensor, "L 3"]) -> None:
+        super().__init__(settings, initial)
+        self._step = 0
+        self._mean = torch.zeros_like(initial)
+        self._square = initial.new_zeros(())
+
+    def reach(self, step: int, steps: int) -> None:
+        self._step = step
+
+    def follow(self, estimate: Float[Tensor, "L 3"]) -> None:
+        """Take this for the gradient, until the next `update`."""
+        self._parameter.grad = estimate
+
+    @torch.no_grad()
+    def update(self, lr: float) -> None:
+        estimate = self._parameter.grad
+        first, second = MEMORY
+        self._mean.lerp_(estimate, 1 - first)
+        self._square.lerp_(estimate.square().mean(), 1 - second)
+        done = self._step + 1
+        scale = (self._square / (1 - second**done)).sqrt().clamp_min(torch.finfo(estimate.dtype).tiny)
+        self._parameter.sub_(lr * self._mean / (1 - first**done) / scale).clamp_(0, 1)
+
+    def state(self) -> dict[str, Tensor]:
+        return {
+            "parameter": self._parameter.detach(),
+            "black_box.mean": self._mean,
+            "black_box.square": self._square,
+        }
+
+    def load(self, tensors: dict[str, Tensor]) -> None:
+        own = self.state()
+        for name, tensor in own.items():
+            if tensors[name].shape != tensor.shape:
+                raise ValueError(f"{name} has the shape {list(tensors[name].shape)} instead of {list(tensor.shape)}")
+        for name, tensor in own.items():
+            tensor.copy_(tensors[name])
+
+
+class Search(TrainingLoop):
+    """A training whose gradient is estimated from answers: a step is a batch of pairs of questions."""
 
     def __init__(
         self,
@@ -93,138 +146,86 @@ class Search:
         batcher: Batcher,
         objective: Objective,
         start: Float[Tensor, "L 3"],
-        centres: Float[np.ndarray, "L 3"],
         on_event: OnEvent | None,
+        world: World,
+        centres: Float[np.ndarray, "L 3"],
         prior: QueryPrior | None = None,
     ) -> None:
-        """Begin a search; `batcher` and `objective` are those of `search_settings`.
+        """Begin a search; `settings` (those of `search_settings`) made `batcher` and `objective`.
 
         centres: of the logo's faces, metres.
         """
+        self.centres = centres
         self.prior = prior
-        self.settings, self.run, self.batcher, self.objective = settings, run, batcher, objective
-        self.centres, self.colors, self.step = centres, start.clone(), 0
         self.cost = len(objective.detectors) * settings.run.batch
-        self.steps = steps_within(settings, len(objective.detectors))
-        self._mean, self._square = torch.zeros_like(start), start.new_zeros(())
-        self._earlier, self._started = 0.0, time.perf_counter()
-        self._restore()
-        self.log = EventLog(run.events, on_event)
+        optimizer = QueryOptimizer(settings.optimization, start)
+        super().__init__(settings, run, batcher, objective, optimizer, None, on_event, world)
 
     def run_to_end(self, stop: StopRequest) -> SearchResult:
         """Ask until done or told to stop; a checkpoint and the colours are written either way."""
-        figures, reason = None, ""
-        try:
-            self._tell("resume" if self.step else "start", steps=self.steps)
-            while self.step < self.steps and not reason:
-                figures = self._one_step()
-                every = self.settings.run.checkpoint_every
-                reason = stop.reason(self.seconds)
-                kept = self.settings.run.snapshot_every
-                if kept and self.step % kept == 0:
-                    self.run.write_snapshot(self.step, self.colors.cpu().numpy())
-                if every and self.step % every == 0:
-                    self._save()
-            reason = "" if self.step >= self.steps else reason
-            self._tell("end", outcome="stopped" if reason else "done", reason=reason, colors_step=self.step)
-        finally:
-            with contextlib.suppress(InputError):
-                self._save()
-            self.log.close()
-        told = [event for event in read_events(self.run.events) if event.get("type") == "round"]
-        return SearchResult(
-            out=self.run.path,
-            step=self.step,
-            steps=self.steps,
-            seconds=self.seconds,
-            figures=figures,
-            stopped=reason,
-            colors=self.colors.cpu().numpy().astype(np.float32),
-            colors_step=self.step,
-            queries=queries_after(self.step, self.cost),
-            curve=tuple((event["queries"], event["success"]) for event in told),
-        )
+        result = super().run_to_end(stop)
+        rounds = [event for event in read_events(self.run.events) if event.get("type") == "round"]
+        curve = tuple((event["queries"], event["success"]) for event in rounds)
+        return SearchResult(**vars(result), queries=queries_after(self.step, self.cost), curve=curve)
 
     @torch.no_grad()
-    def _one_step(self) -> StepFigures:
-        """Ask about new images to either side of the colours, and follow the difference."""
-        batch = self.batcher.batch(self.step)
+    def _gradient(self, batch: Batch, share: float) -> Step:
+        """Ask about new images to either side of the colours; the difference is the gradient."""
+        colors = self.optimizer.finished()
         if self.step % EVERY == 0:
-            self._look(batch)
-        moves = self._directions(batch) * self.settings.queries.query_change
-        losses, successes = zip(
-            *(self._asked(batch, (self.colors + side * moves).clamp(0, 1)) for side in (1, -1)), strict=True
-        )
-        self._follow(((losses[0] - losses[1])[:, None, None] * moves).mean(0))
-        self.step += 1
-        loss, success = float(torch.cat(losses).mean()), sum(successes) / 2
-        figures = StepFigures(loss, loss, float(self.objective.total_variation(self.colors)), 0.0, success)
-        self._tell("step", **dataclasses.asdict(figures), queries=queries_after(self.step, self.cost))
-        return figures
+            self._measure(batch, colors)
+        moves = self._directions(batch, colors) * self.settings.queries.query_change
+        ahead, step_ahead = self._ask(batch, (colors + moves).clamp(0, 1))
+        behind, step_behind = self._ask(batch, (colors - moves).clamp(0, 1))
+        self.optimizer.follow(((ahead - behind)[:, None, None] * moves).mean(0))
+        loss = float(torch.cat([ahead, behind]).mean())
+        success = (step_ahead.figures.success + step_behind.figures.success) / 2
+        figures = dataclasses.replace(step_ahead.figures, loss=loss, disappearance=loss, success=success)
+        return dataclasses.replace(step_ahead, figures=figures)
 
-    def _asked(self, batch: Batch, colors: Float[Tensor, "*B L 3"]) -> tuple[Float[Tensor, " B"], float]:
-        """Ask the detectors: each image's loss, mean over the detectors, and the success."""
-        answer = self.objective.forward_backward(batch.images(colors), bodies=batch.bodies)
-        said = answer.detections.items()
-        losses = torch.stack([self.objective.loss(detections, number) for number, detections in said]).mean(0)
-        if not torch.isfinite(losses).all():
-            raise InputError(f"{self.run.path}: step {self.step}: a detector's answer is not finite")
-        return losses, float(answer.success)
+    def _facts(self, lr: float) -> dict[str, object]:
+        return super()._facts(lr) | {"queries": queries_after(self.step, self.cost)}
 
-    def _look(self, batch: Batch) -> None:
-        losses, success = self._asked(batch, self.colors)
+    def _ask(self, batch: Batch, colors: Float[Tensor, "*B L 3"]) -> tuple[Float[Tensor, " B"], Step]:
+        """Ask the detectors: each image's loss, mean over the detectors, and what they said of all.
+
+        TrainingError: a loss is not finite.
+        """
+        images = batch.images(colors)
+        answer = self.objective.forward_backward(images, bodies=batch.bodies, company=batch.company)
+        detections = answer.detections
+        losses = torch.stack([self.objective.loss(detections[number], number) for number in detections]).mean(0)
+        loss = float(losses.mean())
+        variation = float(self.objective.total_variation(self.optimizer.finished()))
+        figures = StepFigures(loss, loss, variation, 0.0, float(answer.success))
+        step = Step(figures, bool(torch.isfinite(losses).all()), images, detections)
+        if not step.is_finite:
+            self._refuse(step)
+        return losses, step
+
+    def _measure(self, batch: Batch, colors: Float[Tensor, "L 3"]) -> None:
+        """Ask about the colours themselves, before images of this batch decide anything."""
+        _, step = self._ask(batch, colors)
         asked = queries_after(self.step, self.cost) + self.cost
-        self._tell("round", queries=asked, success=success, disappearance=float(losses.mean()))
+        # It belongs to the step that begins: a run that goes on from the checkpoint before it measures again.
+        facts = {"step": self.step + 1, "success": step.figures.success, "disappearance": step.figures.loss}
+        self._tell("round", queries=asked, **facts)
 
-    def _directions(self, batch: Batch) -> Float[Tensor, "B L 3"]:
+    def _directions(self, batch: Batch, colors: Float[Tensor, "L 3"]) -> Float[Tensor, "B L 3"]:
         """Draw -1, 0 or 1 for every face and channel, alike within a cell; by (seed, step) and the colours."""
         random = np.random.default_rng([self.settings.run.seed, _STREAM, self.step])
-        found = torch.from_numpy(self._random_directions(len(batch), random)).to(self.colors)
+        directions = torch.from_numpy(self._random_directions(len(batch), random)).to(colors)
         if self.prior is None:
-            return found
-        led = torch.from_numpy(random.random(len(batch)) < PRIOR).to(found.device)
-        return torch.where(led[:, None, None], self.prior.directions(batch, self.colors, self.step, random), found)
+            return directions
+        is_led = torch.from_numpy(random.random(len(batch)) < PRIOR).to(directions.device)
+        return torch.where(is_led[:, None, None], self.prior.directions(batch, colors, self.step, random), directions)
 
     def _random_directions(self, count: int, random: np.random.Generator) -> Float[np.ndarray, "B L 3"]:
-        found = np.empty((count, len(self.centres), 3), np.float32)
-        for direction in found:
+        directions = np.empty((count, len(self.centres), 3), np.float32)
+        for direction in directions:
             cell = random_cells(self.centres, CELLS, random)
             direction[:] = random.choice(np.float32([-1, 1]), (int(cell.max()) + 1, 3))[cell]
-        return found
-
-    def _follow(self, estimate: Float[Tensor, "L 3"]) -> None:
-        """Take one step of Adam with a single scale for all colours: short where answers contradict each other."""
-        first, second = MEMORY
-        self._mean.lerp_(estimate, 1 - first)
-        self._square.lerp_(estimate.square().mean(), 1 - second)
-        done = self.step + 1
-        scale = (self._square / (1 - second**done)).sqrt().clamp_min(torch.finfo(estimate.dtype).tiny)
-        move = self.settings.queries.query_lr * self._mean / (1 - first**done) / scale
-        self.colors = (self.colors - move).clamp(0, 1)
-
-    @property
-    def seconds(self) -> float:
-        return self._earlier + time.perf_counter() - self._started
-
-    def _tell(self, kind: str, **more: object) -> None:
-        self.log.write({"type": kind, "step": self.step, "time": round(self.seconds, 4)} | more)
-
-    def _save(self) -> None:
-        write_colors(self.run.colors, self.colors.cpu().numpy())
-        tensors = {"parameter": self.colors, "black_box.mean": self._mean, "black_box.square": self._square}
-        save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))
-
-    def _restore(self) -> None:
-        checkpoint, _ = load_checkpoint(self.run.checkpoint)
-        if checkpoint is not None:
-            names = ("parameter", "black_box.mean", "black_box.square")
-            kept = [checkpoint.tensors.get(name) for name in names]
-            own = (self.colors, self._mean, self._square)
-            if any(tensor is None or tensor.shape != mine.shape for tensor, mine in zip(kept, own, strict=True)):
-                raise InputError(f"{self.run.checkpoint}: holds another run's state")
-            self.colors, self._mean, self._square = (tensor.to(self.colors, copy=True) for tensor in kept)
-            self.step, self._earlier = checkpoint.step, checkpoint.time
-        rewind_events(self.run.events, self.step)
+        return directions
 
 
 PRIOR_CELLS = (64, 1024)
@@ -268,12 +269,12 @@ class QueryPrior:
         """
         count = len(self.objective.detectors)
         gradient = self._gradient(batch, colors, step, random.integers(count, size=len(batch)))
-        found = torch.empty_like(gradient)
-        for row, one in zip(found, gradient, strict=True):
-            cell = torch.from_numpy(random_cells(self.centres, PRIOR_CELLS, random)).to(one.device)
-            sums = torch.zeros_like(one[: int(cell.max()) + 1])
-            row.copy_(sums.index_add_(0, cell, one).sign()[cell])
-        return found
+        directions = torch.empty_like(gradient)
+        for direction, of_image in zip(directions, gradient, strict=True):
+            cell = torch.from_numpy(random_cells(self.centres, PRIOR_CELLS, random)).to(of_image.device)
+            sums = torch.zeros_like(of_image[: int(cell.max()) + 1])
+            direction.copy_(sums.index_add_(0, cell, of_image).sign()[cell])
+        return directions
 
     def _gradient(
         self, batch: Batch, colors: Float[Tensor, "L 3"], step: int, chosen: Int[np.ndarray, " B"]
@@ -281,10 +282,11 @@ class QueryPrior:
         """Compute each image's gradient of its chosen surrogate's loss, by the colours in that image."""
         with torch.enable_grad():
             moved = colors.expand(len(batch), -1, -1).clone().requires_grad_()
-            images, total = batch.images(moved), 0.0
+            images = batch.images(moved)
+            total = 0.0
             for number in np.unique(chosen).tolist():
                 rows = torch.from_numpy(np.flatnonzero(chosen == number)).to(images.device)
-                said = self.objective.detect(number, images[rows], step, batch.bodies[rows])
-                total = total + self.objective.loss(said, number).sum()
+                detections = self.objective.detect(number, images[rows], step, batch.bodies[rows])
+                total = total + self.objective.loss(detections, number).sum()
             (gradient,) = torch.autograd.grad(total, moved)
         return gradient

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cloak_core.attack.batches import Batcher, Prefetcher
+from cloak_core.attack.batches import Batch, Batcher, Prefetcher
 from cloak_core.attack.checkpoints import (
     Checkpoint,
     load_checkpoint,
@@ -197,18 +197,26 @@ class TrainingLoop:
         self.optimizer.reach(self.step, self.sampler.steps)
         batch = self.batches.batch(self.step)
         share = len(batch) / self.sampler.images_of(self.step)
-        step = gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
+        step = self._gradient(batch, share)
         if not step.is_finite:
             self._refuse(step)
         self._watch(step)
         self.optimizer.update(lr)
         self.step += 1
-        self._tell("step", **dataclasses.asdict(step.figures), lr=lr)
+        self._tell("step", **dataclasses.asdict(step.figures), **self._facts(lr))
         if self.world.is_first and self._due(self.settings.run.preview_every):
             path = self.run.previews / f"step-{self.step:08d}.png"
             save_preview(path, step.images, next(iter(step.detections.values())), self.settings.run.threshold)
             self._tell("preview", path=f"previews/{path.name}")
         return step.figures
+
+    def _gradient(self, batch: Batch, share: float) -> Step:
+        """Leave the gradient of a batch in the optimizer. `share`: this process's part of the batch's images."""
+        return gradient_step(self.objective, self.optimizer, batch, self.world, share, self.step)
+
+    def _facts(self, lr: float) -> dict[str, object]:
+        """Say what the event of a step holds beside its figures."""
+        return {"lr": lr}
 
     def _watch(self, step: Step) -> None:
         """Tell techniques how surely each detector found a person in the batch's images, every process's."""

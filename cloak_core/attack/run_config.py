@@ -160,6 +160,17 @@ def device_kind(device: str | torch.device) -> str:
 # --- is it the same training? ----------------------------------------------------------------------------------------
 
 
+def decisive(config: Mapping[str, object], parts: Iterable[str] = tuple(DECISIVE)) -> dict[str, object]:
+    """Select what decides the result: trainings whose configurations are equal in this are the same training."""
+    return {part: _decisive(part, config[part]) for part in parts}
+
+
+def _decisive(part: str, value: object) -> object:
+    if part == "settings" and isinstance(value, dict):
+        return {name: setting for name, setting in value.items() if name not in FREE_SETTINGS}
+    return _only(DECISIVE[part], value)
+
+
 def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = tuple(DECISIVE)) -> None:
     """Check that `config` is what the run at `path` recorded, in all that decides the result.
 
@@ -168,18 +179,17 @@ def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = 
     What versions before this one did not record is not compared.
     """
     for part in parts:
-        keys, old, new = DECISIVE[part], recorded.get(part), config[part]
+        old, new = recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
             try:
                 old = settings_record(settings_from_record(old))
             except InputError as error:
                 raise InputError(f"{path / 'config.json'}: {error}") from None
-            old, new = ({k: v for k, v in s.items() if k not in FREE_SETTINGS} for s in (old, new))
         if part == "backgrounds" and isinstance(old, dict) and "files" not in old:
             # Earlier versions knew an image by its file alone.
             new = {"identities": [file or own for file, own in zip(new["files"], new["identities"], strict=True)]}
-        name, before, now = _difference(part, _only(keys, old), _only(keys, new))
+        name, before, now = _difference(part, _decisive(part, old), _decisive(part, new))
         if name:
             raise InputError(f"{path}: was started with {name} = {before}, not {now}; resume with the same settings")
 

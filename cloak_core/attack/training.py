@@ -150,11 +150,19 @@ def _train(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: W
             if job.query_prior:
                 surrogates = [detector.to(device) for detector in job.query_prior]
                 prior = search.QueryPrior(Objective(drawn, logo, surrogates, device, techniques), fabric.centres)
-            loop = search.Search(settings, run, batcher, objective, first, fabric.centres, on_event, prior)
+            loop = search.Search(drawn, run, batcher, objective, first, on_event, world, fabric.centres, prior)
         result = loop.run_to_end(stop)
     for detector, record in zip(detectors, config["detectors"], strict=True):
         detector.verify(record["sha256"])
     return result
+
+
+def training_config(settings: TrainSettings, material: TrainingData, logo: Logo, detectors: Sequence[Detector]) -> dict:
+    """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
+    fabric = Fabric.of(settings.pattern, material.bodies, logo)
+    techniques = Techniques.built(Setup(settings, fabric, detectors, torch.device("cpu")))
+    more = RunInputs(files=techniques.content(), people=material.people)
+    return run_config(settings, material.bodies, logo, detectors, material.backgrounds, {}, more)
 
 
 def _require_plain(settings: TrainSettings, techniques: Techniques, held: TrainingData | None, world: World) -> None:

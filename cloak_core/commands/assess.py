@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional, UseAppendAction
 
-from cloak_core.commands.base import err, out
+from cloak_core.commands.base import command_line, err, out
 from cloak_core.commands.options import Detecting, Splitting
 from cloak_core.commands.progress import WorkProgress
-from cloak_core.commands.sharing import Sharing, SharingOptions
+from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,7 +101,7 @@ class Assess(Splitting, Detecting, Sharing):
         return [] if self.gate is None else read_gate(self.gate)
 
     def _parts(self) -> list[tuple[str, Assess]]:
-        alone = replace(self, sharing=SharingOptions(), leaderboard=None, gate=None, junit=None)
+        alone = self.part_of(leaderboard=None, gate=None, junit=None)
         return [(spec, replace(alone, specs=(spec,))) for spec in dict.fromkeys(self.specs)]
 
     def _budget(self) -> Budget:
@@ -154,7 +152,7 @@ class Assess(Splitting, Detecting, Sharing):
             seeds=budget.seeds,
             seed=self.seed,
             device=self.compute.device,
-            command=shlex.join(["cloak", *sys.argv[1:]]),
+            command=command_line(),
         )
         return RunStore(self.split({spec: detector}, with_people=False), options, lambda message: None)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -12,7 +14,7 @@ from rich.console import Console
 from cloak_core.files.errors import InputError, Stopped, one_line
 from cloak_core.scene.opening import load_scene
 
-__all__ = ["RANK", "Command", "Stopped", "err", "load_scene", "out", "require_new", "share", "warn"]
+__all__ = ["RANK", "Command", "Stopped", "command_line", "err", "load_scene", "out", "require_new", "share", "warn"]
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
@@ -59,6 +61,11 @@ class Command:
 
     def show(self, result: dict) -> None:
         """Say the result to a person, on standard output."""
+
+
+def command_line() -> str:
+    """Give the command that this process runs, for records and pages."""
+    return shlex.join(["cloak", *sys.argv[1:]])
 
 
 def warn(message: str) -> None:

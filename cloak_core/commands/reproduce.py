@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
-import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import err, out, warn
+from cloak_core.commands.base import command_line, err, out, warn
 from cloak_core.commands.options import Computing, Splitting
-from cloak_core.commands.sharing import Sharing, SharingOptions
+from cloak_core.commands.sharing import Sharing
 from cloak_core.evaluation.settings import Internal
 from cloak_core.experiments.options import Options, names
 from cloak_core.files.errors import InputError
@@ -60,7 +58,8 @@ class Reproduce(Splitting, Computing, Sharing):
         self.sharing.spread(self._parts(), self.compute)
         self.prepare()
         store = self._store()
-        done, skipped = {}, {}
+        done: dict[str, dict] = {}
+        skipped: dict[str, str] = {}
         for name in self._names():
             try:
                 done[name] = run_experiment(name, store)
@@ -75,11 +74,11 @@ class Reproduce(Splitting, Computing, Sharing):
         """Split the command by experiment, and each of them by its cells."""
         from cloak_core.experiments.runner import experiments
 
-        alone, parts = replace(self, sharing=SharingOptions(), publish=None), []
+        parts = []
         for name in self._names():
             count = PARTS if name in experiments() and not experiments()[name].measure else 1
-            every = [(f"{name}, {k + 1} of {count}", replace(alone, name=name, part=(k, count))) for k in range(count)]
-            parts += every
+            for k in range(count):
+                parts.append((f"{name}, {k + 1} of {count}", self.part_of(publish=None, name=name, part=(k, count))))
         return parts
 
     def work(self) -> None:
@@ -97,7 +96,8 @@ class Reproduce(Splitting, Computing, Sharing):
 
         if self.name != "all":
             return {self.name: draw_again(self.name, self.amount.out)}, {}
-        done, skipped = {}, {}
+        done: dict[str, dict] = {}
+        skipped: dict[str, str] = {}
         for name in finished(self.amount.out):
             try:
                 done[name] = draw_again(name, self.amount.out)
@@ -117,9 +117,8 @@ class Reproduce(Splitting, Computing, Sharing):
 
         specs = self.detector or ("builtin",)
         split = self.split({spec: load_detector(spec, device=self.compute.device) for spec in specs})
-        command = shlex.join(["cloak", *sys.argv[1:]])
-        options = replace(self.amount, device=self.compute.device, command=command)
-        return RunStore(split, options, lambda message: err.print(message))
+        options = replace(self.amount, device=self.compute.device, command=command_line())
+        return RunStore(split, options, err.print)
 
     def show(self, result: dict) -> None:
         for name, record in result["experiments"].items():

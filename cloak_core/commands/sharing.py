@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Protocol
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Protocol, Self
 
 from tyro.conf import OmitArgPrefixes, arg
 
@@ -53,12 +53,12 @@ class SharingOptions:
         A part that fails leaves the others alone; then InputError names the first such. Stopped: a part was ended
         early.
         """
-        from cloak_core.jobs.job import Job, hand_out
+        from cloak_core.jobs.job import Job, hand_out, resources
 
         executor = self.executor()
         if executor is None:
             return
-        each = {"cores": compute.threads or 1, "gpus": 0.0 if compute.device == "cpu" else self.gpus_per_run}
+        each = resources(compute.threads, compute.device, self.gpus_per_run)
         jobs = [Job(name, do, {"part": part}, **each) for name, part in parts]
         failed = []
         with contextlib.closing(hand_out(executor, jobs, err.print, "part")) as outcomes:
@@ -78,6 +78,10 @@ class Sharing(Command):
     sharing: Annotated[OmitArgPrefixes[SharingOptions], arg(name="many machines")] = field(
         default_factory=SharingOptions
     )
+
+    def part_of(self, **changes: object) -> Self:
+        """Make the same command for a part of the work, done where it is run."""
+        return replace(self, sharing=SharingOptions(), **changes)
 
 
 def do(part: Part) -> str:

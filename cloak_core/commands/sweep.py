@@ -43,17 +43,17 @@ class Sweep(Sharing):
     """Every random draw derives from it (default: what the grid says, else 0)."""
 
     def run(self) -> dict:
-        from cloak_core.attack import sweeps
+        from cloak_core.evaluation.grids import read_grid
+        from cloak_core.evaluation.sweeps import Sweep
 
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("sweep: torchrun shares out one run; many runs are shared out by --ray")
         executor = self.sharing.executor()
-        given = {"device": self.device, "threads": self.threads, "seed": self.seed}
-        changes = {name: value for name, value in given.items() if value is not None}
-        sweep = sweeps.Sweep(sweeps.read_grid(self.grid, changes), self.out)
+        options = {"device": self.device, "threads": self.threads, "seed": self.seed}
+        changes = {name: value for name, value in options.items() if value is not None}
+        sweep = Sweep(read_grid(self.grid, changes), self.out)
         with TrainingProgress() as progress:
-            how = {"prepare": prepare_process, "executor": executor, "gpus": self.sharing.gpus_per_run}
-            stopped = sweep.run(tell=err.print, on_event=progress, **how)
+            stopped = sweep.run(err.print, progress, prepare_process, executor, self.sharing.gpus_per_run)
         result = {"out": str(self.out)} | sweep.write_results()
         failed = [f"{r['name']}: {r['error']}" for r in result["results"] if "error" in r]
         if failed:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +11,9 @@ from rich.table import Table
 from tyro.conf import UseAppendAction
 
 from cloak_core.attack.settings.components import Hide
-from cloak_core.commands.base import Stopped, err, out, share
+from cloak_core.commands.base import Stopped, command_line, err, out, share
 from cloak_core.commands.options import Detecting, Splitting
-from cloak_core.commands.sharing import Sharing, SharingOptions
+from cloak_core.commands.sharing import Sharing
 from cloak_core.files.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,7 +78,8 @@ class Transfer(Splitting, Detecting, Sharing):
     def run(self) -> dict:
         from cloak_core.evaluation.transfer import ablation_names, gather
 
-        asked, stopped = ablation_names(self.rungs), ""
+        asked = ablation_names(self.rungs)
+        stopped = ""
         if not self.redraw:
             try:
                 self.sharing.spread(self._parts(asked), self.compute)
@@ -103,7 +102,7 @@ class Transfer(Splitting, Detecting, Sharing):
 
         if self.sharing.ray is None:
             return []
-        alone = replace(self, sharing=SharingOptions(), publish=None)
+        alone = self.part_of(publish=None)
         groups = self._matrix().groups()
         return [
             (f"{name}, judged by {', '.join(map(short_name, group))}", replace(alone, rungs=(name,), judge=group))
@@ -135,15 +134,17 @@ class Transfer(Splitting, Detecting, Sharing):
         )
         most = self.most_images or (240 if self.circle else None)
         cameras = PHOTOGRAPHS if self.people else CIRCLE if self.circle else FRONT
-        sampled: dict[str, object] = {"hide": self.hide} if self.hide != "person" else {}
-        sampled |= {"detectors_per_step": self.detectors_per_step} if self.detectors_per_step else {}
-        cameras = replace(
-            cameras,
-            training={**cameras.training, **sampled},
-            test=cameras.test if most is None else {**cameras.test, "most_images": most},
-        )
+        training = dict(cameras.training)
+        if self.hide != "person":
+            training["hide"] = self.hide
+        if self.detectors_per_step:
+            training["detectors_per_step"] = self.detectors_per_step
+        test = dict(cameras.test)
+        if most is not None:
+            test["most_images"] = most
+        cameras = replace(cameras, training=training, test=test)
         return Matrix(
-            store=RunStore(split, options, lambda message: err.print(message)),
+            store=RunStore(split, options, err.print),
             faces=self._faces(split.bodies),
             logo=Path(self.logo).stem,
             surrogates=tuple(dict.fromkeys(self.detector)),
@@ -168,19 +169,18 @@ class Transfer(Splitting, Detecting, Sharing):
         from cloak_core.evaluation.report.charts import group
         from cloak_core.evaluation.transfer import show, summary
 
-        command = shlex.join(["cloak", *sys.argv[1:]])
-        files = show(cells, self.out, self.out.name, command)
+        files = show(cells, self.out, self.out.name, command_line())
         if self.publish is not None:
-            files = show(cells, self.publish, self.out.name, command)
+            files = show(cells, self.publish, self.out.name, command_line())
         ladder = {name: summary(own) for name, own in group(cells, "rung").items()}
         last = next((ladder[name] for name in reversed(asked) if name in ladder), ladder[next(reversed(ladder))])
         return last | {"rungs": ladder, "files": [str(path) for path in files]}
 
     def show(self, result: dict) -> None:
-        for name, told in result["rungs"].items():
-            out.print(_table(name, told))
-            images = " or ".join(str(n) for n in sorted({cell["n"] for cell in told["matrix"].values()}))
-            means = f"mean {told['mean']:.2f}, worst {told['worst']:.2f}; at 0.25 mean {told['mean_025']:.2f}"
+        for name, summary in result["rungs"].items():
+            out.print(_table(name, summary))
+            images = " or ".join(str(n) for n in sorted({cell["n"] for cell in summary["matrix"].values()}))
+            means = f"mean {summary['mean']:.2f}, worst {summary['worst']:.2f}; at 0.25 mean {summary['mean_025']:.2f}"
             out.print(f"{means}; {images} images each")
         for path in result["files"]:
             out.print(f"wrote {path}")
@@ -188,7 +188,7 @@ class Transfer(Splitting, Detecting, Sharing):
             raise Stopped(result["stopped"])
 
 
-def _table(ablation: str, told: dict) -> Table:
+def _table(ablation: str, summary: dict) -> Table:
     from cloak_core.evaluation.report.plots import MARKS
     from cloak_core.evaluation.report.words import short_name
 
@@ -199,7 +199,7 @@ def _table(ablation: str, told: dict) -> Table:
     heads |= {"random": "random", "clothing": "clothing"}
     for head in heads:
         table.add_column(head, justify="right", no_wrap=True)
-    for spec, cell in told["matrix"].items():
+    for spec, cell in summary["matrix"].items():
         low, high = cell["ci95"]
         shares = (share(cell[key]) if key else f"{low:.2f}–{high:.2f}" for key in heads.values())
         table.add_row(short_name(spec) + MARKS[cell["kin"]], *shares)

@@ -1,27 +1,21 @@
-"""Train and evaluate once: runs and measurements are kept in files and found again by their content.
+"""Train and evaluate on one data split, once: a measurement lies in OUT/evaluations/KEY, a run in OUT/runs/KEY.
 
-A run lies in OUT/runs/KEY, a measurement in OUT/evaluations/KEY. The key is a hash of everything that decides the
-result, so several experiments share trainings, and an interrupted set goes on where it stopped.
+Each key is a hash of everything that decides the result, so several experiments share trainings and measurements.
 """
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from cloak_core.attack.events import OnEvent
-from cloak_core.attack.run_config import FREE_SETTINGS, device_kind
-from cloak_core.attack.settings import TrainSettings, make_settings, settings_record
-from cloak_core.attack.starting import read_start
-from cloak_core.attack.training import train
+from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
@@ -31,55 +25,34 @@ from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
-from cloak_core.evaluation.trained_run import clocked, cpu_seconds, read_history
+from cloak_core.evaluation.training_store import Trained, Training, TrainingStore, content_key
 from cloak_core.evaluation.wearing.clothes import LogoClothes
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.exchange.colors import read_colors
-from cloak_core.files.errors import InputError, Stopped
-from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
-from cloak_core.files.locks import lock
-from cloak_core.files.writing import new_folder, remove_leftovers, write_json, written
+from cloak_core.files.errors import InputError
+from cloak_core.files.identity import sha256_arrays
+from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.photographs.fits import fit_people, people_identity
+from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import logo_positions
-from cloak_core.scene.logos.logo import Logo, make_logo
+from cloak_core.scene.logos.logo import make_logo
 
-_log = logging.getLogger("cloak")
-TRAINING_VERSION = 3
-"""Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
-objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
 MEASUREMENT_VERSION = 2
 """Raise it by one when the same colours and settings give other scores or boxes than before: after a change of the
 drawn images, rendering, detectors, or of what is kept of their answers."""
-PACKAGES = ("torch", "numpy", "numba", "pillow")
 CONTROLS = (*STANDARD, *NATURAL)
 
 
-@dataclass(frozen=True, eq=False)
-class Trained:
-    """The colours of one training."""
-
-    colors: Float32[np.ndarray, "L 3"]
-    logo: Logo
-    folder: Path
-    seconds: float
-    """Wall-clock time of the training."""
-    cpu_seconds: float
-    """Processor time of the training, all threads; nan where it was not measured."""
-    settings: TrainSettings = field(repr=False)
-
-
-class RunStore:
+class RunStore(TrainingStore):
     """Train and evaluate on one data split, and keep the results in files."""
 
     def __init__(
         self, split: DataSplit, options: StoreOptions, on_progress: Callable[[str], None] | None = None
     ) -> None:
         """on_progress takes lines of progress. InputError: step counts that do not fit the detectors."""
-        self.split, self.options = split, options
-        self.tell = on_progress or (lambda message: _log.info("%s", message))
-        self.on_event: OnEvent | None = None
-        """Takes what trainings log."""
+        super().__init__(options.out, on_progress)
+        self.split = split
+        self.options = options
         self.on_images: OnProgress | None = None
         """Takes how many images of an evaluation are done, and how many there are."""
         if len(options.steps) not in (0, 1, len(self.specs)):
@@ -102,10 +75,10 @@ class RunStore:
     def train_repetitions(
         self, faces: Int64[np.ndarray, " L"], specs: Sequence[str], **changes: object
     ) -> list[Trained]:
-        """Train once per seed; arguments as in `train`."""
-        return [self.train(faces, specs, seed=seed, **changes) for seed in self.options.seed_list]
+        """Train once per seed; arguments as in `train_faces`."""
+        return [self.train_faces(faces, specs, seed=seed, **changes) for seed in self.options.seed_list]
 
-    def train(
+    def train_faces(
         self,
         faces: Int64[np.ndarray, " L"],
         specs: Sequence[str],
@@ -123,33 +96,21 @@ class RunStore:
         bodies = bodies or self.split.bodies
         settings = self.train_settings(seed, specs, **changes)
         logo = make_logo(bodies, faces)
-        key = self._train_key(settings, bodies, logo, specs, {} if precision == "float32" else {"precision": precision})
-        folder = self.options.out / "runs" / key
-        with self._locked(key):
-            if not _is_done(folder):
-                named = ", ".join(f"{k}={v}" for k, v in changes.items()) or "default settings"
-                self.tell(f"training {key} ({named})")
-                self._train_into(folder, settings, bodies, logo, specs, precision)
-        colors = read_colors(folder / "colors.npy", len(logo))
-        return Trained(colors, logo, folder, read_history(folder).seconds, cpu_seconds(folder), settings)
+        with _precision([self.split.detectors[spec] for spec in specs], precision) as detectors:
+            training = Training(settings, bodies, logo, detectors, self.split.backgrounds, self._people)
+            changed = ", ".join(f"{name}={value}" for name, value in changes.items()) or "default settings"
+            return self.train_once(training, self.folder(training), changed)
+
+    @cached_property
+    def _people(self) -> tuple[Fit, ...]:
+        """The split's people in photographs, fitted, to train on."""
+        return () if self.split.people is None else tuple(fit_people(self.split.people))
 
     def untrained(
         self, colors: Float32[np.ndarray, "L 3"], faces: Int64[np.ndarray, " L"], folder: Path = Path("untrained")
     ) -> Trained:
         """Take colours that were not trained here, to evaluate them; the folder's name is told in records."""
         return Trained(colors, make_logo(self.split.unseen, faces), folder, math.nan, math.nan, self.train_settings())
-
-    def _train_into(
-        self, folder: Path, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], precision: str
-    ) -> None:
-        chosen = [self.split.detectors[spec] for spec in specs]
-        with _precision(chosen, precision) as detectors, clocked(folder):
-            backgrounds, on_event = self.split.backgrounds, self.on_event
-            people = () if self.split.people is None else fit_people(self.split.people)
-            heard = {"resume": True, "on_event": on_event, "people": people}
-            result = train(settings, bodies, logo, detectors, backgrounds, folder, **heard)
-        if result.stopped:
-            raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
 
     def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
         """Make the settings of a training from the options, with changes by name.
@@ -165,31 +126,19 @@ class RunStore:
             values["steps"] = QUICK_STEPS
         if options.size < 416:
             values["translation"] = options.size // 8  # the presets' are meant for 416 pixels
-        values |= {k: v for k, v in (("batch", options.batch), ("samples", options.samples)) if v is not None}
+        if options.batch is not None:
+            values["batch"] = options.batch
+        if options.samples is not None:
+            values["samples"] = options.samples
         return make_settings(**({"preset": options.preset} | values | changes))
 
     def steps(self, specs: Sequence[str] = (), **changes: object) -> int:
         """Count the updates of a training with these settings."""
         return self.train_settings(specs=specs, **changes).total_steps(len(self.split.backgrounds))
 
-    def _train_key(self, settings: TrainSettings, bodies: Bodies, logo: Logo, specs: Sequence[str], more: dict) -> str:
-        record = {
-            "settings": {k: v for k, v in settings_record(settings).items() if k not in FREE_SETTINGS},
-            "bodies": bodies_record(bodies)["sha256"],
-            "logo": sha256_arrays(logo.face_ids),
-            "detectors": [self._detector_records[spec] for spec in specs],
-            "operating_points": [self.split.detectors[spec].operating_point for spec in specs],
-            "backgrounds": backgrounds_record(self.split.backgrounds),
-        }
-        if self.split.people is not None:
-            record["people"] = people_identity(self.split.people)
-        if settings.optimization.init is not None:
-            record["start"] = sha256_arrays(read_start(Path(settings.optimization.init), logo))
-        return self._key(record | more | {"training": TRAINING_VERSION})
-
     # --- evaluation
 
-    def evaluate(
+    def measure_repetitions(
         self,
         trained: Sequence[Trained],
         angles: Sequence[float],
@@ -204,11 +153,17 @@ class RunStore:
         there. specs: the judging detectors, all where none are given. bodies: the split's unseen
         bodies where none are given. changes: evaluation settings by name.
         """
-        settings, specs = self.evaluate_settings(**changes), tuple(specs or self.specs)
-        bodies, angles, people = bodies or self.split.unseen, tuple(map(float, angles)), self.split.unseen_people
+        settings = self.evaluate_settings(**changes)
+        specs = tuple(specs or self.specs)
+        bodies = bodies or self.split.unseen
+        angles = tuple(map(float, angles))
+        people = self.split.unseen_people
         more = {} if people is None else {"people": people_identity(people)}
-        make = lambda one: partial(self.renderer, one, angles, settings, bodies if people is None else None)
-        return pool([self.measured(make(one), one, bodies, specs, angles, settings, **more) for one in trained])
+        results = []
+        for repetition in trained:
+            make = partial(self.renderer, repetition, angles, settings, bodies if people is None else None)
+            results.append(self.measure_once(make, repetition, bodies, specs, angles, settings, **more))
+        return pool(results)
 
     def evaluate_settings(self, **changes: object) -> EvaluateSettings:
         """Make the settings of an evaluation from the options: all controls that there are, and changes by name."""
@@ -227,16 +182,17 @@ class RunStore:
         self, trained: Trained, angles: Sequence[float], settings: EvaluateSettings, bodies: Bodies | None = None
     ) -> BodyRenderer | PeopleRenderer:
         """Make the renderer of an evaluation's images: these bodies, else unseen people, else unseen bodies."""
-        backgrounds, device = self.split.unseen_backgrounds, next(iter(self.split.detectors.values())).device
+        backgrounds = self.split.unseen_backgrounds
+        device = next(iter(self.split.detectors.values())).device
         if bodies is None and self.split.unseen_people is not None:
             worn = LogoClothes(LOGO, logo_positions(trained.logo.topology, trained.logo.face_ids), trained.colors)
-            how = WearSettings(size=settings.size)
-            return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, how, device)
+            wear = WearSettings(size=settings.size)
+            return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, wear, device)
         bodies = bodies or self.split.unseen
         cloaked = Cloaked(trained.colors, make_logo(bodies, trained.logo.face_ids), bodies, backgrounds)
         return make_renderer(cloaked, angles, settings, device)
 
-    def measured(
+    def measure_once(
         self,
         make: Callable[[], EvaluationRenderer],
         trained: Trained,
@@ -260,11 +216,10 @@ class RunStore:
             "backgrounds": backgrounds_record(self.split.unseen_backgrounds),
             "measurement": MEASUREMENT_VERSION,
         }
-        key = self._key(record | more)
-        folder = self.options.out / "evaluations" / key
-        with self._locked(key):
+        folder = self.out / "evaluations" / content_key(record | more, self.options.device)
+        with self.locked(folder):
             if not (folder / "scores.npz").exists():
-                self.tell(f"evaluating {trained.folder.name} as {key}")
+                self.tell(f"evaluating {trained.folder.name} as {folder.name}")
                 detectors = {spec: self.split.detectors[spec] for spec in specs}
                 results, _ = measure_frozen(make(), detectors, settings, self.on_images)
                 shown = {"run": trained.folder.name, "settings": asdict(settings), "angles": angles, "detectors": specs}
@@ -273,36 +228,9 @@ class RunStore:
                     results.save(temporary / "scores.npz")
         return read_results(folder / "scores.npz")
 
-    # --- keys
-
     @cached_property
     def _detector_records(self) -> dict[str, dict]:
         return {spec: detector_record(detector) for spec, detector in self.split.detectors.items()}
-
-    def _key(self, record: dict) -> str:
-        """Name what a record decides, together with the packages and the kind of device that compute it."""
-        around = {"packages": package_versions(*PACKAGES), "device": device_kind(self.options.device)}
-        try:
-            return sha256_record(record | around)[:16]
-        except ValueError as error:
-            raise InputError(f"settings: {error}") from None
-
-    @contextlib.contextmanager
-    def _locked(self, key: str) -> Iterator[None]:
-        """Wait until no other process makes the result of this key, and keep others from it."""
-        folder = self.options.out / "locks"
-        with written(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        with lock(folder / key, wait=True):
-            for kind in ("runs", "evaluations"):
-                remove_leftovers(self.options.out / kind / key)
-            yield
-
-
-def training_times(trained: Sequence[Trained]) -> dict[str, float | None]:
-    """Average `seconds` and `cpu_seconds` over repetitions, one decimal; None where they were not measured."""
-    mean = {name: float(np.mean([getattr(t, name) for t in trained])) for name in ("seconds", "cpu_seconds")}
-    return {name: None if np.isnan(value) else round(value, 1) for name, value in mean.items()}
 
 
 @contextlib.contextmanager
@@ -316,8 +244,3 @@ def _precision(detectors: Sequence[Detector], precision: str) -> Iterator[Sequen
     finally:
         for detector, old in zip(detectors, before, strict=True):
             detector.precision = old
-
-
-def _is_done(folder: Path) -> bool:
-    """Tell whether a run ended by itself."""
-    return (folder / "colors.npy").exists() and read_history(folder).outcome == "done"

@@ -25,8 +25,10 @@ from cloak_core.evaluation.report.plots import transfer_map
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.report.words import file_name, percent, short_name
 from cloak_core.evaluation.statistics_card import KINSHIPS, transfer_means, transfer_record
-from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained, training_times
 from cloak_core.files.errors import InputError, Stopped
+from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.specs import without_folders
 from cloak_core.files.writing import remove_leftovers, write_json, written
@@ -61,19 +63,19 @@ def family_of(spec: str) -> str:
     return (re.match(r"[a-z]+", last) or re.match(r".*", last))[0]
 
 
-def families(specs: Iterable[str], told: Iterable[str] = ()) -> dict[str, str]:
-    """Find each detector's family by its spec; `told` are NAME=FAMILY, NAME a part of a spec.
+def families(specs: Iterable[str], overrides: Iterable[str] = ()) -> dict[str, str]:
+    """Find each detector's family by its spec; `overrides` are NAME=FAMILY, NAME a part of a spec.
 
     InputError: not so spelled, or no spec has it.
     """
-    found = {spec: family_of(spec) for spec in specs}
-    for words in told:
-        name, mark, family = words.rpartition("=")
-        meant = [spec for spec in found if name in spec]
-        if not (name and mark and family and meant):
-            raise InputError(f"--kin {words}: expected PART_OF_A_SPEC=FAMILY, of the detectors that are given")
-        found |= dict.fromkeys(meant, family)
-    return found
+    family_by_spec = {spec: family_of(spec) for spec in specs}
+    for override in overrides:
+        name, mark, family = override.rpartition("=")
+        matching = [spec for spec in family_by_spec if name in spec]
+        if not (name and mark and family and matching):
+            raise InputError(f"--kin {override}: expected PART_OF_A_SPEC=FAMILY, of the detectors that are given")
+        family_by_spec |= dict.fromkeys(matching, family)
+    return family_by_spec
 
 
 def kinship(judged: str, surrogates: Iterable[str], family: Mapping[str, str]) -> str:
@@ -103,12 +105,14 @@ BASE, RECIPE, ALL = "best", "recipe", "ladder"
 def ablation_names(asked: Sequence[str]) -> tuple[str, ...]:
     """List the ablations' names, `ladder` spelled out. InputError: no such ablation."""
     whole = (BASE, *ALONE, *LADDER, *(f"+{name}" for name in list(LADDER)[1:]), RECIPE)
-    found = tuple(dict.fromkeys(name for one in asked for name in (whole if one == ALL else (one,))))
-    for name in found:
+    names: list[str] = []
+    for name in asked:
+        names += whole if name == ALL else (name,)
+    for name in names:
         if name not in whole:
             known = ", ".join((BASE, *ALONE, *LADDER, RECIPE, ALL))
             raise InputError(f"--rungs: {name!r} is not one of {known}; +NAME is all up to NAME")
-    return found
+    return tuple(dict.fromkeys(names))
 
 
 def ablation_settings(name: str, photographs: bool = False) -> dict[str, object]:
@@ -183,20 +187,16 @@ class Matrix:
         for ablation in ablation_names(asked):
             for judged in self.judges:
                 cell = self.cell(ablation, judged)
-                folder = self.store.options.out / "cells"
-                with written(folder):
-                    folder.mkdir(parents=True, exist_ok=True)
-                file = folder / f"{ablation}--{file_name(judged)}.json"
+                file = cell_file(self.store.out, ablation, judged)
+                with written(file.parent):
+                    file.parent.mkdir(parents=True, exist_ok=True)
                 remove_leftovers(file)
                 write_json(file, cell)
                 self.store.tell(f"{ablation}: {short_name(judged)} ({cell['kin']}) {percent(cell['success'])}")
 
     def groups(self) -> list[tuple[str, ...]]:
         """Group the judged detectors by their surrogates: those together share all trainings."""
-        found: dict[tuple[str, ...], list[str]] = {}
-        for judged in self.judges:
-            found.setdefault(self.surrogates_for(judged), []).append(judged)
-        return [tuple(group) for group in found.values()]
+        return list(_judges_by_surrogates((judged, self.surrogates_for(judged)) for judged in self.judges).values())
 
     def surrogates_for(self, judged: str) -> tuple[str, ...]:
         """List the surrogates that are not the judged network, at any input size, nor (if asked) of its family."""
@@ -212,35 +212,60 @@ class Matrix:
     def cell(self, ablation: str, judged: str) -> dict:
         """Train an ablation without one detector and let it judge: plain values."""
         surrogates = self.surrogates_for(judged)
-        settings = dict(self.cameras.training) | ablation_settings(ablation, self.store.split.people is not None)
+        split = self.store.split
+        settings = dict(self.cameras.training) | ablation_settings(ablation, split.people is not None)
         trained = [self._trained(surrogates, seed, settings) for seed in self.store.options.seed_list]
         test = {"controls": STANDARD} | self.cameras.test
-        results = self.store.evaluate(trained, self.cameras.angles, [judged], **test)
-        label = {"format": FORMAT, "rung": ablation, "judged": judged, "surrogates": list(surrogates)}
-        label |= {"kin": kinship(judged, surrogates, self.family), "strangers_only": self.cross_family_only}
-        split, made = self.store.split, trained[0].settings
-        label |= {"settings": settings, "steps": made.total_steps(len(split.backgrounds)), "batch": made.run.batch}
-        label |= {"logo": self.logo, "area_share": round(area_share(split.bodies, self.faces), 4)}
-        return label | transfer_record(results, judged) | training_times(trained) | {"materials": split.record()}
+        results = self.store.measure_repetitions(trained, self.cameras.angles, [judged], **test)
+        complete = trained[0].settings
+        return {
+            "format": FORMAT,
+            "rung": ablation,
+            "judged": judged,
+            "surrogates": list(surrogates),
+            "kin": kinship(judged, surrogates, self.family),
+            "strangers_only": self.cross_family_only,
+            "settings": settings,
+            "steps": complete.total_steps(len(split.backgrounds)),
+            "batch": complete.run.batch,
+            "logo": self.logo,
+            "area_share": round(area_share(split.bodies, self.faces), 4),
+            **transfer_record(results, judged),
+            **training_times(trained),
+            "materials": split.record(),
+        }
 
     def _trained(self, surrogates: tuple[str, ...], seed: int, settings: dict) -> Trained:
-        left = {} if self.deadline is None else {"max_seconds": self.deadline - time.monotonic()}
-        if left and left["max_seconds"] <= 0:
+        if self.deadline is None:
+            return self.store.train_faces(self.faces, surrogates, seed=seed, **settings)
+        seconds = self.deadline - time.monotonic()
+        if seconds <= 0:
             raise Stopped("the time budget is spent; the same command goes on with what is left")
-        return self.store.train(self.faces, surrogates, seed=seed, **settings, **left)
+        return self.store.train_faces(self.faces, surrogates, seed=seed, **settings, max_seconds=seconds)
+
+
+def cell_file(out: Path, ablation: str, judged: str) -> Path:
+    """Name the file of a cell: detectors may share a short name, so that the hash of the spec is part of it."""
+    return out / "cells" / f"{ablation}--{file_name(judged)}-{sha256_record(judged)[:6]}.json"
 
 
 def gather(out: Path) -> list[dict]:
     """Read every cell that OUT holds, in the order of the ladder. InputError: none, or none of this format."""
-    cells = [read_json(path) for path in sorted((out / "cells").glob("*.json"))]
+    cells: dict[tuple[str, str], dict] = {}
+    for path in sorted((out / "cells").glob("*.json")):
+        cell = read_json(path)
+        if cell.get("format") != FORMAT:
+            raise InputError(f"{path}: a cell of another version ({cell.get('format')}); this one has {FORMAT}")
+        # Earlier versions named files without the hash. Such a file sorts behind the one that was made since.
+        cells.setdefault((cell["rung"], cell["judged"]), cell)
     if not cells:
         raise InputError(f"{out}: holds no cell of a transfer matrix")
-    for cell in cells:
-        if cell.get("format") != FORMAT:
-            said = f"a cell of another version ({cell.get('format')}); this one has {FORMAT}"
-            raise InputError(f"{out / 'cells'}: {said}")
     order = {name: place for place, name in enumerate(ablation_names((ALL,)))}
-    return sorted(cells, key=lambda cell: (order.get(cell["rung"], len(order)), cell["rung"], cell["judged"]))
+
+    def place(cell: dict) -> tuple[int, str, str]:
+        return order.get(cell["rung"], len(order)), cell["rung"], cell["judged"]
+
+    return sorted(cells.values(), key=place)
 
 
 def summary(cells: Sequence[dict]) -> dict:
@@ -262,15 +287,19 @@ def show(cells: Sequence[dict], folder: Path, name: str, command: str = "") -> l
         "name": name,
         "cells": cells,
         "seeds": max(len(cell["by_seed"]) for cell in cells),
-        "ladder": [(ablation, own, summary(own), _judges(own)) for ablation, own in ladder.items()],
+        "ladder": [(ablation, own, summary(own), _judges_of(own)) for ablation, own in ladder.items()],
         "command": without_folders(command),
     }
     return [*files, write_page(folder / f"{name}.md", "transfer.md", values)]
 
 
-def _judges(cells: Sequence[dict]) -> dict[tuple[str, ...], list[str]]:
-    """Group the judged detectors by their surrogates."""
-    found: dict[tuple[str, ...], list[str]] = {}
-    for cell in cells:
-        found.setdefault(tuple(cell["surrogates"]), []).append(cell["judged"])
-    return found
+def _judges_of(cells: Sequence[dict]) -> dict[tuple[str, ...], tuple[str, ...]]:
+    return _judges_by_surrogates((cell["judged"], tuple(cell["surrogates"])) for cell in cells)
+
+
+def _judges_by_surrogates(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> dict[tuple[str, ...], tuple[str, ...]]:
+    """Group judged detectors by their surrogates: those together share all trainings."""
+    judges: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for judged, surrogates in pairs:
+        judges[surrogates] = (*judges.get(surrogates, ()), judged)
+    return judges

@@ -32,11 +32,12 @@ class Matrix:
 
     def draw(self, rows: Rows, thresholds: Sequence = ()) -> Figure | None:
         """Draw where several detectors were trained on."""
-        names, by_source = detector_names(rows), group(rows, "trained_on")
+        names = detector_names(rows)
+        by_source = group(rows, "trained_on")
         if len(by_source) < 2:
             return None
         tested = next(iter(by_source.values()))  # controls wear nothing trained: alike under every source
-        shares = [column(mine) for mine in by_source.values()] + [column(tested, c) for c in self.controls]
+        shares = [column(of_source) for of_source in by_source.values()] + [column(tested, c) for c in self.controls]
         heads = [names[spec] for spec in by_source]
         below = [SERIES[control].label for control in self.controls]
         figure = heat_map(np.array(shares), [*heads, *below], heads, rule=len(heads))
@@ -57,16 +58,17 @@ class Thresholds:
 
     def draw(self, rows: Rows, thresholds: Rows) -> Figure | None:
         """Draw up to seven rows; None for more or none."""
-        mine = select(thresholds, **self.where)
+        curves = select(thresholds, **self.where)
         if not self.by_control:
-            own, mine = select(mine, control=CLOTHING)[:1], select(mine, control=LOGO)
-            if not 1 <= len(mine) <= len(CYCLE):
+            clothing = select(curves, control=CLOTHING)[:1]
+            trained = select(curves, control=LOGO)
+            if not 1 <= len(trained) <= len(CYCLE):
                 return None
-            mine = [row | {"line": label} for row, label in zip(mine, distinct_labels(mine), strict=True)]
-            judges = [row.get("tested_on", row.get("detector")) for row in (*own, *mine)]
-            seen = f", seen by {detector_names(own)[judges[0]]}" if len(set(judges)) > 1 else ""
-            mine += [row | {"line": SERIES[CLOTHING].label + seen} for row in own]
-        points = [row | {"threshold": t, "success": row[f"at_{t:g}"]} for row in mine for t in THRESHOLDS]
+            curves = [row | {"line": label} for row, label in zip(trained, distinct_labels(trained), strict=True)]
+            judges = [row.get("tested_on", row.get("detector")) for row in (*clothing, *curves)]
+            seen = f", seen by {detector_names(clothing)[judges[0]]}" if len(set(judges)) > 1 else ""
+            curves += [row | {"line": SERIES[CLOTHING].label + seen} for row in clothing]
+        points = [row | {"threshold": t, "success": row[f"at_{t:g}"]} for row in curves for t in THRESHOLDS]
         series = "control" if self.by_control else "line"
         return Lines(x="threshold", series=series, panel=self.panel, interval="").draw(points)
 
@@ -77,8 +79,8 @@ def distinct_labels(rows: Rows) -> list[str]:
     left = {"control", "seconds", "cpu_seconds", "area_share", "logo_faces", "reach"}
     keys = [key for key in rows[0] if key not in left and not key.startswith("at_")]
     for more in ([], ["area_share"]):
-        told = [key for key in (*keys, *more) if len({str(row.get(key)) for row in rows}) > 1]
-        labels = [", ".join(_value(key, row[key], names) for key in told) or SERIES[LOGO].label for row in rows]
+        differing = [key for key in (*keys, *more) if len({str(row.get(key)) for row in rows}) > 1]
+        labels = [", ".join(_value(key, row[key], names) for key in differing) or SERIES[LOGO].label for row in rows]
         if len(set(labels)) == len(labels):
             break
     return labels

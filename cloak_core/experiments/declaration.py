@@ -14,7 +14,8 @@ from PIL import Image
 
 from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
 from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore, Trained
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained
 from cloak_core.experiments.charts import Chart, Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
 
@@ -35,7 +36,7 @@ class Cell:
     specs: Sequence[str] = ()
     """Detectors trained against; the first where none are named."""
     training: Mapping[str, object] = field(default_factory=dict)
-    """Further arguments of `RunStore.train`: settings, bodies, precision."""
+    """Further arguments of `RunStore.train_faces`: settings, bodies, precision."""
     colors: Float32[np.ndarray, "L 3"] | None = None
     """Of these faces, to be judged without training."""
     begun: Sequence[str] = ()
@@ -46,7 +47,7 @@ class Cell:
     angles: Sequence[float] = ()
     """Test azimuths, degrees; the paper's where none are given."""
     test: Mapping[str, object] = field(default_factory=dict)
-    """Further arguments of `RunStore.evaluate`: settings, bodies."""
+    """Further arguments of `RunStore.measure_repetitions`: settings, bodies."""
     columns: Sequence[str] = ()
     """Of `statistics.operating_row`; none: all of `statistics.training_row`, and curves over thresholds."""
     extra: Callable[[Results, str], dict] = lambda results, spec: {}

@@ -44,8 +44,15 @@ def make_page(out: Path) -> Path:
 def _shown(name: str, record: dict, most: int, leave: Sequence[str] = ()) -> dict:
     """Prepare what both kinds of pages show of an experiment: at most so many rows, without the columns `leave`."""
     rows = [{key: value for key, value in row.items() if key not in leave} for row in record["rows"][:most]]
-    told = {key: record[key] for key in ("title", "words", "counts")} | {"name": name, "table": readable(rows)}
-    return told | {"left": max(0, len(record["rows"]) - most), "paper": readable(record["paper"])}
+    return {
+        "name": name,
+        "title": record["title"],
+        "words": record["words"],
+        "counts": record["counts"],
+        "table": readable(rows),
+        "left": max(0, len(record["rows"]) - most),
+        "paper": readable(record["paper"]),
+    }
 
 
 def figure(path: Path) -> dict:
@@ -67,7 +74,8 @@ def publish(out: Path, folder: Path) -> Path:
         plots = [file for file in record["figures"] if file.endswith(".png")]
         config = read_json(out / name / "config.json")
         command = str(config.get("command", "")).replace(str(out), "OUT").replace(str(folder), "DOCS")
-        rows, curves = record["rows"][:ROWS], record.get("thresholds", [])
+        rows = record["rows"][:ROWS]
+        curves = record.get("thresholds", [])
         spread = [_spread(row) for row in rows if row.get("seeds", 1) > 1 and "worst_seed" in row]
         shown.append(
             _shown(name, record, ROWS, LEFT_OUT)

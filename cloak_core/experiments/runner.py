@@ -17,10 +17,11 @@ from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.charts import Rows
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore, Trained, training_times
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained, training_times
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.experiments.charts import Thresholds
-from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, test_angles
+from cloak_core.experiments.declaration import MULTI, Cell, Experiment, Numbers, Trainings, test_angles
 from cloak_core.experiments.options import names
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json
@@ -36,8 +37,8 @@ FORMAT = "cloak experiment 1"
 def experiments() -> dict[str, Experiment]:
     """Load every declaration, by name, in the order in which `all` runs them."""
     package = "cloak_core.experiments.declared."
-    found = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
-    return dict(sorted(found.items(), key=lambda item: item[1].order))
+    declared = {name: import_module(package + name.replace("-", "_")).EXPERIMENT for name in names()}
+    return dict(sorted(declared.items(), key=lambda item: item[1].order))
 
 
 def run_experiment(name: str, store: RunStore) -> dict:
@@ -56,7 +57,10 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
     """Train and judge every cell of an experiment; rows over all images come first, then rows along a column."""
     if experiment.measure:
         return experiment.measure(store)
-    whole, along, thresholds, trainings = [], [], [], []
+    whole: Rows = []
+    along: Rows = []
+    thresholds: Rows = []
+    trainings: Trainings = []
     for cell, trained, results in _measured(store, experiment.cells(store)):
         trainings.append((cell, trained))
         for spec in _judges(cell, store):
@@ -66,7 +70,8 @@ def measure(experiment: Experiment, store: RunStore) -> Numbers:
             if cell.baseline is not None:
                 rate = statistics.hidden_rate(results.rows(spec, CLOTHING))
                 whole.append({**cell.baseline, "detector": spec} | statistics.rate_row(rate))
-            along += _rows_along(cell, results, spec) if cell.along else ()
+            if cell.along:
+                along += _rows_along(cell, results, spec)
     steps = {spec: store.steps([spec], angles=MULTI) for spec in store.specs}
     facts = {"angles": len(test_angles(store)), "steps": steps, **experiment.facts}
     return Numbers(experiment.finish(whole + along), facts, thresholds, experiment.pictures(store, trainings))
@@ -87,7 +92,11 @@ def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, li
     for cell in cells:
         own = cell.store or store
         trained = _trained(cell, own)
-        yield cell, trained, own.evaluate(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test)
+        yield (
+            cell,
+            trained,
+            own.measure_repetitions(trained, cell.angles or test_angles(store), _judges(cell, store), **cell.test),
+        )
 
 
 def _trained(cell: Cell, store: RunStore) -> list[Trained]:
@@ -97,7 +106,7 @@ def _trained(cell: Cell, store: RunStore) -> list[Trained]:
     training = dict(cell.training)
     if cell.begun:
         length = {"angles": MULTI, "steps": store.steps(cell.begun, angles=MULTI)}
-        begun = store.train(faces, cell.begun, seed=store.options.seed, **length)
+        begun = store.train_faces(faces, cell.begun, seed=store.options.seed, **length)
         training["init"] = str(begun.folder)
     return store.train_repetitions(faces, cell.specs or store.specs[:1], **training)
 
@@ -111,15 +120,17 @@ def _row(cell: Cell, bodies: Bodies, trained: list[Trained], results: Results, s
     label = dict(cell.label)
     if cell.area:
         label["area_share"] = round(area_share(bodies, trained[0].logo.face_ids), 4)
-    label |= {column: "all" for column in list(cell.along)[:1]}
-    label |= {} if cell.judge_column in label else {cell.judge_column: spec}
-    label |= training_times(trained) if cell.timed else {}
+    if cell.along:
+        label[next(iter(cell.along))] = "all"
+    label.setdefault(cell.judge_column, spec)
+    if cell.timed:
+        label |= training_times(trained)
     if not cell.columns:
         row = statistics.training_row(results, spec)
         return label | {key: value for key, value in row.items() if key != "detector"} | cell.extra(results, spec)
     row = statistics.operating_row(results, spec)
-    told = {key: row[key] for key in ("success", "low", "high", "n", *cell.columns)}
-    return label | told | cell.extra(results, spec)
+    columns = {key: row[key] for key in ("success", "low", "high", "n", *cell.columns)}
+    return label | columns | cell.extra(results, spec)
 
 
 def _rows_along(cell: Cell, results: Results, spec: str) -> Iterator[dict]:
@@ -164,7 +175,8 @@ def draw_again(name: str, out: Path) -> dict:
 
     InputError: it was never run, or an unreadably early version ran it.
     """
-    experiment, folder = find(name), out / name
+    experiment = find(name)
+    folder = out / name
     record = read_json(folder / "numbers.json")
     if record.get("format") != FORMAT:
         raise InputError(f"{folder / 'numbers.json'}: not a {FORMAT}; run the experiment again to draw its figures")
@@ -189,7 +201,7 @@ def finished(out: Path) -> dict[str, dict]:
     """Read the records of the experiments that OUT holds, in order. InputError: there is none."""
     paths = {name: out / name / "numbers.json" for name in experiments()}
     records = {name: read_json(path) for name, path in paths.items() if path.exists()}
-    found = {name: record for name, record in records.items() if "words" in record}
-    if not found:
+    drawn = {name: record for name, record in records.items() if "words" in record}
+    if not drawn:
         raise InputError(f"{out}: holds no finished experiment")
-    return found
+    return drawn

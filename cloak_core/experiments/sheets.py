@@ -56,6 +56,7 @@ def draw_sheet(rows: Mapping[str, Sequence[Picture]]) -> Image.Image:
 def trial_picture(renderer: EvaluationRenderer, trial: int, detector: Detector, threshold: float) -> Picture:
     """Show one trial in the trained colours, with the boxes that a detector reports."""
     image = render_images(renderer, [trial], LOGO)
-    told = reported(image, {"": detector}, threshold)
-    boxes, score = told["boxes"][""], told["scores"][""]
+    report = reported(image, {"": detector}, threshold)
+    boxes = report["boxes"][""]
+    score = report["scores"][""]
     return Picture(to_pil(image[0]), f"person {score:.2f}" if boxes else f"no person (best {score:.2f})", boxes)

@@ -87,5 +87,8 @@ def beats_adaptive(rows: Rows, same: tuple[str, ...]) -> Rows:
     Where there is none with them, it does not.
     """
     highest = {tuple(row[name] for name in same): row["high"] for row in longest_adaptive(rows, same)}
-    key = lambda row: tuple(row[name] for name in same)
-    return [row | {"beats_adaptive": row["success"] > highest.get(key(row), 1.0)} for row in rows]
+    compared = []
+    for row in rows:
+        bound = highest.get(tuple(row[name] for name in same), 1.0)
+        compared.append(row | {"beats_adaptive": row["success"] > bound})
+    return compared

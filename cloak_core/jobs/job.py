@@ -27,6 +27,11 @@ class Job:
     gpus: float = 0.0
 
 
+def resources(threads: int | None, device: str, gpus: float) -> dict[str, float]:
+    """Say what a job takes that computes with so many threads on a torch device. gpus: of one, where it is a GPU."""
+    return {"cores": threads or 1, "gpus": 0.0 if device == "cpu" else gpus}
+
+
 @dataclass(frozen=True)
 class Outcome:
     """How a job ended."""
@@ -59,7 +64,9 @@ def in_order(jobs: Sequence[Job]) -> Iterator[Outcome]:
 
 def done(job: Job) -> Outcome:
     """Do a job now."""
-    started, result, error = time.perf_counter(), None, ""
+    started = time.perf_counter()
+    result = None
+    error = ""
     try:
         result = job.work(**job.arguments)
     except InputError as refused:

@@ -44,7 +44,8 @@ class RayCluster:
 
         with self._connected(ray):
             self._require_room(ray, jobs)
-            left, asked = iter(jobs), {}
+            left = iter(jobs)
+            asked: dict[object, Job] = {}
             try:
                 while True:
                     for job in itertools.islice(left, AHEAD - len(asked)):
@@ -59,8 +60,8 @@ class RayCluster:
 
     @contextlib.contextmanager
     def _connected(self, ray: ModuleType) -> Iterator[None]:
-        mine = not ray.is_initialized()
-        if mine:
+        is_ours = not ray.is_initialized()
+        if is_ours:
             _require_answer(self.address)
             options = {"include_dashboard": False} if self.address == LOCAL else {}
             try:
@@ -70,12 +71,12 @@ class RayCluster:
                 if not isinstance(error, (ConnectionError, ValueError, RuntimeError)) and type(error) is not Exception:
                     raise
                 raise InputError(f"--ray {self.address}: {str(error).splitlines()[0]}") from None
-        local = mine and self.address == LOCAL
-        with kept(ray.get_runtime_context().get_session_name()) if local else contextlib.nullcontext():
+        is_local = is_ours and self.address == LOCAL
+        with kept(ray.get_runtime_context().get_session_name()) if is_local else contextlib.nullcontext():
             try:
                 yield
             finally:
-                if mine:
+                if is_ours:
                     ray.shutdown()
 
     def _require_room(self, ray: ModuleType, jobs: Sequence[Job]) -> None:

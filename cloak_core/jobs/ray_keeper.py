@@ -42,15 +42,15 @@ def processes_of(session: str) -> list[int]:
 
     Their command lines name it, or they are Ray's by their title and have its logs open.
     """
-    found = []
+    processes = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError, InputError):  # ended meanwhile, or somebody else's
             words = read_bytes(folder / "cmdline").split(b"\0")
             named = any(session.encode() in word for word in words)
             titled = words[0].startswith(b"ray::") and any(session in os.readlink(f) for f in (folder / "fd").iterdir())
             if (named or titled) and b"cloak_core.jobs.ray_keeper" not in words:
-                found.append(int(folder.name))
-    return found
+                processes.append(int(folder.name))
+    return processes
 
 
 def wait_and_end(session: str) -> None:

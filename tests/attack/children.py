@@ -12,9 +12,10 @@ from unittest import mock
 
 import torch
 
-from cloak_core.attack import checkpoints, loop, sweeps
+from cloak_core.attack import checkpoints, loop
 from cloak_core.attack.checkpoints import Checkpoint, save_checkpoint
 from cloak_core.attack.training import train
+from cloak_core.evaluation.grids import SweepRun, read_grid
 from cloak_core.files.errors import InputError
 from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 
@@ -53,13 +54,13 @@ def drain(pipe: object) -> list[int]:
         return said
 
 
-def tiny_runs(folder: Path) -> list[sweeps.SweepRun]:
+def tiny_runs(folder: Path) -> list[SweepRun]:
     """Two learning rates with two seeds each; their material comes from `tiny_material`."""
     base = "scene = 'box'\nlogo = 'front'\nsteps = 4\nbatch = 3\nsize = 64\ntranslation = 5\nsamples = 1\n"
     base += "angles = '-10,10'\ncheckpoint_every = 2\npreview_every = 3\n"
     grid = folder / "tiny.toml"
     grid.write_text(f"[base]\n{base}\n[grid]\nlr = [0.02, 0.05]\nseed = [0, 1]\n")
-    return sweeps.read_grid(grid)
+    return read_grid(grid)
 
 
 def tiny_material(run: object) -> tuple:

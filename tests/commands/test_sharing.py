@@ -8,8 +8,9 @@ from cloak_core import cli
 from cloak_core.commands import sharing
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.reproduce import PARTS, Reproduce
-from cloak_core.evaluation import store
+from cloak_core.evaluation import store, training_store
 from cloak_core.experiments.options import Options
+from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.locks import lock
 from cloak_core.jobs.job import done
 from tests.schemas import validate
@@ -79,8 +80,8 @@ def test_parts_of_a_matrix_are_found_again_by_the_whole(transfer, elsewhere, tmp
     matrix = validate("transfer", there)["matrix"]
     assert {s: c["success"] for s, c in matrix.items()} == {s: c["success"] for s, c in here["matrix"].items()}
     # What the parts made is there: nothing is trained or measured any more.
-    for name in ("train", "measure_frozen"):
-        monkeypatch.setattr(store, name, lambda *given, **more: pytest.fail("made again"))
+    for module, name in ((training_store, "train"), (store, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
     assert main(asked) == 0
 
 
@@ -94,14 +95,14 @@ def failing(error):
 
 
 def test_a_part_that_fails_is_named_after_the_others_are_done(transfer, elsewhere, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(store.RunStore, "train", failing(store.InputError("no")))
+    monkeypatch.setattr(store.RunStore, "train_faces", failing(InputError("no")))
     assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 2
     said = capsys.readouterr().err
     assert "2 of 2 parts failed, the first of them recipe, judged by" in said and said.rstrip().endswith(": no")
 
 
 def test_a_part_that_was_ended_early_ends_the_command_in_order(transfer, elsewhere, tmp_path, monkeypatch):
-    monkeypatch.setattr(store.RunStore, "train", failing(store.Stopped("enough")))
+    monkeypatch.setattr(store.RunStore, "train_faces", failing(Stopped("enough")))
     assert main([*transfer, "--out", str(tmp_path / "out"), "--ray", "local"]) == 3
     assert len(elsewhere.names) == 1
 

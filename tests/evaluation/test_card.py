@@ -19,7 +19,7 @@ from cloak_core.commands import progress as progress_module
 from cloak_core.commands.assess import Assess
 from cloak_core.commands.progress import WorkProgress
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.evaluation import store as store_module
+from cloak_core.evaluation import store, training_store
 from cloak_core.evaluation.card import words
 from cloak_core.evaluation.card import work as work_module
 from cloak_core.evaluation.card.assess import Assessment
@@ -123,8 +123,8 @@ def test_the_card_has_what_the_protocol_asks_for(made: tuple[Path, dict, list]) 
 @pytest.mark.slow
 def test_it_is_made_once_and_the_same_again(made: tuple[Path, dict, list], monkeypatch: pytest.MonkeyPatch) -> None:
     out, card, _ = made
-    for name in ("train", "measure_frozen"):
-        monkeypatch.setattr(store_module, name, lambda *_, **__: pytest.fail("made again"))
+    for module, name in ((training_store, "train"), (store, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
     again = Assessment(make_store(out, Glow("glow")), TINY, out / "glow", ["builtin-sample"]).run()
     assert again == card  # its seconds, too: of what was done before, no more
 

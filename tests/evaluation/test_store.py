@@ -6,11 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cloak_core.attack.held_out import TrainingData
+from cloak_core.attack.run_config import check_same
+from cloak_core.attack.settings import make_settings
+from cloak_core.attack.training import training_config
 from cloak_core.evaluation import store as store_module
+from cloak_core.evaluation import training_store
 from cloak_core.evaluation.data_split import DataSplit, open_data_split
 from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Training, TrainingStore, content_key
 from cloak_core.files.errors import InputError, Stopped
-from cloak_core.scene.logos.logo import chest_thighs
+from cloak_core.scene.logos.logo import chest_thighs, make_logo
 from tests.evaluation.made_split import Glow, make_options, make_split
 
 RED, BLUE = "red:a.cfg", "blue:b.cfg"
@@ -28,10 +34,10 @@ def test_trainings_and_evaluations_are_made_once(
     faces = chest_thighs(split.bodies)
     first = RunStore(split, make_options(tmp_path))
     trained = first.train_repetitions(faces, [RED])
-    results = first.evaluate(trained, (0.0, 5.0))
+    results = first.measure_repetitions(trained, (0.0, 5.0))
     assert len({t.folder for t in trained}) == 2 == results.trainings  # one per seed
-    for name in ("train", "measure_frozen"):
-        monkeypatch.setattr(store_module, name, lambda *_, **__: pytest.fail("made again"))
+    for module, name in ((training_store, "train"), (store_module, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
     evaluated = next((tmp_path / "evaluations").iterdir()).name
     left = [
         tmp_path / "runs" / f".{trained[0].folder.name}.ab12_xyz",
@@ -43,31 +49,62 @@ def test_trainings_and_evaluations_are_made_once(
     again = RunStore(split, make_options(tmp_path))
     found = again.train_repetitions(faces, [RED])
     assert [t.folder for t in found] == [t.folder for t in trained]
-    assert again.evaluate(found, (0.0, 5.0)).images.equals(results.images)
+    assert again.measure_repetitions(found, (0.0, 5.0)).images.equals(results.images)
     assert not [folder for folder in left if folder.exists()]
     # Whatever decides the result names another run.
     for spec, changes in ((BLUE, {}), (RED, {"tv_weight": 1.0})):
         with pytest.raises(pytest.fail.Exception, match="made again"):
-            again.train(faces, [spec], **changes)
+            again.train_faces(faces, [spec], **changes)
     monkeypatch.setattr(store_module, "MEASUREMENT_VERSION", 0)
     assert again.train_repetitions(faces, [RED])  # which a change of measuring does not touch
     with pytest.raises(pytest.fail.Exception, match="made again"):
-        again.evaluate(found, (0.0, 5.0))
-    monkeypatch.setattr(store_module, "TRAINING_VERSION", 0)
+        again.measure_repetitions(found, (0.0, 5.0))
+    monkeypatch.setattr(training_store, "TRAINING_VERSION", 0)
     with pytest.raises(pytest.fail.Exception, match="made again"):
-        again.train(faces, [RED])
+        again.train_faces(faces, [RED])
 
 
-def test_packages_and_the_device_are_in_every_key(
-    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = RunStore(split, make_options(tmp_path))
-    key = store._key({"settings": 1})
-    assert key == store._key({"settings": 1}) != store._key({"settings": 2})
-    monkeypatch.setattr(store_module, "device_kind", lambda device: "another")
-    other = store._key({"settings": 1})
-    monkeypatch.setattr(store_module, "package_versions", lambda *names: {"torch": "1.0"})
-    assert len({key, other, store._key({"settings": 1})}) == 3
+def test_packages_and_the_device_are_in_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = content_key({"settings": 1}, "cpu")
+    assert key == content_key({"settings": 1}, "cpu") != content_key({"settings": 2}, "cpu")
+    monkeypatch.setattr(training_store, "device_kind", lambda device: "another")
+    other = content_key({"settings": 1}, "cpu")
+    monkeypatch.setattr(training_store, "package_versions", lambda *names: {"torch": "1.0"})
+    assert len({key, other, content_key({"settings": 1}, "cpu")}) == 3
+
+
+def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_path: Path) -> None:
+    """Two trainings have one key exactly where one may go on with the other's run folder."""
+    bodies = split.bodies.select_poses([0])
+    logo = make_logo(bodies, chest_thighs(bodies))
+    settings = make_settings(steps=2, batch=2, size=48, translation=4)
+    base = Training(settings, bodies, logo, [split.detectors[RED]], split.backgrounds)
+    palettes = [tmp_path / "a.txt", tmp_path / "b.txt"]
+    for number, palette in enumerate(palettes):
+        palette.write_text(f"0.1 0.1 0.{number}\n")
+    with_palettes = [replace(base, settings=settings.changed(palette=str(p), nps_weight=0.1)) for p in palettes]
+    store = TrainingStore(tmp_path)
+    others = [
+        replace(base, settings=settings.changed(seed=1)),
+        replace(base, bodies=split.bodies),
+        replace(base, detectors=[split.detectors[BLUE]]),
+        replace(base, backgrounds=split.unseen_backgrounds),
+        *with_palettes,
+    ]
+    keys = {store.training_key(training) for training in (base, *others)}
+    assert len(keys) == 1 + len(others)
+    for free in ({"preview_every": 7}, {"max_seconds": 5.0}):
+        again = replace(base, settings=settings.changed(**free))
+        assert store.training_key(again) == store.training_key(base)
+        check_same(_config(base), _config(again), tmp_path)
+    for other in others:
+        with pytest.raises(InputError, match="was started with"):
+            check_same(_config(base), _config(other), tmp_path)
+
+
+def _config(training: Training) -> dict:
+    material = TrainingData(training.bodies, training.backgrounds)
+    return training_config(training.settings, material, training.logo, training.detectors)
 
 
 def test_a_detector_run_by_another_source_is_measured_anew(split: DataSplit, tmp_path: Path) -> None:
@@ -81,18 +118,18 @@ def test_a_detector_run_by_another_source_is_measured_anew(split: DataSplit, tmp
 @pytest.mark.slow
 def test_an_interrupted_set_goes_on(split: DataSplit, tmp_path: Path) -> None:
     faces = chest_thighs(split.bodies)
-    whole = RunStore(split, make_options(tmp_path, steps=(3,))).train(faces, [RED]).colors
+    whole = RunStore(split, make_options(tmp_path, steps=(3,))).train_faces(faces, [RED]).colors
     other = RunStore(split, make_options(tmp_path / "other", steps=(3,)))
     with pytest.raises(Stopped, match="stopped at step 1"):
-        other.train(faces, [RED], max_seconds=1e-6)
-    assert np.array_equal(other.train(faces, [RED]).colors, whole)
+        other.train_faces(faces, [RED], max_seconds=1e-6)
+    assert np.array_equal(other.train_faces(faces, [RED]).colors, whole)
 
 
 @pytest.mark.slow
 def test_each_detector_may_have_its_own_number_of_steps(split: DataSplit, tmp_path: Path) -> None:
     store = RunStore(split, make_options(tmp_path, steps=(2, 3)))
     faces = chest_thighs(split.bodies)
-    length = lambda *specs: store.train(faces, specs).settings.run.steps
+    length = lambda *specs: store.train_faces(faces, specs).settings.run.steps
     assert (length(RED), length(BLUE), length(RED, BLUE)) == (2, 3, 3)
     assert store.steps() == 2 and store.options.counts()["steps"] == "2 / 3 by detector"
     more = store.with_detectors({"green": Glow("green", 1)})

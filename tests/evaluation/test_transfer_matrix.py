@@ -1,5 +1,6 @@
 """Cloaks judged by a detector that training left out: families, ablations, and how cells become a table."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from cloak_core.attack.settings import make_settings, merge
 from cloak_core.cli import load
 from cloak_core.commands import parsing
-from cloak_core.evaluation import store as store_module
+from cloak_core.evaluation import training_store
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.settings import StoreOptions
 from cloak_core.evaluation.store import RunStore
@@ -29,6 +30,7 @@ from cloak_core.evaluation.transfer import (
 )
 from cloak_core.files.errors import InputError, Stopped
 from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json
 from cloak_core.scene.backdrops.backgrounds import load_backgrounds
 from cloak_core.scene.logos.logo import chest_thighs
 from cloak_core.scene.people.samples import sample_bodies
@@ -128,13 +130,30 @@ def test_people_in_photographs_are_trained_on_and_others_judge(tmp_path):
 
 
 @pytest.mark.slow
+def test_detectors_that_share_a_short_name_have_a_cell_each(tmp_path):
+    out = tmp_path / "m"
+    specs = {"python:glow.py:red": Glow("red", 0), "python:glow.py:green": Glow("green", 1)}
+    judges = tuple(specs)
+    base = matrix(out, judges=judges)
+    split = dataclasses.replace(base.store.split, detectors=base.store.split.detectors | specs)
+    store = RunStore(split, base.store.options)
+    dataclasses.replace(base, store=store, family=families(store.specs)).fill(["best"])
+    assert [cell["judged"] for cell in gather(out)] == sorted(judges)
+    # Where an earlier version named the file without the hash, what was made since counts.
+    (earlier,) = [cell for cell in gather(out) if cell["judged"] == judges[0]]
+    write_json(out / "cells" / "best--python-glow.json", earlier | {"success": 2.0})
+    assert [cell["judged"] for cell in gather(out)] == sorted(judges)
+    assert all(cell["success"] <= 1 for cell in gather(out))
+
+
+@pytest.mark.slow
 def test_cells_are_made_once_and_shared(tmp_path, monkeypatch):
     out = tmp_path / "m"
     matrix(out, judges=("yolo:a",)).fill(["best"])
     # A detector that is judged alone has the same surrogates, so the training is there already.
     matrix(out, judges=("onnx:red.onnx",)).fill(["best"])
     assert len(list((out / "runs").iterdir())) == 2
-    monkeypatch.setattr(store_module, "train", lambda *_, **__: pytest.fail("trained again"))
+    monkeypatch.setattr(training_store, "train", lambda *_, **__: pytest.fail("trained again"))
     matrix(out, judges=("yolo:a", "onnx:red.onnx")).fill(["best"])
     cells = gather(out)
     assert [cell["judged"] for cell in cells] == ["onnx:red.onnx", "yolo:a"]

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from cloak_core.cli import main
-from cloak_core.evaluation import store
+from cloak_core.evaluation import store, training_store
 from cloak_core.evaluation.data_split import DataSplit
 from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.store import RunStore
@@ -142,8 +142,8 @@ def test_what_the_parts_of_an_experiment_made_is_found_by_the_whole(
     run_store, transfer = RunStore(split, make_options(tmp_path, seeds=1)), experiments()["transfer"]
     for part in range(3):
         measure_part(transfer, run_store, part, 3)
-    for name in ("train", "measure_frozen"):
-        monkeypatch.setattr(store, name, lambda *given, **more: pytest.fail("made again"))
+    for module, name in ((training_store, "train"), (store, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *given, **more: pytest.fail("made again"))
     assert len(measure(transfer, run_store).rows) == 4
 
 

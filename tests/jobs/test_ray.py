@@ -13,8 +13,9 @@ import ray
 from ray.cluster_utils import Cluster
 
 from cloak_core.attack.events import read_events
-from cloak_core.attack.sweeps import Sweep, read_grid
 from cloak_core.commands.options import prepare_process
+from cloak_core.evaluation.grids import read_grid
+from cloak_core.evaluation.sweeps import Sweep
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
@@ -101,9 +102,8 @@ def test_a_node_dies_and_the_colours_are_those_of_one_process(tmp_path, cluster)
     record = there.write_results()
     assert record["done"] == record["runs"] == len(said) == 4
     assert len(cluster.list_all_nodes()) == 2
-    for run in runs:
-        colors = [read_colors(tmp_path / name / "runs" / run.name / "colors.npy") for name in ("here", "there")]
-        assert np.array_equal(*colors)
+    for folders in zip(here.folders, there.folders, strict=True):
+        assert np.array_equal(*(read_colors(folder / "colors.npy") for folder in folders))
     resumed = [e for path in (tmp_path / "there").glob("runs/*/events.jsonl") for e in read_events(path)]
     assert any(event["type"] == "resume" for event in resumed)
 

@@ -24,8 +24,9 @@ from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.settings import WearSettings
-from cloak_core.evaluation.store import MEASUREMENT_VERSION, TRAINING_VERSION, RunStore, Trained
+from cloak_core.evaluation.store import MEASUREMENT_VERSION, RunStore
 from cloak_core.evaluation.trained_run import read_run, seen_in_training, trained_against
+from cloak_core.evaluation.training_store import TRAINING_VERSION, Trained
 from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, LogoClothes, read_clothes
 from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.exchange.colors import read_colors
@@ -285,7 +286,7 @@ class Assessment:
 
     def _evaluated(self, part: str, trained: Sequence[Trained], angles: tuple[float, ...], settings: dict) -> Results:
         self.shown[part] = (trained[0], angles, settings)
-        return self.store.evaluate(trained, angles, **settings)
+        return self.store.measure_repetitions(trained, angles, **settings)
 
 
 def _fewer(count: int, share: float) -> int:

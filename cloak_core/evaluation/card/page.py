@@ -21,7 +21,8 @@ from cloak_core.evaluation.report import page, plots
 from cloak_core.evaluation.report.pictures import describe, draw_pair, draw_trial, first_by, write_flat, write_shot
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.statistics import hidden
-from cloak_core.evaluation.store import RunStore, Trained
+from cloak_core.evaluation.store import RunStore
+from cloak_core.evaluation.training_store import Trained
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import write_text, written
 
@@ -137,7 +138,9 @@ def keep_pictures(folder: Path, store: RunStore, shown: Shown, card: dict) -> di
         folder.mkdir(parents=True)
     spec, own, detectors = card["spec"], card["operating_point"], store.split.detectors
     found: dict = {"missed": [], "alarms": [], "hidden": {}, "cloaks": []}
-    results = {part: store.evaluate([worn], angles, **settings) for part, (worn, angles, settings) in shown.items()}
+    results = {
+        part: store.measure_repetitions([worn], angles, **settings) for part, (worn, angles, settings) in shown.items()
+    }
     trials = {part: hidden_trials(results[part].rows(spec, LOGO), own) for part in shown if part != "clean"}
     paired = _parts_with_pairs(card, trials)
     for part, (worn, angles, settings) in shown.items():

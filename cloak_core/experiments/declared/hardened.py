@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +91,8 @@ def images(store: RunStore) -> dict:
 
 
 def cells(store: RunStore) -> Cells:
-    alarms, clothes = Alarms(store), [read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns]
+    alarms = Alarms(store)
+    clothes = [read_clothes(cloth_spec(pattern)) for pattern in store.options.patterns]
     for spec in store.specs:
         for name, attack in SUITE.items():
             reference = spec == store.specs[0] and len(store.specs) > 1
@@ -102,15 +104,16 @@ def cells(store: RunStore) -> Cells:
 
 def _without_gradient(store: RunStore, spec: str, alarms: Alarms) -> Iterator[Cell]:
     """Attacks that a masked gradient does not mislead: other detectors' cloaks, attacks from there, searches."""
-    chest, hardened = SUITE[CHEST], spec != store.specs[0] or len(store.specs) == 1
+    chest = SUITE[CHEST]
+    hardened = spec != store.specs[0] or len(store.specs) == 1
     batch = store.train_settings(specs=[spec], angles=MULTI).run.batch
     for other in store.specs:
         if other != spec:
             yield _cell(store, spec, chest, TRANSFERRED, other, alarms)
             if hardened and not store.options.quick:
                 yield _cell(store, spec, Attack(logo=BODY, begun=other), ADAPTIVE, spec, alarms)
-                asked, length = {"black_box_queries": QUESTIONS}, QUESTIONS / batch / _steps(store, spec)
-                search = Attack(logo=BODY, steps=length, changes=asked, begun=other)
+                length = QUESTIONS / batch / _steps(store, spec)
+                search = Attack(logo=BODY, steps=length, changes={"black_box_queries": QUESTIONS}, begun=other)
                 yield _cell(store, spec, search, SEARCH, spec, alarms)
     if hardened:
         queries = {"black_box_queries": max(_steps(store, spec) * batch, queries_after(1, batch))}
@@ -129,12 +132,22 @@ def _published(store: RunStore, spec: str, alarms: Alarms, clothes: Sequence[Pic
 
 def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str, alarms: Alarms) -> Cell:
     training = {"angles": MULTI, "steps": max(1, round(attack.steps * _steps(store, trained_on))), **attack.changes}
-    told = [f"{name.replace('_', ' ')} {value}" for name, value in attack.changes.items()]
-    told += [f"from the cloak of {short_names(store.specs)[attack.begun]}"] if attack.begun else []
-    label = {"detector": spec, "logo": attack.logo, "attack": kind, "trained_on": trained_on}
-    label |= {"steps": training["steps"], "changes": ", ".join(told) or "-"}
-    how = {"training": training, "specs": [trained_on], "begun": [attack.begun] if attack.begun else []}
-    return _judged(store, spec, label, alarms, attack.test, faces=LOGOS[attack.logo](store.split.bodies), **how)
+    changes = [f"{name.replace('_', ' ')} {value}" for name, value in attack.changes.items()]
+    begun = []
+    if attack.begun:
+        changes.append(f"from the cloak of {short_names(store.specs)[attack.begun]}")
+        begun.append(attack.begun)
+    label = {
+        "detector": spec,
+        "logo": attack.logo,
+        "attack": kind,
+        "trained_on": trained_on,
+        "steps": training["steps"],
+        "changes": ", ".join(changes) or "-",
+    }
+    faces = LOGOS[attack.logo](store.split.bodies)
+    how_trained = {"training": training, "specs": [trained_on], "begun": begun}
+    return _judged(store, spec, label, alarms, attack.test, faces=faces, **how_trained)
 
 
 def _judged(
@@ -181,7 +194,8 @@ class Alarms:
 def strongest(rows: Rows) -> Rows:
     """Mark each detector's strongest attack on the body at equal false alarms, and signs of a masked gradient."""
     rows = beats_adaptive(rows, same=("detector", "logo"))
-    best = {spec: max(mine, key=lambda row: row["success_at_equal"]) for spec, mine in group(rows, "detector").items()}
+    by_detector = group(rows, "detector")
+    best = {spec: max(own, key=itemgetter("success_at_equal")) for spec, own in by_detector.items()}
     return [row | {"strongest": row is best[row["detector"]]} for row in rows]
 
 

@@ -16,6 +16,7 @@ from cloak_core.evaluation.cycles import (
     require_blender,
 )
 from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.report.charts import Rows
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.report.words import file_name
 from cloak_core.evaluation.statistics import training_row
@@ -30,24 +31,29 @@ NAMES = {"ours": "our renders", "matching": "Cycles, matching light", "studio": 
 def measure(store: RunStore) -> Numbers:
     """Judge every detector's cloak on our images and on Cycles' of the same bodies and cameras."""
     require_blender()  # said before anything is trained
-    quick, unseen = store.options.quick, store.split.unseen
+    quick = store.options.quick
+    unseen = store.split.unseen
     angles = (-8.0, 4.0) if quick else tuple(float(a) for a in range(-10, 11, 5))
     settings = store.evaluate_settings(images_per_view=4 * store.options.test_images)
-    rows, thresholds, pictures, paths = [], [], {}, SAMPLES // 2 if quick else SAMPLES
+    rows: Rows = []
+    thresholds: Rows = []
+    pictures = {}
+    paths = SAMPLES // 2 if quick else SAMPLES
     for spec in store.specs:
         trained = store.train_repetitions(chest_thighs(store.split.bodies), [spec], angles=MULTI)[0]
         ours = store.renderer(trained, angles, settings, unseen)
         ours.trials = ours.trials.assign(outfit=0)  # every other outfit would need frames of its own
         frames = render_frames(ours, (LOGO, *CONTROLS), store.options.out / "frames", paths, store.tell)
         renderers = {"ours": ours} | {light: CyclesRenderer(ours, frames, light) for light in LIGHTS}
-        found = {}
+        row_of = {}
         for name, renderer in renderers.items():
             more = {} if renderer is ours else {"frames": frames.name, "light": name}
-            make = lambda renderer=renderer: renderer
-            results = store.measured(make, trained, unseen, (spec,), angles, settings, outfit=0, **more)
-            found[name] = {"render": NAMES[name]} | training_row(results, spec)
-            thresholds += threshold_rows(found[name], results, spec)
-        rows += [row | _gap(found["ours"], row, ours, renderers[name]) for name, row in found.items()]
+            results = store.measure_once(
+                lambda shown=renderer: shown, trained, unseen, (spec,), angles, settings, outfit=0, **more
+            )
+            row_of[name] = {"render": NAMES[name]} | training_row(results, spec)
+            thresholds += threshold_rows(row_of[name], results, spec)
+        rows += [row | _gap(row_of["ours"], row, ours, renderers[name]) for name, row in row_of.items()]
         pictures[f"renders-{file_name(spec)}"] = _sheet(renderers)
     return Numbers(rows, {"bodies": unseen.pose_count, "angles": len(angles), "paths": paths}, thresholds, pictures)
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.attack import sweeps
 from cloak_core.attack.events import read_events
-from cloak_core.attack.sweeps import Sweep, read_grid, table
+from cloak_core.evaluation import sweeps
+from cloak_core.evaluation.grids import read_grid
+from cloak_core.evaluation.sweeps import Sweep, table
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
@@ -37,9 +38,7 @@ def test_every_combination_in_the_files_order(tmp_path):
     assert [run.settings.optimization.lr for run in runs] == [0.1, 0.1, 1.0, 1.0]
     assert all(run.settings.objective.tv_weight == 0 and run.settings.run.epochs is None for run in runs)
     assert runs[1].detectors == ("b", "c:d/e.cfg") and runs[1].backgrounds == "procedural:train"
-    assert len({run.name for run in runs}) == 4 and "/" not in runs[1].name and runs[0].name.startswith("lr=0.1,det")
-    more = grid(tmp_path, BASE + "tv-weight = 0\n[grid]\nlr = [0.1, 1, 2]\ndetector = ['a', ['b', 'c:d/e.cfg']]\n")
-    assert {run.name for run in runs} < {run.name for run in more}
+    assert [run.file_label for run in runs[:2]] == ["lr=0.1,detector=a", "lr=0.1,detector=b+c_d_e.cfg"]
 
 
 @pytest.mark.parametrize(
@@ -93,7 +92,7 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     assert said[0].startswith("run 1 of 4: lr=0.02, seed=0: ") and said[0].endswith(" min left") and len(said) == 4
     assert said[-1].startswith("run 4 of 4: ") and "left" not in said[-1]
     for run, result in zip(runs, record["results"], strict=True):
-        alone = train_alone(tmp_path / "alone" / run.name, steps=4, **run.varied)
+        alone = train_alone(tmp_path / "alone" / run.file_label, steps=4, **run.varied)
         assert np.array_equal(read_colors(tmp_path / "out" / result["out"] / "colors.npy"), alone.colors)
         steps = [e for e in read_events(tmp_path / "out" / result["out"] / "events.jsonl") if e["type"] == "step"]
         assert result["loss"] == pytest.approx(steps[-1]["loss"], abs=1e-6) and result["step"] == 4
@@ -105,8 +104,10 @@ def test_a_sweep_is_its_runs_and_does_nothing_twice(tmp_path, runs):
     assert heard == []
 
 
+@pytest.mark.slow
 def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, monkeypatch):
-    Sweep(runs[:1], tmp_path / "out").run()
+    before = Sweep(runs[:1], tmp_path / "out")
+    before.run()
     same = sweeps.open_run
 
     def edited(run):
@@ -114,7 +115,31 @@ def test_what_was_made_of_other_content_is_not_taken_for_done(tmp_path, runs, mo
         return dataclasses.replace(bodies, face_colors=bodies.face_colors[::-1]), *others
 
     monkeypatch.setattr(sweeps, "open_run", edited)
-    with pytest.raises(InputError, match=r"runs/lr=0.02,seed=0-\w+: was started with scene\.identity = "):
+    after = Sweep(runs[:1], tmp_path / "out")
+    assert after.results() == []
+    after.run()
+    colors = [read_colors(sweep.folders[0] / "colors.npy") for sweep in (before, after)]
+    assert before.folders != after.folders and not np.array_equal(*colors)
+    assert [result["name"] for result in after.write_results()["results"]] == [after.folders[0].name]
+    assert before.write_results()["done"] == 1  # what is as it was is found again
+
+
+@pytest.mark.slow
+def test_a_file_that_settings_name_is_known_by_its_content(tmp_path, runs):
+    palette = tmp_path / "palette.txt"
+    run = dataclasses.replace(runs[0], settings=runs[0].settings.changed(palette=str(palette), nps_weight=1.0))
+    palette.write_text("0.1 0.1 0.1\n0.9 0.9 0.9\n")
+    before = Sweep([run], tmp_path / "out").folders
+    assert Sweep([run], tmp_path / "out").folders == before
+    palette.write_text("0.1 0.1 0.1\n0.9 0.9 0.8\n")
+    assert Sweep([run], tmp_path / "out").folders != before
+
+
+def test_the_results_of_an_earlier_version_are_refused_in_one_line(tmp_path, runs):
+    results = tmp_path / "out" / "results"
+    results.mkdir(parents=True)
+    (results / "lr=0.02,seed=0-1a2b3c4d.json").write_text("{}")
+    with pytest.raises(InputError, match=r"out: holds the results of a sweep by an earlier version, .* another --out"):
         Sweep(runs, tmp_path / "out").run()
 
 
@@ -162,9 +187,10 @@ def test_a_folder_has_one_sweep_at_a_time(tmp_path, runs):
 
 def test_what_a_run_takes(tmp_path, runs):
     sweep = Sweep(runs, tmp_path / "out")
-    assert (sweep._job(runs[0], None, None, 0.5).cores, sweep._job(runs[0], None, None, 0.5).gpus) == (1, 0)
     large = dataclasses.replace(runs[0], settings=runs[0].settings.changed(threads=4, device="cuda:0"))
-    assert (sweep._job(large, None, None, 0.5).cores, sweep._job(large, None, None, 0.5).gpus) == (4, 0.5)
+    small_job, large_job = (sweep._job(run, tmp_path, None, None, 0.5) for run in (runs[0], large))
+    assert (small_job.cores, small_job.gpus) == (1, 0)
+    assert (large_job.cores, large_job.gpus) == (4, 0.5)
 
 
 def test_a_grid_that_cannot_be_opened_is_refused_before_anything_is_trained(tmp_path):
