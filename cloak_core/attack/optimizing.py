@@ -60,9 +60,13 @@ class ColorOptimizer:
             self._move, self._names = movers[0].move, set(movers[0].memory)
         elif settings.optimizer == "adam":
             self._move, self._names = _adam, {"exp_avg", "exp_avg_sq"}
-        else:
+        elif settings.optimizer == "sgd":
             self._move = partial(_sgd, momentum=settings.momentum)
             self._names = {"momentum_buffer"} if settings.momentum else set()
+        else:
+            raise ValueError(
+                f"optimizer {settings.optimizer}: the technique that moves colours so is not among those given"
+            )
         self._state: dict[str, Tensor] = {}
         self._project()
 
