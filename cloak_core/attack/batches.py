@@ -9,23 +9,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from cloak_core.attack.on_cloth import ClothOnLogo
-from cloak_core.attack.people import PeopleViews
-from cloak_core.attack.sampling import Draws, Sampler, cameras, is_fresh
+from cloak_core.attack.fabric import Fabric
+from cloak_core.attack.sampling import Draws, Sampler
 from cloak_core.attack.settings import TrainSettings
-from cloak_core.attack.settings.components import AugmentationSettings, ViewSettings
+from cloak_core.attack.settings.components import AugmentationSettings
 from cloak_core.attack.settings.values import Range
+from cloak_core.attack.source import Backdrops
 from cloak_core.attack.technique import NO_TECHNIQUES, Distortions, Techniques
-from cloak_core.files.errors import InputError
 from cloak_core.render.compositing import Canvas, blank, lay_backdrop, true_boxes
 from cloak_core.render.threads import spread, torch_threads, workers
 from cloak_core.render.types import BakedView
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.cameras import Camera
-
-_CLOTH = 5
-"""Stream of random numbers of an image, beside those drawn from its bare seed; techniques have others."""
 
 
 @dataclass(frozen=True)
@@ -82,76 +75,55 @@ class Batcher:
         self,
         settings: TrainSettings,
         sampler: Sampler,
-        view_cache: ViewCache,
-        logo_faces: np.ndarray,
-        backgrounds: Backgrounds,
+        backgrounds: Backdrops,
+        worn: Fabric,
         device: torch.device,
-        people: PeopleViews | None = None,
-        cloth: ClothOnLogo | None = None,
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
-        """cloth: what the colours are of, where they are not those of the logo's faces."""
-        self.people, self.cloth, self.techniques = people, cloth, techniques
-        self.color_count = len(logo_faces) if cloth is None else cloth.count
-        self.views, self.augmentation, self.sampler, self.view_cache = (
-            settings.views,
-            settings.augmentation,
-            sampler,
-            view_cache,
-        )
-        self.logo_faces, self.backgrounds, self.device = logo_faces, backgrounds, device
-        # Threads that only look views up would wait for each other.
-        self._fresh = is_fresh(settings.views)
+        """Make what builds batches of the sampler's draws."""
+        self.sampler, self.source, self.backgrounds = sampler, sampler.source, backgrounds
+        self.augmentation, self.size = settings.augmentation, settings.views.size
+        self.worn, self.device, self.techniques = worn, device, techniques
 
     def batch(self, step: int, rank: int = 0, ranks: int = 1) -> Batch:
         """Build the images of `step`, or one process's share of them."""
         draws = self.sampler.draw(step).share(rank, ranks)
-        settings, size = self.augmentation, self.views.size
+        settings, size = self.augmentation, self.size
         empty = torch.empty(0, 3, size, size, device=self.device)
         if not len(draws):
             return Batch(empty, None, None, Distortions())
-        places = draws.pose.tolist(), cameras(draws, self.views), draws.outfit.tolist()
-        wanted = zip(*places, draws.person.tolist(), draws.seed.tolist(), strict=True)
-
-        def bake(one: tuple[int, Camera, int, int, int]) -> BakedView:
-            pose, camera, outfit, person, seed = one
-            if person >= 0:
-                return self.people.view(person, seed)
-            view = self.view_cache.bake(pose, camera, self.logo_faces, outfit)
-            return view if self.cloth is None else self.cloth.view(view, np.random.default_rng([seed, _CLOTH]))
-
-        views = spread(bake, list(wanted), workers(self.device) if self._fresh else 1)
+        # Threads that only look views up would wait for each other.
+        count = workers(self.device) if self.source.is_fresh else 1
+        views = spread(lambda one: self.source.view(*one), draws.views(), count)
         rows = blank(len(views), size, size, self.device)
         lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
         # A photograph is moved by the part of it that is shown.
-        shifts = torch.from_numpy(np.where(draws.person[:, None] >= 0, 0, draws.shift)).to(
-            self.device, non_blocking=True
-        )
+        is_photograph = np.array([view.others is not None for view in views])
+        moved = torch.from_numpy(np.where(is_photograph[:, None], 0, draws.shift))
+        shifts = moved.to(self.device, non_blocking=True)
         distorted = self.techniques.distortions(draws.seed, self.device)
         hidden = self.techniques.hidden(draws.seed)
         return Batch(
             empty,
             Canvas.of(views, rows, shifts),
-            LogoChange.draw(draws, settings, self.color_count, self.device) if is_photometric(settings) else None,
+            LogoChange.draw(draws, settings, self.worn.color_count, self.device) if is_photometric(settings) else None,
             distorted,
             None if hidden is None else torch.from_numpy(hidden).to(self.device),
             distorted.boxes(true_boxes(views, shifts), size, size),
-            self._company(views, draws, distorted),
+            self._company(views, distorted),
         )
 
-    def _company(self, views: list[BakedView], draws: Draws, distorted: Distortions) -> Company | None:
-        if self.people is None:
+    def _company(self, views: list[BakedView], distorted: Distortions) -> Company | None:
+        anywhere = torch.tensor([view.others is None for view in views])
+        if anywhere.all():
             return None
-        boxes = [
-            view.provenance.get("others", []) if p >= 0 else [] for view, p in zip(views, draws.person, strict=True)
-        ]
+        boxes = [view.others or () for view in views]
         others = torch.zeros(len(views), max(map(len, boxes)), 4)
-        size = self.views.size
         for k, of_image in enumerate(boxes):
             others[k, : len(of_image)] = torch.tensor(of_image, dtype=torch.float32).reshape(-1, 4)
-        moved = [distorted.boxes(others[:, k], size, size) for k in range(others.shape[1])]
+        moved = [distorted.boxes(others[:, k], self.size, self.size) for k in range(others.shape[1])]
         others = torch.stack(moved, dim=1) if moved else others
-        return Company(others.to(self.device), torch.from_numpy(draws.person < 0).to(self.device))
+        return Company(others.to(self.device), anywhere.to(self.device))
 
 
 class Prefetcher:
@@ -236,17 +208,3 @@ def is_photometric(settings: AugmentationSettings) -> bool:
 
 def _on(device: torch.device, values: np.ndarray) -> Tensor:
     return torch.from_numpy(values).float().to(device, non_blocking=True)
-
-
-def require_visible_logo(
-    view_cache: ViewCache, logo_faces: np.ndarray, pose_count: int, settings: ViewSettings
-) -> None:
-    """Require that some training view shows the logo. InputError: none does, of any pose at any training angle."""
-    for azimuth in settings.angles.centers:
-        camera = settings.camera(azimuth, settings.elevation.middle, settings.distance.low)
-        for pose in range(pose_count):
-            if len(view_cache.bake(pose, camera, logo_faces).map):
-                return
-    raise InputError(
-        f"the logo: none of its {len(logo_faces)} faces is seen from the training angles {settings.angles}"
-    )

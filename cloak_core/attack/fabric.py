@@ -1,20 +1,40 @@
-"""What of a logo has colours: its faces, patches of them, or the squares of a cloth that repeats."""
+"""What is worn: the faces of a logo, patches of them, or the squares of a cloth that repeats.
+
+An image is paint(view.map @ worn.map, colours, ...): whatever is worn turns places on the clothes into colours, on
+bodies (`on_body`) and on people in photographs (`on_places`) alike.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 
 from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.settings.components import PatternSettings
 from cloak_core.exchange.bodies import Bodies
+from cloak_core.render.baking import on_cloth
+from cloak_core.render.linear import SparseMap
+from cloak_core.render.types import BakedView
 from cloak_core.scene.geometry import face_areas, face_centres
 from cloak_core.scene.logos.cloth import Cloth
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.patches import patch_of_face
+
+
+class Places(Protocol):
+    """P places on somebody's clothes, as a photograph shows them."""
+
+    def faces(self) -> SparseMap:
+        """Shares of the logo's faces: places x faces."""
+        ...
+
+    def cloth(self) -> tuple[Float[np.ndarray, "P 2"], Bool[np.ndarray, " P"]]:
+        """Metres right and down on a cloth that the clothes are cut of, and whether the logo is there."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +56,27 @@ class Fabric:
         if settings.pattern == "camouflage":
             return cls(bodies, logo, patch=patch_of_face(bodies, logo, settings.feature_cm / 100))
         return cls(bodies, logo)
+
+    def on_body(self, view: BakedView, random: np.random.Generator) -> BakedView:
+        """Wear it on a body whose view shows the logo's faces. A cloth lies anywhere: nobody cuts it in one place."""
+        if self.cloth is None:
+            return view
+        return on_cloth(view, self.cloth.cloth, self._away(random))
+
+    def on_places(self, places: Places, random: np.random.Generator) -> SparseMap:
+        """Wear it on a person in a photograph: places x colours."""
+        if self.cloth is None:
+            return places.faces()
+        at, is_logo = places.cloth()
+        return SparseMap.from_scipy(self.cloth.cloth.shares(at + self._away(random), is_logo))
+
+    def _away(self, random: np.random.Generator) -> tuple[float, float]:
+        return tuple(random.uniform(0, self.cloth.cloth.metres, 2).tolist())
+
+    @cached_property
+    def color_count(self) -> int:
+        """C."""
+        return len(self.logo) if self.cloth is None else self.cloth.count
 
     @cached_property
     def count(self) -> int:
@@ -88,6 +129,19 @@ class Fabric:
     def colors(self, faces: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
         """Turn colours of faces into those of what has colours; faces of a patch may still differ."""
         return faces if self.cloth is None else self.cloth.of_faces(faces)
+
+    def on_faces(self, colors: Float[np.ndarray, "C 3"], is_exact: bool) -> Float[np.ndarray, "L 3"]:
+        """Turn colours into those of the logo's faces: of a cloth, the mean of the squares on each face.
+
+        is_exact: colours are restricted, and the mean might not be allowed: the square under the face's centre.
+        """
+        if self.cloth is None:
+            return colors
+        return colors[self.cloth.square] if is_exact else self.cloth.on_faces(colors)
+
+    def picture(self, colors: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "h w 3"] | None:
+        """Lay the colours out as the picture that is printed; None where it is not one piece."""
+        return None if self.cloth is None else colors.reshape(self.cloth.cloth.rows, self.cloth.cloth.count, 3)
 
     def shared(self, faces: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, "C 3"]:
         """Turn colours of faces into those of what has colours; faces of a patch get their mean."""

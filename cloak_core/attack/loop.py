@@ -260,11 +260,8 @@ class TrainingLoop:
         Where a technique restricts colours the mean might not be allowed; then it is the colour of the square under the
         face's centre.
         """
-        cloth, colors = self.batcher.cloth, _as_array(colors)
-        if cloth is None:
-            return colors
         is_exact = any(technique.is_exact for technique in self.techniques)
-        return colors[cloth.square] if is_exact else cloth.on_faces(colors)
+        return self.batcher.worn.on_faces(_as_array(colors), is_exact)
 
     def _final_colors(self) -> tuple[Float[Tensor, "N 3"], int]:
         """Give the colours the run ends with, and the step they are of."""
@@ -277,8 +274,9 @@ class TrainingLoop:
         if self.world.is_first:
             colors = self._final_colors()[0] if final else self.optimizer.finished()
             write_colors(self.run.colors, self._on_faces(colors))
-            if self.batcher.cloth is not None:
-                self.run.write_cloth(_as_array(colors), self.batcher.cloth.cloth)
+            picture = self.batcher.worn.picture(_as_array(colors))
+            if picture is not None:
+                self.run.write_cloth(picture)
             tensors = self.optimizer.state() | (self.held_out.state() if self.held_out else {})
             tensors |= self.techniques.state()
             save_checkpoint(self.run.checkpoint, Checkpoint(self.step, self.seconds, tensors))

@@ -10,8 +10,6 @@ import numpy as np
 from jaxtyping import Float, Int64
 
 from cloak_core.exchange.bodies import Bodies
-from cloak_core.render.baking import on_cloth
-from cloak_core.render.types import BakedView
 from cloak_core.scene.geometry import face_areas
 from cloak_core.scene.logos.cloth import Cloth, face_places
 from cloak_core.scene.logos.logo import Logo
@@ -59,10 +57,6 @@ class ClothOnLogo:
         for step in itertools.product(steps, steps):
             total += colors[self.cloth.square_at(self.places + self.widths[:, None] * step)]
         return (total / _POINTS**2).astype(np.float32)
-
-    def view(self, view: BakedView, random: np.random.Generator) -> BakedView:
-        """Turn a view of the logo's faces into one of squares, with the cloth laid at a random place."""
-        return on_cloth(view, self.cloth, tuple(random.uniform(0, self.cloth.metres, 2).tolist()))
 
     def as_logo(self, logo: Logo) -> Logo:
         """Give the logo the squares' neighbours in place of its faces', for total variation."""

@@ -26,7 +26,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json, written
-from cloak_core.scene.logos.cloth import CLOTH_FILE, Cloth
+from cloak_core.scene.logos.cloth import CLOTH_FILE
 from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.pictures import save_picture
 
@@ -50,10 +50,9 @@ class RunFolder:
         self.changes: list[str] = []
         """What is not as it was when the run began, though it decides at most the last bits of the result."""
 
-    def write_cloth(self, colors: Float32[np.ndarray, "S 3"], cloth: Cloth) -> None:
-        """Write the cloth as a picture."""
-        squares = np.round(255 * colors.reshape(cloth.count, cloth.count, 3)).astype(np.uint8)
-        save_picture(self.cloth, Image.fromarray(squares))
+    def write_cloth(self, picture: Float32[np.ndarray, "h w 3"]) -> None:
+        """Write what is to be printed, a pixel for each square."""
+        save_picture(self.cloth, Image.fromarray(np.round(255 * picture).astype(np.uint8)))
 
     def write_snapshot(self, step: int, colors: Float32[np.ndarray, "L 3"]) -> None:
         """Keep a copy of the colours after so many steps."""

@@ -20,16 +20,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.attack.batches import Batcher, Prefetcher
+from cloak_core.attack.batches import Prefetcher
 from cloak_core.attack.events import EventLog, read_events
 from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.losses import disappearance
+from cloak_core.attack.material import TrainingData
 from cloak_core.attack.objective import Objective, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.sampling import Sampler, is_fresh
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.attack.technique import Setup, Techniques
-from cloak_core.attack.training import make_view_cache
+from cloak_core.attack.train import make_batcher
+from cloak_core.attack.training import make_material
 from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine
 from cloak_core.detectors.protocol import Detector
@@ -38,6 +39,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.render.threads import torch_threads
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import make_logo
+from cloak_core.sources.bodies import BodyPlan
 
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""
@@ -100,12 +102,11 @@ class _Bench:
         self.device = torch.device(settings.compute.device)
         faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
         self.logo = make_logo(bodies, faces)
-        self.sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-        cache = make_view_cache(bodies, settings.views, self.device)
         self.fabric = Fabric(bodies, self.logo)
-        setup = Setup(settings, self.fabric, [], self.device)
-        techniques, faces = Techniques.built(setup), self.logo.face_ids
-        self.batcher = Batcher(settings, self.sampler, cache, faces, backgrounds, self.device, techniques=techniques)
+        self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
+        material = make_material(settings, TrainingData(bodies, backgrounds), self.fabric, self.device)
+        techniques = Techniques.built(Setup(settings, self.fabric, [], self.device))
+        self.batcher = make_batcher(settings, material, self.fabric, self.device, techniques)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)
@@ -152,16 +153,15 @@ class _Bench:
                 clock.time("update", update)
                 batches.clear()
         prefetcher.close()
-        views = "fresh" if is_fresh(settings.views) else "kept"
+        views = "fresh" if self.plan.is_fresh else "kept"
         return (
             {"name": detector.name} | clock.record(settings.run.batch) | {"views": views, "logo_faces": len(self.logo)}
         )
 
     def _warm_up_steps(self) -> int:
-        sampler = self.sampler
-        views = sampler.pose_count * len(sampler.angles) * sampler.outfit_count
+        views = self.plan.members * self.plan.directions * self.plan.outfit_count
         # Drawn at random, all of n views are met after about n (ln n + 3) draws.
-        wanted = 0 if is_fresh(self.settings.views) else views * (np.log(views) + 3)
+        wanted = 0 if self.plan.is_fresh else views * (np.log(views) + 3)
         return int(np.ceil(wanted / self.settings.run.batch)) + 1
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cloak_core import __version__
 from cloak_core.attack.checkpoints import remove_unfinished
-from cloak_core.attack.run_config import environment
+from cloak_core.attack.run_record import environment
 from cloak_core.defend.pool import Given
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.defend.student import Student

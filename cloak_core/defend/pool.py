@@ -15,11 +15,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cloak_core.attack.batches import Batcher
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.objective import Objective, StepFigures, gradient_step
 from cloak_core.attack.optimizing import ColorOptimizer, learning_rate
-from cloak_core.attack.people import PeopleViews
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import TrainSettings, make_settings
+from cloak_core.attack.source import Mixture
 from cloak_core.defend.decoys import FlatCloth, Texture
 from cloak_core.defend.logos import draw_colors, draw_logo
 from cloak_core.defend.settings import HardenSettings
@@ -33,6 +34,8 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.geometry import face_centres, face_normals
 from cloak_core.scene.logos.logo import Logo, make_logo
 from cloak_core.scene.photographs.rig import faces_on_rig
+from cloak_core.sources.bodies import BodySource
+from cloak_core.sources.photographs import PeopleSource
 
 DISTANCES, ELEVATIONS = (2.2, 1.6, 2.2, 3.2), (6.0, 6.0, 20.0, 0.0)
 """Metres and degrees, for one cloak after the other."""
@@ -179,10 +182,11 @@ class Pool:
         clothing = torch.from_numpy(outfit[cloak.logo.face_ids]).to(self.device)
         # The second call draws into the memory of the first.
         cloaked = batch.images(cloak.optimizer.colors()).clone()
-        clean, draws = replace(batch, on_logo=None).images(clothing).clone(), cloak.batcher.sampler.draw(step)
-        for image, person, seed in zip(clean, draws.person.tolist(), draws.seed.tolist(), strict=True):
-            if person >= 0:
-                view = cloak.batcher.people.undressed(person, seed)
+        clean = replace(batch, on_logo=None).images(clothing).clone()
+        draws = cloak.batcher.sampler.draw(step)
+        for image, (shown, seed) in zip(clean, draws.views(), strict=True):
+            view = cloak.batcher.source.undressed(shown, seed)
+            if view is not None:
                 image.copy_(compose([view], clothing, torch.zeros_like(image)[None])[0])
         return Pair(cloaked, clean)
 
@@ -225,14 +229,18 @@ class Pool:
             if slot in self.skins and rng.random() < GOES_ON:
                 colors = self.skins[slot].cpu().numpy()[logo.face_ids]
         settings = self._train_settings(slot)
-        poses, outfits = self.bodies.pose_count, self.bodies.outfit_count
-        sampler = Sampler(settings, poses, outfits, len(self.backgrounds), len(self.people))
-        people = PeopleViews(self.people, logo, settings.photographs, self.settings.size) if self.people else None
+        worn = Fabric(self.bodies, logo)
+        source = BodySource(self.bodies, worn, settings.views, self.device, self.view_cache)
+        if self.people:
+            size, seed = self.settings.size, settings.run.seed
+            people = PeopleSource(self.people, worn, settings.photographs, size, seed)
+            source = Mixture(source, people, settings.photographs.people_share, seed)
+        sampler = Sampler(settings, source, len(self.backgrounds))
         first = torch.from_numpy(np.array(colors, np.float32)).to(self.device)
         return Cloak(
             generation,
             logo,
-            Batcher(settings, sampler, self.view_cache, logo.face_ids, self.backgrounds, self.device, people),
+            Batcher(settings, sampler, self.backgrounds, worn, self.device),
             Objective(settings, logo, [self.detector], self.device),
             ColorOptimizer(settings.optimization, first),
             self.flat(logo),

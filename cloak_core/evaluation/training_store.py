@@ -18,9 +18,10 @@ import numpy as np
 from jaxtyping import Float32
 
 from cloak_core.attack.events import OnEvent
-from cloak_core.attack.held_out import TrainingData
 from cloak_core.attack.loop import RunResult
-from cloak_core.attack.run_config import FILES, decisive, device_kind
+from cloak_core.attack.material import TrainingData
+from cloak_core.attack.run_config import FILES, decisive
+from cloak_core.attack.run_record import device_kind
 from cloak_core.attack.settings import TrainSettings, settings_record
 from cloak_core.attack.training import train, training_config
 from cloak_core.detectors.protocol import Detector

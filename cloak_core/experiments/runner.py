@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 
 from cloak_core import __version__
-from cloak_core.attack.run_config import environment
+from cloak_core.attack.run_record import environment
 from cloak_core.evaluation import statistics
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.report.charts import Rows

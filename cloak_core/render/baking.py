@@ -58,6 +58,7 @@ def baked_view(
     mask: Bool[Tensor, "H W"] | None = None,
     light_color: Vector = (1.0, 1.0, 1.0),
     provenance: Mapping[str, object] | None = None,
+    others: tuple[Box, ...] | None = None,
 ) -> BakedView:
     """Make a baked view from plain tensors, without pose or camera.
 
@@ -98,4 +99,5 @@ def baked_view(
         box_of(known) if box is None else box,
         mask,
         provenance or {},
+        others=others,
     )

@@ -239,6 +239,8 @@ class BakedView:
     """Where the view is from: photograph, person, angle and the like, for tables of results."""
     cloth: Float32[Tensor, "4 E"] | None = None
     """Of the map's entries, as in `View`."""
+    others: tuple[Box, ...] | None = None
+    """Boxes of the other people in a photograph; None: a render, in which nobody else can be."""
 
     @property
     def base(self) -> Float32[Tensor, "N 3"]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cloak_core.attack.events import read_events
-from cloak_core.attack.held_out import TrainingData, set_aside
+from cloak_core.attack.material import TrainingData, set_aside
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
 from tests.attack.fakes import box_bodies, noise_backgrounds, tiny_settings

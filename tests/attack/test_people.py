@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.people import PeopleViews, draw_framing
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.settings.people import PeopleSettings
+from cloak_core.attack.source import Mixture
 from cloak_core.attack.training import train
 from cloak_core.detectors.outcomes import only_hers
 from cloak_core.detectors.protocol import Detections
@@ -16,6 +17,8 @@ from cloak_core.render.photographs.fits import fit_people
 from cloak_core.scene.logos.logo import load_logo
 from cloak_core.scene.opening import load_scene
 from cloak_core.scene.photographs.people import load_people
+from cloak_core.sources.bodies import BodyPlan
+from cloak_core.sources.photographs import PeopleSource, draw_framing
 from tests.attack.fakes import RedDetector, noise_backgrounds
 from tests.scene.photographs.made_people import write_people
 
@@ -52,25 +55,33 @@ def run(out, fits, bodies="sample[0:1]", **changes):
     return train(*given, people=fits, resume=resume)
 
 
+def people_sampler(count: int, poses: int = 1, outfits: int = 1, **changes) -> Sampler:
+    """Draws of bodies and of `count` people, without a pixel of them."""
+    chosen = settings(**changes)
+    worn = Fabric(load_scene("sample[0:1]"), load_logo(load_scene("sample[0:1]"), region="shirt"))
+    people = PeopleSource([None] * count, worn, chosen.photographs, 64, chosen.run.seed)
+    mixed = Mixture(BodyPlan(chosen.views, poses, outfits), people, chosen.photographs.people_share, chosen.run.seed)
+    return Sampler(chosen, mixed, 5)
+
+
 def test_everybody_is_shown_equally_often():
-    sampler = Sampler(settings(steps=20, batch=5), 1, 1, 5, people_count=10)
-    shown = np.concatenate([sampler.draw(step).person for step in range(20)])
+    sampler = people_sampler(10, steps=20, batch=5)
+    shown = np.concatenate([sampler.draw(step).shown["person"] for step in range(20)])
     assert np.bincount(shown).tolist() == [10] * 10
 
 
 def test_the_share_of_renders_is_kept():
-    sampler = Sampler(settings(steps=100, batch=8, people_share=0.25), 1, 1, 5, people_count=10)
-    shown = np.concatenate([sampler.draw(step).person for step in range(100)])
-    assert abs((shown >= 0).mean() - 0.25) < 0.06
+    sampler = people_sampler(10, steps=100, batch=8, people_share=0.25)
+    shown = np.concatenate([sampler.draw(step).shown["second"] for step in range(100)])
+    assert abs(shown.mean() - 0.25) < 0.06
 
 
 def test_without_people_nothing_is_drawn_otherwise():
-    bare, with_people = (Sampler(settings(), 3, 2, 5, people_count=count) for count in (0, 4))
-    one, other = bare.draw(1), with_people.draw(1)
-    assert (one.person == -1).all()
-    assert all(
-        np.array_equal(getattr(one, name), getattr(other, name)) for name in ("pose", "azimuth", "seed", "shift")
-    )
+    bare = Sampler(settings(), BodyPlan(settings().views, 3, 2), 5)
+    one, other = bare.draw(1), people_sampler(4, poses=3, outfits=2).draw(1)
+    assert "person" not in one.shown
+    assert all(np.array_equal(column, other.shown[name]) for name, column in one.shown.items())
+    assert np.array_equal(one.seed, other.seed) and np.array_equal(one.shift, other.shift)
 
 
 def test_a_framing_keeps_most_of_the_person(fits):
@@ -83,8 +94,8 @@ def test_a_framing_keeps_most_of_the_person(fits):
 
 def test_views_depend_on_person_and_seed_alone(fits):
     logo = load_logo(load_scene("sample[0:1]"), region="shirt")
-    views = PeopleViews(fits, logo, PeopleSettings(), 64)
-    one, same, other = views.view(0, 5), views.view(0, 5), views.view(0, 6)
+    source = PeopleSource(fits, Fabric(load_scene("sample[0:1]"), logo), PeopleSettings(), 64)
+    one, same, other = (source.view({"person": 0}, seed) for seed in (5, 5, 6))
     assert torch.equal(one.base_color, same.base_color) and torch.equal(one.map.weight, same.map.weight)
     assert one.box != other.box
 

@@ -231,18 +231,20 @@ def test_two_runs_in_one_folder(tmp_path):
 def test_gradient_of_the_whole_chain_against_finite_differences():
     """Colours -> compositing with all augmentations -> detector -> loss, on the real step's objective."""
     from cloak_core.attack.batches import Batcher
+    from cloak_core.attack.fabric import Fabric
     from cloak_core.attack.losses import disappearance, total_variation
     from cloak_core.attack.sampling import Sampler
     from cloak_core.render.settings import RenderSettings
     from cloak_core.render.view_cache import ViewCache
+    from cloak_core.sources.bodies import BodySource
 
     bodies, chosen = box_bodies(), settings(batch=2)
     logo = front_logo(bodies)
     backgrounds = noise_backgrounds()
-    sampler = Sampler(chosen, bodies.pose_count, bodies.outfit_count, len(backgrounds))
-    batch = Batcher(
-        chosen, sampler, ViewCache(bodies, RenderSettings(samples=1)), logo.face_ids, backgrounds, torch.device("cpu")
-    ).batch(0)
+    worn = Fabric(bodies, logo)
+    source = BodySource(bodies, worn, chosen.views, view_cache=ViewCache(bodies, RenderSettings(samples=1)))
+    sampler = Sampler(chosen, source, len(backgrounds))
+    batch = Batcher(chosen, sampler, backgrounds, worn, torch.device("cpu")).batch(0)
     detector = TinyDetector()
     edges, lengths = torch.from_numpy(logo.edges), torch.from_numpy(logo.edge_lengths).float()
 

@@ -204,8 +204,8 @@ def test_people_in_photographs_wear_the_cloaks_and_are_clean_in_their_own_clothe
     pair, cloak = pool.pair(0), pool.cloak(0)
     draws = cloak.batcher.sampler.draw(settings.attack_steps)
     nothing = torch.zeros(len(cloak.logo), 3)
-    for image, person, seed in zip(pair.clean, draws.person.tolist(), draws.seed.tolist(), strict=True):
-        photograph = compose([cloak.batcher.people.undressed(person, seed)], nothing, torch.zeros(1, 3, 96, 96))
+    for image, (shown, seed) in zip(pair.clean, draws.views(), strict=True):
+        photograph = compose([cloak.batcher.source.undressed(shown, seed)], nothing, torch.zeros(1, 3, 96, 96))
         torch.testing.assert_close(image, photograph[0])
     worn = (pair.cloaked - pair.clean).abs().amax(1) > 0.05
     assert 0.001 < worn.float().mean() < 0.5, "only the person changes"

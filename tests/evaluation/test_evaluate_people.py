@@ -10,8 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.attack.run_config import _people
 from cloak_core.attack.run_folder import RunFolder
+from cloak_core.attack.run_record import _people
 from cloak_core.commands.evaluate import Evaluate
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detections, detector_record

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cloak_core.attack.run_config import run_config
+from cloak_core.attack.run_record import run_config
 from cloak_core.detectors.loading import load_detector
 from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.exchange.bodies import Bodies

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloak_core.attack.held_out import TrainingData
+from cloak_core.attack.material import TrainingData
 from cloak_core.attack.run_config import check_same
 from cloak_core.attack.settings import make_settings
 from cloak_core.attack.training import training_config

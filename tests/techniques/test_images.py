@@ -8,6 +8,7 @@ import torch
 from PIL import Image, ImageFilter
 
 from cloak_core.attack.batches import Batcher
+from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.sampling import Sampler
 from cloak_core.attack.technique import Distortions
 from cloak_core.detectors.filters import blurred, through_jpeg, windowed
@@ -95,15 +96,11 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     """A batch's images of a grey logo, and their gradient's length on each face."""
     bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
     logo, backgrounds = front_logo(bodies), noise_backgrounds()
-    batcher = Batcher(
-        settings,
-        Sampler(settings, bodies.pose_count, bodies.outfit_count, len(backgrounds)),
-        ViewCache(bodies, RenderSettings(samples=4)),
-        logo.face_ids,
-        backgrounds,
-        torch.device("cpu"),
-        techniques=techniques_of(settings, bodies=bodies),
-    )
+    worn = Fabric(bodies, logo)
+    source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=4)))
+    sampler = Sampler(settings, source, len(backgrounds))
+    techniques = techniques_of(settings, bodies=bodies)
+    batcher = Batcher(settings, sampler, backgrounds, worn, torch.device("cpu"), techniques)
     colors = torch.full((len(logo), 3), 0.9, requires_grad=True)
     images = batcher.batch(0).images(colors)
     images.sum().backward()
@@ -122,17 +119,12 @@ def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(change
 
 def test_cut_out_faces_are_grey_and_stand_together():
     bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
-    sampler = Sampler(settings, bodies.pose_count, bodies.outfit_count, 5)
-    faces = front_logo(bodies).face_ids
-    batcher = Batcher(
-        settings,
-        sampler,
-        ViewCache(bodies, RenderSettings(samples=1)),
-        faces,
-        noise_backgrounds(),
-        torch.device("cpu"),
-        techniques=techniques_of(settings, bodies=bodies),
-    )
+    worn = Fabric(bodies, front_logo(bodies))
+    faces = worn.logo.face_ids
+    source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=1)))
+    techniques = techniques_of(settings, bodies=bodies)
+    sampler = Sampler(settings, source, 5)
+    batcher = Batcher(settings, sampler, noise_backgrounds(), worn, torch.device("cpu"), techniques)
     hidden = batcher.batch(0).hidden.numpy()
     assert len({row.sum() for row in hidden}) > 3
     centres = face_centres(bodies)[faces]

@@ -1,4 +1,4 @@
-"""Settings of `attack.people`: how photographs of people are shown to training."""
+"""Settings of `sources.photographs`: how photographs of people are shown to training."""
 
 from __future__ import annotations
 

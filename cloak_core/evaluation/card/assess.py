@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Int64
 
 from cloak_core import __version__
-from cloak_core.attack.run_config import environment
+from cloak_core.attack.run_record import environment
 from cloak_core.evaluation import statistics_card
 from cloak_core.evaluation.card import protocol
 from cloak_core.evaluation.card.page import keep_pictures

@@ -18,6 +18,7 @@ from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
 from cloak_core.files.errors import InputError
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import cloth_places, logo_positions, shares_of
 from cloak_core.render.texture import look_up
@@ -41,7 +42,7 @@ class Clothes(Protocol):
 
     name: str
 
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+    def on(self, fit: Fit, number: int) -> tuple[SparseMap, Float[np.ndarray, "L 3"]]:
         """Shares [P, L] of the fit's pixels, and colours [L, 3]. number: the person's, for what is drawn at random."""
         ...
 
@@ -55,7 +56,7 @@ class LogoClothes:
     """Of the rig's triangles among the logo's faces; -1 elsewhere."""
     colors: Float[np.ndarray, "L 3"]
 
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+    def on(self, fit: Fit, number: int) -> tuple[SparseMap, Float[np.ndarray, "L 3"]]:
         """See `Clothes`."""
         return shares_of(fit, self.position, len(self.colors)), self.colors
 
@@ -68,7 +69,7 @@ class RandomClothes:
     position: np.ndarray
     count: int
 
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+    def on(self, fit: Fit, number: int) -> tuple[SparseMap, Float[np.ndarray, "L 3"]]:
         """See `Clothes`."""
         colors = np.random.default_rng([0, number]).random((self.count, 3), np.float32)
         return shares_of(fit, self.position, self.count), colors
@@ -82,13 +83,14 @@ class OwnClothes:
     position: np.ndarray
     count: int
 
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+    def on(self, fit: Fit, number: int) -> tuple[SparseMap, Float[np.ndarray, "L 3"]]:
         """See `Clothes`."""
-        shares = shares_of(fit, self.position, self.count)
+        worn = shares_of(fit, self.position, self.count)
+        shares = worn.to_scipy()
         light = fit.shading.reshape(-1)[fit.pixels][:, None] * fit.tint
         seen = fit.person.image.reshape(-1, 3)[fit.pixels] / 255 / light
         total = np.maximum(np.asarray(shares.sum(axis=0)).ravel(), 1e-9)
-        return shares, np.clip((shares.T @ seen) / total[:, None], 0, 1).astype(np.float32)
+        return worn, np.clip((shares.T @ seen) / total[:, None], 0, 1).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,13 +105,15 @@ class PictureClothes:
     position: np.ndarray
     """Of the rig's triangles among the faces that may wear it; -1 elsewhere."""
 
-    def on(self, fit: Fit, number: int) -> tuple[sparse.csr_matrix, Float[np.ndarray, "L 3"]]:
+    def on(self, fit: Fit, number: int) -> tuple[SparseMap, Float[np.ndarray, "L 3"]]:
         """See `Clothes`."""
         u, v, worn = self._places(fit)
         texture = self._at_scale(fit.scale)
         tall = self.metres * texture.shape[0] / texture.shape[1]
         places = torch.from_numpy(np.stack([u / self.metres, -v / tall]).astype(np.float32))
-        return sparse.diags(worn.astype(np.float64)).tocsr(), look_up(torch.from_numpy(texture), places).numpy()
+        return SparseMap.from_scipy(sparse.diags(worn.astype(np.float64))), look_up(
+            torch.from_numpy(texture), places
+        ).numpy()
 
     def _places(self, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Metres right and down on the cloth for each pixel, and whether the pixel wears it."""

@@ -84,10 +84,10 @@ class PeopleRenderer:
 
     def about_person(self, detections: Detections, views: Sequence[BakedView], indices: Indices) -> Detections:
         """Set the scores of boxes that are not the dressed person's to 0."""
-        most = max(len(view.provenance["others"]) for view in views)
+        most = max(len(view.others) for view in views)
         others = torch.zeros(len(views), most, 4)
         for k, view in enumerate(views):
-            others[k, : len(view.provenance["others"])] = torch.tensor(view.provenance["others"]).reshape(-1, 4)
+            others[k, : len(view.others)] = torch.tensor(view.others).reshape(-1, 4)
         masks = torch.stack([view.mask for view in views]).to(self._device)
         return only_hers(detections, self.boxes(views, indices), others.to(detections.boxes), masks=masks)
 

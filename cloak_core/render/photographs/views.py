@@ -15,10 +15,11 @@ from scipy import sparse
 from torch import Tensor
 
 from cloak_core.render.baking import baked_view
+from cloak_core.render.linear import SparseMap
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.types import BakedView
 from cloak_core.scene.cameras import Number
-from cloak_core.scene.logos.cloth import Cloth, cloth_coordinates
+from cloak_core.scene.logos.cloth import cloth_coordinates
 from cloak_core.scene.photographs.people import Box
 from cloak_core.scene.photographs.rig import body_rig, faces_on_rig
 
@@ -82,7 +83,7 @@ def logo_positions(topology: str, face_ids: Int64[np.ndarray, " L"]) -> Int64[np
 
 def shares_of(
     fit: Fit, position: Int64[np.ndarray, " T"], logo_count: int, looseness: Looseness | None = None
-) -> sparse.csr_matrix:
+) -> SparseMap:
     """The logo's part of a fit: its pixels x the logo's faces, each entry the face's share of the pixel."""
     crow, triangle, share = fit.crow, fit.triangle, fit.share
     if looseness is not None and (looseness.move != (0.0, 0.0) or looseness.stretch != (1.0, 1.0)):
@@ -93,7 +94,9 @@ def shares_of(
     face = position[triangle]
     kept = face >= 0
     before = np.concatenate([[0], np.cumsum(kept)])
-    return sparse.csr_matrix((share[kept], face[kept], before[crow]), shape=(len(crow) - 1, logo_count))
+    return SparseMap(
+        torch.from_numpy(before[crow]), torch.from_numpy(face[kept]), torch.from_numpy(share[kept]), logo_count
+    )
 
 
 def cloth_places(fit: Fit) -> Float[np.ndarray, "P 2"]:
@@ -101,23 +104,15 @@ def cloth_places(fit: Fit) -> Float[np.ndarray, "P 2"]:
     return cloth_coordinates(fit.rest, body_rig().normals[fit.main])
 
 
-def cloth_shares(
-    fit: Fit, position: Int64[np.ndarray, " T"], cloth: Cloth, places: Float[np.ndarray, "P 2"]
-) -> sparse.csr_matrix:
-    """The squares of a cloth that a fit's pixels show, at these places on it, where the logo's faces are seen."""
-    return cloth.shares(places, position[fit.main] >= 0)
-
-
-def photograph_view(
-    fit: Fit, shares: sparse.csr_matrix, framing: Framing, looseness: Looseness | None = None
-) -> BakedView:
-    """Bake a fitted person who wears a logo, given as its faces' shares of her pixels (`shares_of`).
+def photograph_view(fit: Fit, worn: SparseMap, framing: Framing, looseness: Looseness | None = None) -> BakedView:
+    """Bake a fitted person who wears something: a map of her pixels x colours, such as `shares_of` a logo.
 
     The base image is the photograph; the box is the person's; the provenance names photograph, person and the boxes of
     the other people in the image.
     """
     height, width = fit.person.mask.shape
     left = np.ones(height * width, np.float32)
+    shares = worn.to_scipy()
     left[fit.pixels] -= np.asarray(shares.sum(axis=1)).ravel()
     photograph = fit.person.image.astype(np.float32) / 255 * left.reshape(height, width, 1)
     down, across = _kernels(framing, height, width)
@@ -137,8 +132,8 @@ def photograph_view(
         provenance={
             "photograph": fit.person.photograph,
             "person": fit.person.name,
-            "others": [framing.box(box) for box in fit.person.others],
         },
+        others=tuple(framing.box(box) for box in fit.person.others),
     )
 
 
