@@ -6,15 +6,15 @@ Both give the same face ids, bit for bit, and the same weights within 1e-6; test
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Protocol, cast, runtime_checkable
 
 import torch
 from jaxtyping import Float32, Int64, Integer, UInt8
 from torch import Tensor
 
-from cloak_core.render import cpu as cpu_stages
-from cloak_core.render import torch as torch_stages
 from cloak_core.render.compiled import use_loops
 from cloak_core.render.linear import SparseMap
 from cloak_core.render.types import BakedView, FlatTriangles, Fragments, Photometric, Screen, Surface, View, Window
@@ -108,4 +108,10 @@ class Backend(Protocol):
 
 def backend(device: torch.device) -> Backend:
     """Choose the implementation for a device: numba on the CPU where there is numba, else torch."""
-    return cast(Backend, cpu_stages if use_loops(device) else torch_stages)
+    return _loaded("cpu" if use_loops(device) else "torch")
+
+
+@cache
+def _loaded(name: str) -> Backend:
+    # By name, as each device needs one of the two.
+    return cast(Backend, importlib.import_module(f"{__package__}.{name}"))
