@@ -134,8 +134,9 @@ def evaluate(
     finished run, a scene of another topology, nothing to evaluate on.
     """
     # They bring matplotlib, which training needs not.
-    from cloak_core.evaluation import cloaked, evaluate
-    from cloak_core.evaluation.wearing import dressed
+    from cloak_core.evaluation import evaluate as on_bodies
+    from cloak_core.evaluation.cloaked import open_cloaked
+    from cloak_core.evaluation.wearing import dressed as on_people
 
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
@@ -145,18 +146,20 @@ def evaluate(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
         )
     judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
-    heard = {"detectors": judges, "on_progress": on_progress}
+    asked = {"detectors": judges, "on_progress": on_progress}
     if people is not None:
         if scene is not None or settings.cycles is not None:
             raise InputError("--people: photographs are what is judged on: without --scene and --cycles")
-        shown, trained, name = dressed.open_dressed(folder, config, people, backgrounds, colors)
-        place, curve, measure = dressed.FOLDER, "curve-people", partial(dressed.evaluate_dressed, **heard)
+        shown, trained, name = on_people.open_dressed(folder, config, people, backgrounds, colors)
+        place, curve = on_people.FOLDER, "curve-people"
+        measure = partial(on_people.evaluate_dressed, **asked)
         if over_time:
-            dressed.warn_of_coarse_snapshots(folder)
+            on_people.warn_of_coarse_snapshots(folder)
     else:
-        shown, trained, name = cloaked.open_cloaked(folder, config, scene, backgrounds, colors)
+        shown, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
         angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
-        place, curve, measure = evaluate.FOLDER, "curve", partial(evaluate.evaluate, angles=angles, **heard)
+        place, curve = on_bodies.FOLDER, "curve"
+        measure = partial(on_bodies.evaluate, angles=angles, **asked)
     parts = [place, name, "printed" if profile is not None else "", settings.cycles or ""]
     target = folder / "-".join(part for part in parts if part) if out is None else Path(out)
     if profile is not None:
@@ -169,7 +172,7 @@ def evaluate(
         def judge(path: Path, bare: EvaluateSettings) -> dict:
             return measure(shown.in_colors(path), settings=bare)
 
-        summary["over_time"] = evaluate.over_time(folder, judge, settings, curve)
+        summary["over_time"] = on_bodies.over_time(folder, judge, settings, curve)
     return summary
 
 

@@ -105,6 +105,19 @@ def test_a_renamed_detector_is_a_white_box(tmp_path: Path, monkeypatch: pytest.M
     assert trained_against(config, {"copy": copy, "other": other}) == {"copy": True, "other": False}
 
 
+def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
+    from tests.detectors.test_onnx import Made  # skips where there is no onnx
+
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "made.onnx")
+    shutil.copy(path, tmp_path / "renamed.onnx")
+    known, copy = load_detector(f"onnx:{path}"), load_detector(f"onnx:{tmp_path / 'renamed.onnx'}@96")
+    config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
+    assert trained_against(config, {copy.spec: copy}) == {copy.spec: True}
+
+
 def test_a_copied_file_without_weights_of_ours_is_a_white_box_at_any_size(tmp_path: Path) -> None:
     class BlackBox(RedDetector):
         def __init__(self, digest: str, size: int) -> None:
@@ -136,6 +149,7 @@ def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: p
     assert "not been evaluated" not in text and "On people in photographs" in text
     assert "unseen photographs" in text and "white box: builtin" in text and "black box: darknet tiny" in text
     assert text.count("data:image/jpeg") >= 2 * 3 + 5 and ">None<" not in text
+    assert "On photographs: With the trained colours, darknet tiny (black box" in text  # it never saw this one
     # The same once more is not measured again; other colours are.
     caplog.clear()
     assert evaluate(run, people=load_people(path), detectors=["builtin", spec], **HOW) == said

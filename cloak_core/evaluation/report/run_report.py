@@ -90,9 +90,14 @@ def _evaluation(stored: StoredEvaluation) -> dict:
 
 
 def _photographs(stored: StoredEvaluation) -> dict:
-    """Prepare what is shown of people in photographs: figures by detector, pictures of some people, the controls."""
+    """Prepare what is shown of people in photographs: figures by detector, pictures of some people, the controls.
+
+    Detectors that the colours were never trained against come first.
+    """
     summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
-    specs, controls = list(summary["detectors"]), stored.results.controls
+    specs = sorted(summary["detectors"], key=lambda spec: summary["white_box"].get(spec) is not False)
+    summary = summary | {"detectors": {spec: summary["detectors"][spec] for spec in specs}}
+    controls = stored.results.controls
     images = pictures["controls"]["images"]
     detectors = [
         {

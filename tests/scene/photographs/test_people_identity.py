@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cloak_core.attack.run_config import _people, check_same
 from cloak_core.files.errors import InputError
 from cloak_core.render.photographs.fits import fit_people, people_identity
 from cloak_core.scene.photographs.people import Person, load_people
@@ -135,3 +136,16 @@ def test_what_contradicts_itself_is_refused_in_one_line(tmp_path: Path, words: s
     with pytest.raises(InputError, match=words) as caught:
         load_people(edit(write_people(tmp_path), REFUSED[words]))
     assert "people.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_training_goes_on_with_the_same_people_alone(tmp_path: Path) -> None:
+    fits = fit_people(load_people(write_people(tmp_path, 1)))
+    recorded = {"people": json.loads(json.dumps(_people(fits)))}
+    check_same(recorded, {"people": _people(fits)}, tmp_path, ("people",))
+    for change in (nearer, CHANGES["others"]):
+        other = {"people": _people([replace(fits[0], person=change(fits[0].person))])}
+        with pytest.raises(InputError, match=r"was started with people\.identity = "):
+            check_same(recorded, other, tmp_path, ("people",))
+        # What earlier versions recorded is all that can be compared.
+        earlier = {"people": {"sha256": recorded["people"]["sha256"], "photographs": ["made0.png"]}}
+        check_same(earlier, other, tmp_path, ("people",))
