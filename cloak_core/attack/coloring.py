@@ -44,12 +44,14 @@ class Coloring:
 
     def __call__(self, parameter: Float[Tensor, "P 3"], is_final: bool = False) -> Float[Tensor, "C 3"]:
         """Compute the colours in this part of the run, differentiably; is_final: as if it ended here."""
+        if self.is_direct:
+            return parameter
         values, chosen = self._mixed(parameter)
         values = self._toned(values)
         for technique, rows in zip(self._choose, chosen, strict=True):
             values = technique.choose(values, rows, self._toned, is_final)
         colors = values if self._patch is None else values[self._patch]
-        if not self._keep or self.is_direct:
+        if not self._keep:
             return colors
         # Straight through: what is cut off may still come back.
         return self.kept(colors) + (colors - colors.detach())

@@ -200,10 +200,10 @@ class Techniques(tuple[Technique, ...]):
 
     def content(self) -> dict[str, object]:
         """Record every technique's files; None of those that are off."""
-        found = dict.fromkeys(name for technique in discovered() for _, name in technique.files)
+        contents = dict.fromkeys(name for technique in discovered() for _, name in technique.files)
         for technique in self:
-            found |= technique.content()
-        return found
+            contents |= technique.content()
+        return contents
 
     def report(self, colors: Float[np.ndarray, "C 3"]) -> dict[str, float]:
         return {name: value for technique in self for name, value in technique.report(colors).items()}
