@@ -67,12 +67,18 @@ def run_config(
     }
 
 
-def _scene(bodies: Bodies) -> dict:
+def scene_counts(bodies: Bodies) -> dict:
+    """Describe a scene for people: its name and its size."""
     return {
         "name": bodies.name,
         "poses": list(bodies.names),
         "outfits": bodies.outfit_count,
         "faces": bodies.face_count,
+    }
+
+
+def _scene(bodies: Bodies) -> dict:
+    return scene_counts(bodies) | {
         "identity": bodies.identity,
         # As versions before "identity" recorded and compare it.
         "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from cloak_core.attack.run_record import scene_counts
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.evaluation.trained_run import EMBEDDED
 from cloak_core.exchange.bodies import Bodies
@@ -38,25 +39,23 @@ class DataSplit:
 
     def record(self) -> dict:
         """Describe the split for a configuration: names, counts and content hashes."""
-        parts = {"people": self.people, "unseen_people": self.unseen_people}
-        return {
+        record = {
             "bodies": bodies_record(self.bodies),
             "unseen": bodies_record(self.unseen),
             "backgrounds": backgrounds_record(self.backgrounds),
             "unseen_backgrounds": backgrounds_record(self.unseen_backgrounds),
             "detectors": {spec: sha256_record(detector_record(d)) for spec, d in self.detectors.items()},
-        } | {name: people_record(part) for name, part in parts.items() if part is not None}
+        }
+        if self.people is not None:
+            record["people"] = people_record(self.people)
+        if self.unseen_people is not None:
+            record["unseen_people"] = people_record(self.unseen_people)
+        return record
 
 
 def bodies_record(bodies: Bodies) -> dict:
     """Describe a scene: its name, its size and its content hash."""
-    return {
-        "name": bodies.name,
-        "poses": list(bodies.names),
-        "outfits": bodies.outfit_count,
-        "faces": bodies.face_count,
-        "sha256": bodies.identity,
-    }
+    return scene_counts(bodies) | {"sha256": bodies.identity}
 
 
 def backgrounds_record(backgrounds: Backgrounds) -> dict:
@@ -94,13 +93,14 @@ def _open_bodies(scene: str, unseen: str | None) -> tuple[Bodies, Bodies]:
     if unseen is not None:
         return load_scene(scene), load_scene(unseen)
     if scene in EMBEDDED:
-        parts = (load_scene(f"{scene}:train"), load_scene(f"{scene}:unseen"))
+        trained = load_scene(f"{scene}:train")
+        tested = load_scene(f"{scene}:unseen")
     else:
         bodies = load_scene(scene)
         if bodies.pose_count < 2:
             raise InputError(f"{scene}: one body cannot be both trained on and unseen; name other bodies with --unseen")
-        parts = (bodies.select_poses(range(first, bodies.pose_count, 2)) for first in (0, 1))
-    trained, tested = parts
+        trained = bodies.select_poses(range(0, bodies.pose_count, 2))
+        tested = bodies.select_poses(range(1, bodies.pose_count, 2))
     return _every_second_outfit(trained, 0), _every_second_outfit(tested, 1)
 
 

@@ -88,10 +88,14 @@ def _imports(file: Path) -> Iterable[str]:
 
 def package_versions(*names: str) -> dict[str, str]:
     """The installed versions of packages, by name; those that are not installed are missing."""
-    found = {}
-    for name in names:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
+    versions = {name: _version(name) for name in names}
+    return {name: version for name, version in versions.items() if version is not None}
+
+
+@cache
+def _version(name: str) -> str | None:
+    """Read a package's version once in a process: it takes milliseconds, and a store asks for every key."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
