@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float32, Int64, UInt8
 from PIL import Image
 
+from cloak_core.evaluation.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.evaluation.trained_run import kept_back, read_run
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
@@ -41,6 +42,8 @@ class Cloaked:
     logo: Logo
     bodies: Bodies
     backgrounds: Backgrounds
+    cloth: PrintedCloth | None = None
+    """What the colours are the means of on each face, where they are a cloth's: worn in its own fineness."""
 
     def __post_init__(self) -> None:
         logo, bodies = self.logo, self.bodies
@@ -54,11 +57,12 @@ class Cloaked:
 
     def printed(self, profile: Profile) -> Cloaked:
         """Wear the same colours as they come out of this printer and camera."""
-        return replace(self, colors=profile.photographed(profile.to_send(self.colors)))
+        cloth = None if self.cloth is None else self.cloth.printed(profile)
+        return replace(self, colors=profile.photographed(profile.to_send(self.colors)), cloth=cloth)
 
     def in_colors(self, path: Path) -> Cloaked:
         """Wear the colours of a file instead. InputError: they are of another number of faces."""
-        return replace(self, colors=read_colors(path, len(self.logo)))
+        return replace(self, colors=read_colors(path, len(self.logo)), cloth=None)
 
 
 def open_cloaked(
@@ -79,9 +83,12 @@ def open_cloaked(
     logo = load_logo(bodies, folder / "logo.npy")
     if colors is None:
         worn, trained, name = read_colors(folder / "colors.npy", len(logo)), config, ""
+        cloth = cloth_of_run(folder)
     else:
         worn, trained, name = colors_of(colors, logo, bodies)
-    return Cloaked(worn, logo, bodies, backgrounds), trained, name
+        other = run_path(colors)
+        cloth = cloth_of_run(other) if other.is_dir() else None
+    return Cloaked(worn, logo, bodies, backgrounds, cloth), trained, name
 
 
 def colors_of(

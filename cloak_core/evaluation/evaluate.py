@@ -83,6 +83,8 @@ def evaluate(
         "logo_faces": len(cloaked.logo.face_ids),
         "colors": sha256_arrays(cloaked.colors),
     }
+    if cloaked.cloth is not None:
+        inputs["cloth"] = sha256_arrays(cloaked.cloth.colors, np.array(cloaked.cloth.cloth.metres))
     if settings.cycles is None:  # nobody knows what decides Blender's frames
         inputs["identity"] = sha256_record(shown)
     circumstances = {"settings": asdict(settings) | {"angles": [float(a) for a in angles]}, "inputs": inputs}
@@ -179,7 +181,8 @@ def make_renderer(
     """Draw the trials and make ready to render them."""
     bodies = cloaked.bodies
     trials = draw_trials(bodies.pose_count, angles, len(cloaked.backgrounds), bodies.outfit_count, settings)
-    view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, files=view_files()))
+    render = RenderSettings.of(settings, device=device, files=view_files())
+    view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
     return BodyRenderer(cloaked, trials, settings.camera, view_cache, settings.seed)
 
 

@@ -96,7 +96,8 @@ def film_renderer(
         middles = (bodies.vertices.min(1).astype(np.float64) + bodies.vertices.max(1)) / 2
         viewpoint = replace(viewpoint, pivot=tuple(middles.mean(0).tolist()))
     # Nothing else can use a film's views, so none is written to files.
-    view_cache = ViewCache(bodies, RenderSettings.of(settings, device=device, memory_bytes=VIEW_BYTES))
+    render = RenderSettings.of(settings, device=device, memory_bytes=VIEW_BYTES)
+    view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
     return BodyRenderer(cloaked, trials, viewpoint, view_cache)
 
 

@@ -17,6 +17,7 @@ from cloak_core.detectors.outcomes import OnBody, on_body
 from cloak_core.detectors.protocol import Detections
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
+from cloak_core.render.baking import on_cloth
 from cloak_core.render.compositing import Canvas, compose, true_boxes
 from cloak_core.render.settings import Light, RenderSettings
 from cloak_core.render.types import BakedView
@@ -109,9 +110,14 @@ class BodyRenderer:
 
         What no control changes is composed once, so the next images are drawn into the memory of these.
         """
-        canvas = Canvas.before(views, self.backgrounds(indices), self.shifts(indices))
+        backgrounds, shifts = self.backgrounds(indices), self.shifts(indices)
+        canvas = Canvas.before(views, backgrounds, shifts)
         for control in controls:
-            yield canvas.paint(self._logo_colors(indices, control))
+            colors = self._logo_colors(indices, control)
+            if self._is_cloth(control):
+                yield Canvas.before([self._worn(view, control) for view in views], backgrounds, shifts).paint(colors)
+            else:
+                yield canvas.paint(colors)
 
     def boxes(self, views: Sequence[BakedView], indices: Indices) -> Float[Tensor, "B 4"]:
         """Where the rendered bodies are: xyxy pixels, clipped to the image."""
@@ -130,7 +136,7 @@ class BodyRenderer:
     ) -> tuple[Float[Tensor, "3 H W"], Float[Tensor, " pixels"]]:
         """Render one trial's body, unmoved, before mid-grey; also how much of every pixel it covers."""
         grey = torch.full((1, 3, view.height, view.width), 0.5, device=self._device)
-        image = compose([view], self._logo_colors([index], control), grey, None, None)[0]
+        image = compose([self._worn(view, control)], self._logo_colors([index], control), grey, None, None)[0]
         coverage = torch.zeros(view.height * view.width, device=self._device)
         coverage[view.pixels] = view.coverage
         return image, coverage
@@ -142,11 +148,12 @@ class BodyRenderer:
     def flat_view(self, azimuth: float, side: int = 640) -> Float[Tensor, "h w 4"]:
         """Render the first body in the trained colours under even light, RGBA in [0, 1], cut to the body."""
         flat = Light(ambient=1.0, diffuse=0.0, specular=0.0)
-        view_cache = ViewCache(self.cloaked.bodies.select_poses([0]), RenderSettings(light=flat, device=self._device))
+        first, settings = self.cloaked.bodies.select_poses([0]), RenderSettings(light=flat, device=self._device)
+        view_cache = ViewCache(first, settings, on_cloth=self.cloaked.cloth is not None)
         camera = Camera(elevation=0.0, azimuth=azimuth, width=side, height=side)
         view = view_cache.bake(0, camera, self.cloaked.logo.face_ids)
         white = torch.ones(1, 3, side, side, device=self._device)
-        image = compose([view], self._colors_of(LOGO)[0], white, None, None)[0]
+        image = compose([self._worn(view, LOGO)], self._colors_of(LOGO)[0], white, None, None)[0]
         alpha = torch.zeros(side * side, device=self._device)
         alpha[view.pixels] = view.coverage
         alpha = alpha.view(1, side, side)
@@ -184,6 +191,13 @@ class BodyRenderer:
         moved = self.trials[["shift_x", "shift_y"]].to_numpy(np.int64)[np.asarray(indices, np.int64)]
         return torch.from_numpy(moved).to(self._device)
 
+    def _is_cloth(self, control: str) -> bool:
+        return control == LOGO and self.cloaked.cloth is not None
+
+    def _worn(self, view: BakedView, control: str) -> BakedView:
+        """Put on what a control wears: a cloth in its own fineness, everything else face by face."""
+        return on_cloth(view, self.cloaked.cloth.cloth) if self._is_cloth(control) else view
+
     def _logo_colors(self, indices: Indices, control: str) -> Float[Tensor, "B L 3"]:
         if control == "random":
             drawn = [random_colors(self.seed, int(i), len(self.cloaked.colors)) for i in indices]
@@ -194,6 +208,9 @@ class BodyRenderer:
     def _colors_of(self, control: str) -> Float[Tensor, "K L 3"]:
         if control not in self._controls:
             worn = self.cloaked
-            colors = control_colors(control, worn.colors, worn.bodies, worn.logo.face_ids)
+            if self._is_cloth(control):
+                colors = np.broadcast_to(worn.cloth.colors, (worn.bodies.outfit_count, *worn.cloth.colors.shape))
+            else:
+                colors = control_colors(control, worn.colors, worn.bodies, worn.logo.face_ids)
             self._controls[control] = torch.from_numpy(np.ascontiguousarray(colors)).to(self._device)
         return self._controls[control]

@@ -22,22 +22,22 @@ from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
 from cloak_core.evaluation.data_split import DataSplit, backgrounds_record, bodies_record
 from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
 from cloak_core.evaluation.measure import OnProgress
+from cloak_core.evaluation.printed_cloth import PrintedCloth
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
 from cloak_core.evaluation.training_store import Trained, Training, TrainingStore, content_key
-from cloak_core.evaluation.wearing.clothes import LogoClothes
+from cloak_core.evaluation.wearing.clothes import clothes_of
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.photographs.fits import fit_people, people_identity
 from cloak_core.render.photographs.fitting import Fit
 from cloak_core.render.photographs.views import logo_positions
 from cloak_core.scene.logos.logo import make_logo
 
-MEASUREMENT_VERSION = 2
+MEASUREMENT_VERSION = 3
 """Raise it by one when the same colours and settings give other scores or boxes than before: after a change of the
 drawn images, rendering, detectors, or of what is kept of their answers."""
 CONTROLS = (*STANDARD, *NATURAL)
@@ -107,10 +107,18 @@ class RunStore(TrainingStore):
         return () if self.split.people is None else tuple(fit_people(self.split.people))
 
     def untrained(
-        self, colors: Float32[np.ndarray, "L 3"], faces: Int64[np.ndarray, " L"], folder: Path = Path("untrained")
+        self,
+        colors: Float32[np.ndarray, "L 3"],
+        faces: Int64[np.ndarray, " L"],
+        folder: Path = Path("untrained"),
+        cloth: PrintedCloth | None = None,
     ) -> Trained:
-        """Take colours that were not trained here, to evaluate them; the folder's name is told in records."""
-        return Trained(colors, make_logo(self.split.unseen, faces), folder, math.nan, math.nan, self.train_settings())
+        """Take colours that were not trained here, to evaluate them; the folder's name is told in records.
+
+        cloth: what the colours are the means of.
+        """
+        logo = make_logo(self.split.unseen, faces)
+        return Trained(colors, logo, folder, math.nan, math.nan, self.train_settings(), cloth)
 
     def train_settings(self, seed: int = 0, specs: Sequence[str] = (), **changes: object) -> TrainSettings:
         """Make the settings of a training from the options, with changes by name.
@@ -185,11 +193,12 @@ class RunStore(TrainingStore):
         backgrounds = self.split.unseen_backgrounds
         device = next(iter(self.split.detectors.values())).device
         if bodies is None and self.split.unseen_people is not None:
-            worn = LogoClothes(LOGO, logo_positions(trained.logo.topology, trained.logo.face_ids), trained.colors)
+            position = logo_positions(trained.logo.topology, trained.logo.face_ids)
+            worn = clothes_of(LOGO, position, trained.colors, trained.cloth)
             wear = WearSettings(size=settings.size)
             return PeopleRenderer(fit_people(self.split.unseen_people), [worn], backgrounds, wear, device)
         bodies = bodies or self.split.unseen
-        cloaked = Cloaked(trained.colors, make_logo(bodies, trained.logo.face_ids), bodies, backgrounds)
+        cloaked = Cloaked(trained.colors, make_logo(bodies, trained.logo.face_ids), bodies, backgrounds, trained.cloth)
         return make_renderer(cloaked, angles, settings, device)
 
     def measure_once(
@@ -210,7 +219,7 @@ class RunStore(TrainingStore):
             "settings": asdict(settings),
             "angles": angles,
             "bodies": bodies_record(bodies)["sha256"],
-            "logo": sha256_arrays(trained.logo.face_ids, trained.colors),
+            "logo": trained.content,
             "detectors": [[spec, self._detector_records[spec]] for spec in specs],
             "operating_points": [self.split.detectors[spec].operating_point for spec in specs],
             "backgrounds": backgrounds_record(self.split.unseen_backgrounds),

@@ -25,6 +25,7 @@ from cloak_core.attack.run_record import device_kind
 from cloak_core.attack.settings import TrainSettings, settings_record
 from cloak_core.attack.training import train, training_config
 from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluation.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.evaluation.trained_run import clocked, cpu_seconds, read_history
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.colors import read_colors
@@ -37,7 +38,7 @@ from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.logos.logo import Logo
 
 _log = logging.getLogger("cloak")
-TRAINING_VERSION = 3
+TRAINING_VERSION = 4
 """Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
 objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
 PACKAGES = ("torch", "numpy", "numba", "pillow")
@@ -70,6 +71,16 @@ class Trained:
     cpu_seconds: float
     """Processor time of the training, all threads; nan where it was not measured."""
     settings: TrainSettings = field(repr=False)
+    cloth: PrintedCloth | None = None
+    """What the colours are the means of on each face, where a cloth was trained."""
+
+    @property
+    def content(self) -> str:
+        """SHA-256 (hex) of what is worn: faces, colours, cloth."""
+        arrays = [self.logo.face_ids, self.colors]
+        if self.cloth is not None:
+            arrays += [self.cloth.colors, np.array(self.cloth.cloth.metres)]
+        return sha256_arrays(*arrays)
 
 
 class TrainingStore:
@@ -115,7 +126,9 @@ class TrainingStore:
                     raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
         colors = read_colors(folder / "colors.npy", len(training.logo))
         seconds = read_history(folder).seconds
-        return Trained(colors, training.logo, folder, seconds, cpu_seconds(folder), training.settings)
+        return Trained(
+            colors, training.logo, folder, seconds, cpu_seconds(folder), training.settings, cloth_of_run(folder)
+        )
 
     def go_on(self, training: Training, folder: Path) -> RunResult:
         """Train into its folder, from where it is, and tell how that ended; of a complete run, how it had ended."""

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 from PIL import Image
 
+from cloak_core.evaluation.printed_cloth import PrintedCloth
 from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.store import RunStore
@@ -39,6 +40,8 @@ class Cell:
     """Further arguments of `RunStore.train_faces`: settings, bodies, precision."""
     colors: Float32[np.ndarray, "L 3"] | None = None
     """Of these faces, to be judged without training."""
+    cloth: PrintedCloth | None = None
+    """What these colours are the means of."""
     begun: Sequence[str] = ()
     """Detectors whose cloak of the same faces, as the experiment's length makes it, the training begins with."""
     judges: Sequence[str] = ()

@@ -102,7 +102,7 @@ def _measured(store: RunStore, cells: Iterable[Cell]) -> Iterator[tuple[Cell, li
 def _trained(cell: Cell, store: RunStore) -> list[Trained]:
     faces = chest_thighs(store.split.bodies) if cell.faces is None else cell.faces
     if cell.colors is not None:
-        return [store.untrained(cell.colors, faces)]
+        return [store.untrained(cell.colors, faces, cloth=cell.cloth)]
     training = dict(cell.training)
     if cell.begun:
         length = {"angles": MULTI, "steps": store.steps(cell.begun, angles=MULTI)}

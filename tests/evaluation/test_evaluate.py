@@ -17,6 +17,7 @@ from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import random_colors
 from cloak_core.evaluation.evaluate import evaluate, make_renderer, read_evaluation
+from cloak_core.evaluation.printed_cloth import PrintedCloth
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, render_images
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings
@@ -88,6 +89,29 @@ def test_contract_and_controls(bodies: Bodies, logo: Logo) -> None:
     assert result["false_alarms"] == {"spec": 1.0}
     assert told[-1] == (8 * 4 + 5, 8 * 4 + 5)
     assert result["unseen"] == {"bodies": None, "backgrounds": None}
+
+
+def test_a_cloth_is_worn_in_its_own_fineness(bodies: Bodies, logo: Logo) -> None:
+    """Squares finer than faces are seen one by one; everything else wears the faces, on the same images."""
+    checks = np.indices((4, 4)).sum(axis=0)[..., None] % 2 * np.full(3, 255)
+    cloth = PrintedCloth.of(checks.astype(np.uint8), 0.8)
+    grey = np.full((len(logo), 3), 0.5, np.float32)
+    fine = make_renderer(Cloaked(grey, logo, bodies, grey_rooms(2), cloth), ANGLES, SMALL)
+    coarse = make_renderer(Cloaked(grey, logo, bodies, grey_rooms(2)), ANGLES, SMALL)
+    every = list(range(len(fine.trials)))
+    shown, means = (render_images(renderer, every, "logo").clone() for renderer in (fine, coarse))
+    apart = (shown - means).abs().amax(1)
+    assert apart.max() > 0.3, "dark and light squares, where the faces' mean is grey"
+    off = torch.ones(64, 64, dtype=torch.bool)
+    view = fine.views([0])[0]
+    dx, dy = fine.shifts([0])[0].tolist()
+    x, y = view.pixels[: view.map.height] % 64 + dx, view.pixels[: view.map.height] // 64 + dy
+    inside = (x >= 0) & (x < 64) & (y >= 0) & (y < 64)
+    off[y[inside], x[inside]] = False
+    assert not apart[0][off].any(), "nothing but the cloth changes"
+    for control in ("clothing", "grey", "random"):
+        other = render_images(coarse, every, control).clone()
+        torch.testing.assert_close(render_images(fine, every, control), other, rtol=0, atol=1e-5)
 
 
 def test_controls_are_shown_on_identical_images(bodies: Bodies, logo: Logo) -> None:

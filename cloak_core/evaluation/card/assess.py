@@ -22,12 +22,13 @@ from cloak_core.evaluation.card.words import untested_here
 from cloak_core.evaluation.card.work import TRAINED, OnWork, Work
 from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, NATURAL
+from cloak_core.evaluation.printed_cloth import PrintedCloth, cloth_of_run
 from cloak_core.evaluation.results import Results
 from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.store import MEASUREMENT_VERSION, RunStore
 from cloak_core.evaluation.trained_run import read_run, seen_in_training, trained_against
 from cloak_core.evaluation.training_store import TRAINING_VERSION, Trained
-from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, LogoClothes, read_clothes
+from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, clothes_of, read_clothes
 from cloak_core.evaluation.wearing.wearing import wear_and_judge
 from cloak_core.exchange.colors import read_colors
 from cloak_core.files.errors import InputError
@@ -233,7 +234,7 @@ class Assessment:
         if self.white_box:
             worn, _, _ = self.shown[_name(self.budget.areas[-1])]
             position = logo_positions(self.split.bodies.topology, worn.logo.face_ids)
-            clothes.insert(0, LogoClothes(protocol.AGAINST, position, worn.colors))
+            clothes.insert(0, clothes_of(protocol.AGAINST, position, worn.colors, worn.cloth))
         told = self._wear(clothes, people)
         return {"people": told["people"], "left_out": told["left_out"], "rows": told["detectors"][self.spec]}
 
@@ -245,7 +246,8 @@ class Assessment:
         """Show it a published pattern as cloth for shirt and trousers, from the front."""
         cloth = read_clothes(spec)
         colors = cloth_colors(cloth.picture, cloth.metres, self.split.unseen, self._areas[-1])
-        worn = self.store.untrained(colors, self._areas[-1], Path(cloth.name))
+        printed = PrintedCloth.of(cloth.picture, cloth.metres)
+        worn = self.store.untrained(colors, self._areas[-1], Path(cloth.name), printed)
         results = self._evaluated(f"pattern {cloth.name}", [worn], self.budget.front_angles, self._front(part))
         return {"name": cloth.name} | statistics_card.attack_record(results, self.spec)
 
@@ -254,7 +256,8 @@ class Assessment:
         split, found = self.split, []
         for entry in self.entries:
             ids = load_logo(split.unseen, entry["path"] / "logo.npy").face_ids
-            worn = self.store.untrained(read_colors(entry["path"] / "colors.npy", len(ids)), ids, entry["path"])
+            colors = read_colors(entry["path"] / "colors.npy", len(ids))
+            worn = self.store.untrained(colors, ids, entry["path"], cloth_of_run(entry["path"]))
             results = self._evaluated(f"zoo {entry['name']}", [worn], self.budget.front_angles, self._front(part))
             unseen, _ = seen_in_training(entry["config"], split.unseen, split.unseen_backgrounds)
             white = trained_against(entry["config"], split.detectors)[self.spec]

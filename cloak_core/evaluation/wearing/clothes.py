@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8
 from scipy import sparse
 
 from cloak_core.evaluation.controls import CLOTHING
+from cloak_core.evaluation.printed_cloth import PrintedCloth, cloth_metres
 from cloak_core.evaluation.trained_run import read_run
 from cloak_core.exchange.colors import read_colors
 from cloak_core.exchange.face_lists import read_face_list
@@ -141,6 +142,16 @@ class PictureClothes:
         return np.array(picture)
 
 
+def clothes_of(
+    name: str, position: np.ndarray, colors: Float[np.ndarray, "L 3"], cloth: PrintedCloth | None
+) -> Clothes:
+    """Make what a training's colours are worn as: a cloth in its own fineness, else the logo's faces."""
+    if cloth is None:
+        return LogoClothes(name, position, colors)
+    picture = np.round(255 * cloth.colors).astype(np.uint8).reshape(cloth.cloth.rows, cloth.cloth.count, 3)
+    return PictureClothes(name, picture, cloth.cloth.metres, False, position)
+
+
 @lru_cache(maxsize=1)
 def clothes_position() -> np.ndarray:
     """Shirt and trousers of the sample bodies as a logo: positions of the rig's triangles."""
@@ -187,12 +198,5 @@ def read_clothes(spec: str) -> Clothes:
     position = logo_positions(config["topology"], np.asarray(faces.ids, np.int64))
     if (folder / CLOTH_FILE).exists():
         # Printed as one piece: finer than the faces that it is shown on elsewhere.
-        return PictureClothes(name, read_picture(folder / CLOTH_FILE), _tile_metres(config, folder), False, position)
+        return PictureClothes(name, read_picture(folder / CLOTH_FILE), cloth_metres(folder), False, position)
     return LogoClothes(name, position, read_colors(folder / "colors.npy", len(faces.ids)))
-
-
-def _tile_metres(config: dict, folder: Path) -> float:
-    metres = config.get("settings", {}).get("tile_cm")
-    if not isinstance(metres, int | float) or not metres > 0:
-        raise InputError(f"{folder / 'config.json'}: does not say how wide {CLOTH_FILE} is (settings.tile_cm)")
-    return metres / 100

@@ -17,6 +17,7 @@ from cloak_core.evaluation import statistics
 from cloak_core.evaluation.cloaked import cloth_colors
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.negatives import pattern_scores
+from cloak_core.evaluation.printed_cloth import PrintedCloth
 from cloak_core.evaluation.report.charts import Lines, Rows, group
 from cloak_core.evaluation.report.words import short_names
 from cloak_core.evaluation.results import Results
@@ -127,7 +128,9 @@ def _published(store: RunStore, spec: str, alarms: Alarms, clothes: Sequence[Pic
         faces = LOGOS[SHIRT](bodies)
         label = {"detector": spec, "logo": SHIRT, "attack": PUBLISHED, "trained_on": None, "steps": 0}
         colors = cloth_colors(cloth.picture, cloth.metres, bodies, faces)
-        yield _judged(store, spec, label | {"changes": cloth.name}, alarms, faces=faces, colors=colors)
+        printed = PrintedCloth.of(cloth.picture, cloth.metres)
+        named = label | {"changes": cloth.name}
+        yield _judged(store, spec, named, alarms, faces=faces, colors=colors, cloth=printed)
 
 
 def _cell(store: RunStore, spec: str, attack: Attack, kind: str, trained_on: str, alarms: Alarms) -> Cell:
