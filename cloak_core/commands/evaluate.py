@@ -94,6 +94,8 @@ class Evaluate(Detecting):
 
 
 BOXES = {True: "white", False: "black", None: "?"}
+MOST_CONTROLS = 4
+"""Of the table of several detectors: more leave no room for their names. Each detector's own table has all."""
 
 
 def show_success(result: dict) -> None:
@@ -134,6 +136,7 @@ def matrix(result: dict) -> Table:
     from cloak_core.evaluation.report.words import short_name
 
     controls = [name for name, rates in next(iter(result["detectors"].values())).items() if "success" in rates]
+    controls = controls[:MOST_CONTROLS]
     table = Table(title="success by detector: white box = trained against it, black box = not")
     for column in ("", "box", *controls, "95 % of logo", "alarms"):
         justify = "left" if column in ("", "box") else "right"

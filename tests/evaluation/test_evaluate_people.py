@@ -263,9 +263,15 @@ def test_the_command_says_it(run: Path, path: Path, capsys: pytest.CaptureFixtur
     from cloak_core.evaluation.settings import EvaluateSettings
 
     settings = replace(EvaluateSettings(), size=128, bare=2, resamples=100)
-    command = Evaluate(run_folder=run, people=str(path), backgrounds="procedural:test:2", settings=settings)
+    judges = ("builtin", write_tiny(run))
+    command = Evaluate(
+        run_folder=run, people=str(path), backgrounds="procedural:test:2", settings=settings, detector=judges
+    )
     command.show(command.run())
-    said = " ".join(capsys.readouterr().out.split())
+    lines = capsys.readouterr().out.splitlines()
+    assert any("builtin" in line and "│ white" in line for line in lines), "a name beside all the controls"
+    assert any("darknet" in line and "│ black" in line for line in lines)
+    said = " ".join(" ".join(lines).split())
     assert "3 people in 3 photographs; left out: nobody; training saw none of these photographs" in said
     assert "resampled" in said and "renamed" in said
 
