@@ -21,7 +21,7 @@ from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.trained_run import read_run
+from cloak_core.evaluation.trained_run import read_run, trained_specs
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
@@ -123,10 +123,10 @@ def evaluate(
     judge the snapshots that training kept, too ("over_time" of the result, and RUN/curve.json and .png).
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
-    loaded on `device`; None takes those that the run was trained against. people: in photographs (`load_people`, or a
-    COCO file): judge on these instead of renders, into RUN/evaluation-people; `settings` then decide threshold, size
-    and batch alone. angles: azimuths in degrees. How to evaluate: `settings`, or `changes` of the defaults by the names
-    of `cloak evaluate`'s options (`images_per_view=2`).
+    loaded on `device`; None takes those that the run was trained against, unless one runs code. people: in photographs
+    (`load_people`, or a COCO file): judge on these instead of renders, into RUN/evaluation-people; `settings` then
+    decide threshold, size and batch alone. angles: azimuths in degrees. How to evaluate: `settings`, or `changes` of
+    the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
     `on_progress` hears (images done, images in all), in the calling thread.
 
     Returns what `cloak evaluate --json` prints: success under the logo and each control, in [0, 1], per detector and by
@@ -141,10 +141,10 @@ def evaluate(
     settings = _either(settings, changes, EvaluateSettings)
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
+    specs = trained_specs(folder, config) if detectors is None else detectors
     if people is not None:
         if (scene, colors, profile) != (None, None, None) or over_time:
             raise InputError("--people: judges the run's own colours: without --scene, --colors and the like")
-        specs = [trained["spec"] for trained in config["detectors"]] if detectors is None else detectors
         place = folder / "evaluation-people" if out is None else Path(out)
         return _on_people(folder, config, people, _by_name(specs, device), backgrounds, place, settings, on_progress)
     cloaked, trained, name = open_cloaked(folder, config, scene, backgrounds, colors)
@@ -159,7 +159,7 @@ def evaluate(
         place = f"{place}-printed"
     if settings.cycles is not None:
         place = f"{place}-{settings.cycles}"
-    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    judges = _by_name(specs, device)
     angles = from_plain("angles", angles, Angles) if isinstance(angles, str) else angles
     target = folder / place if out is None else Path(out)
     if (target / "summary.json").exists():
@@ -215,7 +215,7 @@ def film(
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
     cloaked, _, _ = open_cloaked(folder, config, scene, backgrounds, colors)
-    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     return make_film(cloaked, judges, Path(out), settings, on_progress)
 
 

@@ -84,6 +84,33 @@ def load_detector(
     return compile_detector(detector) if compiled else detector
 
 
+def check_recorded(spec: str, whose: str | Path) -> str:
+    """Return a spec that a record names. InputError: loading it would run code.
+
+    Every spec that the caller did not name goes through here: records come with other people's files, and code runs
+    only where the caller names it. `whose`: the record, for the message.
+    """
+    family = FAMILIES.get(_behind_defences(spec).family)
+    if family is not None and family.runs_code:
+        raise InputError(
+            f"{whose}: names the detector {spec}, which runs code; only code that you name is run: --detector {spec}"
+        )
+    return spec
+
+
+def missing_file(spec: str) -> Path | None:
+    """Find the first file of a spec that is not there; None where all are, or it names none."""
+    parts = map(Path, _behind_defences(spec).parts)
+    files = (part for part in parts if part.suffix in FILES and part.suffix != ".yaml")  # ultralytics ships such names
+    return next((file for file in files if not file.expanduser().exists()), None)
+
+
+def _behind_defences(spec: str) -> Request:
+    while (defended := split_defence(spec)) is not None:
+        spec = defended[1]
+    return parse_spec(spec)
+
+
 def _meant(spec: str) -> str | None:
     """Guess the spec that was meant by a file without its family; None where there is no guess."""
     suffix = Path(parse_spec(spec).family).suffix.lower()
