@@ -102,7 +102,7 @@ class Reproduce(Computing):
     backgrounds: Path | None = None
     """Folder of the photographs that were trained and judged before; what training saw is left out by its content."""
     detector: UseAppendAction[tuple[str, ...]] = ()
-    """Your detector of the same file name as a record's, for those that run code: python:PLACE/d2go.py:load@conf=0.5."""
+    """Your detector of a record's file name, for those that run code: python:PLACE/d2go.py:load@conf=0.5."""
     most_images: int | None = None
     """Of every entry's images only so many: quicker, and less sure."""
 

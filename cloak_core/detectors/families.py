@@ -47,7 +47,7 @@ class Family:
     trains: bool = True
     evaluates: bool = True
     runs_code: bool = False
-    """What it names is executed: only the caller may name it, no record of somebody else's (`loading.check_recorded`)."""
+    """What it names is executed: only the caller may name it, no record (`loading.check_recorded`)."""
     needs: str | None = None
     """The package beyond the project's own dependencies, None for none."""
 

@@ -70,7 +70,7 @@ def test_a_run_folder_runs_no_code(evil, words: list[str], before: str, tmp_path
 
 
 def test_nor_does_the_library(evil, tmp_path: Path) -> None:
-    run, spec = evil
+    run, _ = evil
     for asked in (
         lambda: library.evaluate(run),
         lambda: library.film(run, tmp_path / "film"),
@@ -94,7 +94,9 @@ def test_zoo_entries_and_grids_run_code_only_where_it_is_named(evil, tmp_path: P
     judged = {"python:evil.py:make": next(iter(shipped.record["evaluation"]["detectors"].values()))}
     record = shipped.record | {"evaluation": shipped.record["evaluation"] | {"detectors": judged}}
     foreign = Entry(record, shipped.config, shipped.colors, shipped.ids)
-    with pytest.raises(InputError, match="zoo:builtin-sample: names the detector python:evil.py:make, which runs code"):
+    with pytest.raises(
+        InputError, match=r"zoo:builtin-sample: names the detector python:evil\.py:make, which runs code"
+    ):
         evaluate_again(foreign, Files(run), 2, "cpu", None)
     assert not (run / "ran").exists()
 
