@@ -17,7 +17,7 @@ from jaxtyping import Bool, UInt8
 
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
-from cloak_core.files.reading import read_json
+from cloak_core.scene.photographs.coco_reader import check_place, read_coco
 from cloak_core.scene.photographs.landmarks import INDEX, LIMBS, SEEN, Landmarks, is_upright, read_landmarks
 from cloak_core.scene.photographs.masks import decode_mask, numbers
 from cloak_core.scene.pictures import open_picture
@@ -94,7 +94,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     (see `scene.selection`). `InputError` names annotation and file for whatever is broken or does not fit the picture.
     """
     path, selection = split_selection(str(spec))
-    record = read_json(path)
+    record = read_coco(path)
     folders = [Path(images)] if images is not None else [Path(path).parent, Path(path).parent / "images"]
     listed = _table(record, "images", path)
     if selection is not None:
@@ -158,6 +158,7 @@ def _annotated(
         if reason:
             yield what, reason
             continue
+        check_place(box, landmarks, what)
         others = tuple(b for i, b in enumerate(boxes) if i != number and not annotations[i].get("iscrowd"))
         whole = Person(name, int(annotation.get("id") or 0), image, mask, box, landmarks, others)
         yield what, _cropped(whole, licence)
