@@ -9,7 +9,7 @@ import torch
 from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.specs import Request, parse_spec, with_person_class
+from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError, first_line
 
 FILES = {
@@ -121,8 +121,8 @@ def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool,
     """Apply what was said beside the spec, which wins."""
     if size is not None:
         request = replace(request, input_size=(size, size) if isinstance(size, int) else (int(size[0]), int(size[1])))
-    if request.input_size is not None and min(request.input_size) < 1:
-        raise InputError(f"detector {request.spec}: an input size of {request.input_size} is not possible")
+    if request.input_size is not None:
+        check_size(request.input_size, f"detector {request.spec}")
     if person_class is not None:
         request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
     return replace(request, letterbox=letterbox or request.letterbox)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.foreign_code import data_beside, excused, watched
+from cloak_core.detectors.foreign_code import data_beside, excused, set_back, watched
 from cloak_core.detectors.pixels import Placement, fit
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
 from cloak_core.detectors.specs import Request
@@ -57,7 +57,8 @@ class PythonDetector(Detector):
         """
         first, layout = self._range is None, self.memory_format
         before = self._versions() if first else []
-        found = super().forward(images)
+        with set_back():
+            found = super().forward(images)
         if images.requires_grad and torch.is_grad_enabled() and not found.scores.requires_grad:
             if found.scores.numel():
                 raise self._error("its scores carry no gradient of the images (detached, or made without one?)")
@@ -105,7 +106,7 @@ class PythonDetector(Detector):
         inputs, placement = images, Placement()
         if self.input_size is not None:
             inputs, placement = fit(images, self.input_size, self.letterbox)
-        found = self._checked(self._run(inputs), len(images))
+        found = self._checked(self._run(inputs), images)
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
@@ -123,7 +124,8 @@ class PythonDetector(Detector):
         self.memory_format = memory_format
         self.module.to(memory_format=memory_format)
 
-    def _checked(self, output: object, count: int) -> Detections:
+    def _checked(self, output: object, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        count = len(images)
         if (
             not isinstance(output, (tuple, list))
             or len(output) < 2
@@ -137,6 +139,11 @@ class PythonDetector(Detector):
                 f"for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
                 f"it returned {list(boxes)} and {list(scores)}"
             )
+        for name, tensor in zip(("boxes", "scores"), found, strict=False):
+            if tensor.device != images.device:
+                raise self._error(f"its {name} are on {tensor.device}, the images on {images.device}")
+            if not tensor.is_floating_point():
+                raise self._error(f"its {name} are {tensor.dtype}, not floating-point numbers")
         if (found.other is None) != (found.other_class is None):
             raise self._error("must return both of other and other_class, or neither")
         return found
@@ -148,10 +155,10 @@ def load_python(request: Request) -> PythonDetector:
     Told not to fold, the memory layout is left alone; the module itself is never changed.
     """
     name, function = request.parts
-    file = Path(name).expanduser()
+    file = Path(name).expanduser().absolute()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
-    with excused(request.spec, file):
+    with excused(request.spec, file), set_back():
         with watched(file):
             made = _function(file, function)()
         if not isinstance(made, nn.Module):
