@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from torch import Tensor
 
 from cloak_core.attack.distorting import Distortion, draw_occluders, draw_window, occluded
@@ -320,4 +320,13 @@ def require_visible_logo(
                 return
     raise InputError(
         f"the logo: none of its {len(logo_faces)} faces is seen from the training angles {settings.angles}"
+        + _unusual_size(view_cache.bodies.vertices)
     )
+
+
+def _unusual_size(vertices: Float32[np.ndarray, "P V 3"]) -> str:
+    """Say how large the bodies are where no person is: a file in other units; "" where they are as large as people."""
+    largest = float(np.ptp(vertices, axis=1).max())
+    if 0.5 <= largest <= 3:
+        return ""
+    return f"; the body is {largest:.3g} m large, people are about 1.7 (in the scene's file, is a unit a metre?)"
