@@ -20,7 +20,7 @@ from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.trained_run import read_run
+from cloak_core.evaluation.trained_run import read_run, trained_specs
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
@@ -123,7 +123,8 @@ def evaluate(
     RUN/curve-people.json and .png). An evaluation of the same content in its folder is not made again.
     scene, backgrounds: given as they are or by name; None takes what was kept back of the embedded material that
     training saw. detectors: given as they are (in a mapping, by the names they get in the result), or by spec, then
-    loaded on `device`; None takes those that the run was trained against. people: in photographs (`load_people`, or a
+    loaded on `device`; None takes those that the run was trained against,
+    unless one runs code. people: in photographs (`load_people`, or a
     COCO file): judge on these instead of renders, into RUN/evaluation-people, all else alike; `settings` then decide
     size, threshold, controls, bare, resamples, batch and seed. angles: azimuths in degrees. How to evaluate:
     `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
@@ -145,7 +146,7 @@ def evaluate(
         raise InputError(
             "--over-time: judges snapshots as they are, in our own renders: without --profile and --cycles"
         )
-    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     asked = {"detectors": judges, "on_progress": on_progress}
     if people is not None:
         if scene is not None or settings.cycles is not None:
@@ -200,7 +201,7 @@ def film(
     folder = Path(run.out) if isinstance(run, RunResult) else run_path(run)
     config = read_run(folder)
     cloaked, _, _ = open_cloaked(folder, config, scene, backgrounds, colors)
-    judges = _by_name([trained["spec"] for trained in config["detectors"]] if detectors is None else detectors, device)
+    judges = _by_name(trained_specs(folder, config) if detectors is None else detectors, device)
     return make_film(cloaked, judges, Path(out), settings, on_progress)
 
 

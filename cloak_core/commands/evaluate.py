@@ -58,14 +58,15 @@ class Evaluate(Detecting):
     )
 
     def run(self) -> dict:
-        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.evaluation.trained_run import read_run, trained_specs
         from cloak_core.library import evaluate
         from cloak_core.scene.photographs.people import load_people
         from cloak_core.zoo.entry import run_path
 
         self.prepare()
-        config = read_run(run_path(self.run_folder))
-        specs = self.detector or tuple(trained["spec"] for trained in config["detectors"])
+        folder = run_path(self.run_folder)
+        config = read_run(folder)
+        specs = self.detector or trained_specs(folder, config)
         people = None if self.people is None else load_people(self.people, self.images)
         with counted("evaluating", self.events) as tell:
             return evaluate(

@@ -49,12 +49,13 @@ class Film(Detecting):
         self.prepare()
         require_new(self.out)
         check_film(self.out)
-        from cloak_core.evaluation.trained_run import read_run
+        from cloak_core.evaluation.trained_run import read_run, trained_specs
         from cloak_core.library import film
         from cloak_core.zoo.entry import run_path
 
-        trained = [record["spec"] for record in read_run(run_path(self.run_folder))["detectors"]]
-        detectors = self.by_spec(self.detector or trained)
+        folder = run_path(self.run_folder)
+        config = read_run(folder)
+        detectors = self.by_spec(self.detector or trained_specs(folder, config))
         with counted("filming", self.events) as tell:
             return film(
                 self.run_folder,

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from cloak_core.commands.base import Stopped, err, out
 from cloak_core.commands.options import prepare_process
@@ -35,6 +35,8 @@ class Sweep(Sharing):
     out: Path
     """Folder for the runs and their table; the same one goes on with what is left."""
 
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Detectors of the grid that run code, python:FILE.py:FUNCTION: only what is named here, too, is run."""
     device: str | None = None
     """Torch device of every run (default: what the grid says, else cpu)."""
     threads: int | None = None
@@ -51,7 +53,7 @@ class Sweep(Sharing):
         executor = self.sharing.executor()
         options = {"device": self.device, "threads": self.threads, "seed": self.seed}
         changes = {name: value for name, value in options.items() if value is not None}
-        sweep = Sweep(read_grid(self.grid, changes), self.out)
+        sweep = Sweep(read_grid(self.grid, changes, self.detector), self.out)
         with TrainingProgress() as progress:
             stopped = sweep.run(err.print, progress, prepare_process, executor, self.sharing.gpus_per_run)
         result = {"out": str(self.out)} | sweep.write_results()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from rich.table import Table
-from tyro.conf import Positional
+from tyro.conf import Positional, UseAppendAction
 
 from cloak_core.commands.base import Command, load_scene, out, require_new
 from cloak_core.commands.options import Computing
@@ -101,6 +101,8 @@ class Reproduce(Computing):
     """Folder with the detectors' files and the scenes, by the names in the records, at any depth."""
     backgrounds: Path | None = None
     """Folder of the photographs that were trained and judged before; what training saw is left out by its content."""
+    detector: UseAppendAction[tuple[str, ...]] = ()
+    """Your detector of a record's file name, for those that run code: python:PLACE/d2go.py:load@conf=0.5."""
     most_images: int | None = None
     """Of every entry's images only so many: quicker, and less sure."""
 
@@ -109,7 +111,7 @@ class Reproduce(Computing):
         from cloak_core.zoo.entry import entry, shelved
 
         self.prepare()
-        files, rows, left_out = Files(self.files, self.backgrounds), [], {}
+        files, rows, left_out = Files(self.files, self.backgrounds, self.detector), [], {}
         for found in [entry(name) for name in self.names or shelved()]:
             name = found.record["name"]
             try:

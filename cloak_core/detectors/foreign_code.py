@@ -1,4 +1,7 @@
-"""Users' code in our process: what it raises becomes one line of theirs, and the files that it reads are known."""
+"""Users' code in our process.
+
+What it raises becomes one line of theirs, what it changes of the process is set back, and the files it reads are known.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,8 @@ import traceback
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+
+import torch
 
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import imported_files
@@ -42,6 +47,36 @@ def excused(spec: str, file: Path | None) -> Iterator[None]:
         if type(error).__name__ == "OutOfMemoryError":  # torch's
             raise
         raise InputError(_words(spec, str(file), error)) from error
+
+
+@contextlib.contextmanager
+def set_back() -> Iterator[None]:
+    """Set back what the block changes of the process.
+
+    Gradient mode, torch's default device, type and number of threads, and the working folder: inference scripts set
+    these when they are imported, and we and other detectors would then compute otherwise, or write elsewhere.
+    """
+    gradients, kind, threads = torch.is_grad_enabled(), torch.get_default_dtype(), torch.get_num_threads()
+    device, folder = torch.get_default_device(), _working_folder()
+    try:
+        yield
+    finally:
+        torch.set_grad_enabled(gradients)
+        torch.set_default_dtype(kind)
+        if torch.get_num_threads() != threads:
+            torch.set_num_threads(threads)
+        if torch.get_default_device() != device:
+            # Torch looks at every call where a default is set; the CPU is so without.
+            torch.set_default_device(None if device.type == "cpu" else device)
+        if folder is not None and _working_folder() != folder:
+            os.chdir(folder)
+
+
+def _working_folder() -> str | None:
+    try:
+        return os.getcwd()
+    except OSError:  # somebody has removed it
+        return None
 
 
 def culprit(error: BaseException) -> str | None:

@@ -10,7 +10,7 @@ from cloak_core.detectors.defended.table import list_defences, read_head, split_
 from cloak_core.detectors.devices import usable_device
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.specs import Request, parse_spec, with_person_class
+from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError
 
 FILES = {
@@ -85,6 +85,33 @@ def load_detector(
     return compile_detector(detector) if compiled else detector
 
 
+def check_recorded(spec: str, whose: str | Path) -> str:
+    """Return a spec that a record names. InputError: loading it would run code.
+
+    Every spec that the caller did not name goes through here: records come with other people's files, and code runs
+    only where the caller names it. `whose`: the record, for the message.
+    """
+    family = FAMILIES.get(_behind_defences(spec).family)
+    if family is not None and family.runs_code:
+        raise InputError(
+            f"{whose}: names the detector {spec}, which runs code; only code that you name is run: --detector {spec}"
+        )
+    return spec
+
+
+def missing_file(spec: str) -> Path | None:
+    """Find the first file of a spec that is not there; None where all are, or it names none."""
+    parts = map(Path, _behind_defences(spec).parts)
+    files = (part for part in parts if part.suffix in FILES and part.suffix != ".yaml")  # ultralytics ships such names
+    return next((file for file in files if not file.expanduser().exists()), None)
+
+
+def _behind_defences(spec: str) -> Request:
+    while (defended := split_defence(spec)) is not None:
+        spec = defended[1]
+    return parse_spec(spec)
+
+
 def _meant(spec: str) -> str | None:
     """Guess the spec that was meant by a file without its family; None where there is no guess."""
     suffix = Path(parse_spec(spec).family).suffix.lower()
@@ -95,8 +122,8 @@ def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool,
     """Apply what was said beside the spec, which wins."""
     if size is not None:
         request = replace(request, input_size=(size, size) if isinstance(size, int) else (int(size[0]), int(size[1])))
-    if request.input_size is not None and min(request.input_size) < 1:
-        raise InputError(f"detector {request.spec}: an input size of {request.input_size} is not possible")
+    if request.input_size is not None:
+        check_size(request.input_size, f"detector {request.spec}")
     if person_class is not None:
         request = replace(request, spec=with_person_class(request.spec, person_class), person_class=person_class)
     return replace(request, letterbox=letterbox or request.letterbox)

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import package_versions
 
 
@@ -74,14 +75,34 @@ class Detector(nn.Module):
         self.name = name
         self.spec = spec
         self.source, self.packages = {}, ()
+        self._not_finite: Tensor | None = None
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
-        """Detect persons in RGB images in [0, 1], of any size, on the detector's device."""
+        """Detect persons in RGB images in [0, 1], of any size, on the detector's device.
+
+        InputError: a box is not finite. On a GPU, which is not waited for, `verify` says so.
+        """
         if self.precision == "float32":
-            return self.detect(images)
-        with torch.autocast(images.device.type, torch.bfloat16):
             found = self.detect(images)
-        return Detections(*(part if part is None or not part.is_floating_point() else part.float() for part in found))
+        else:
+            with torch.autocast(images.device.type, torch.bfloat16):
+                found = self.detect(images)
+            parts = (part if part is None or not part.is_floating_point() else part.float() for part in found)
+            found = Detections(*parts)
+        broken = ~found.boxes.detach().isfinite().all()
+        if broken.device.type == "cpu":
+            self._require_finite(broken)
+        else:
+            self._not_finite = broken if self._not_finite is None else self._not_finite | broken
+        return found
+
+    def _require_finite(self, broken: Tensor | None) -> None:
+        if broken is not None and bool(broken):
+            raise self._error("a corner of its boxes is not a finite number")
+
+    def _error(self, words: str) -> InputError:
+        """Make the error that says what is wrong with what the detector answers."""
+        return InputError(f"{self.spec}: {words}")
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
         """Do the family's own work behind `forward`."""
@@ -92,7 +113,11 @@ class Detector(nn.Module):
         return self.eval().requires_grad_(False)
 
     def verify(self, before: str) -> None:
-        """Check after use that the `state_hash` is still `before`. RuntimeError: it is not."""
+        """Check after use that the `state_hash` is still `before`, and what `forward` left to be checked.
+
+        RuntimeError: the detector has changed. InputError: a box was not finite.
+        """
+        self._require_finite(self._not_finite)
         if state_hash(self) != before:
             raise RuntimeError(f"detector {self.spec} changed while it was used")
 

@@ -9,15 +9,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from cloak_core.detectors.foreign_code import data_beside, excused, watched
+from cloak_core.detectors.foreign_code import data_beside, excused, set_back, watched
 from cloak_core.detectors.pixels import Placement, fit
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
+from cloak_core.detectors.scoring import max_person_score
 from cloak_core.detectors.specs import Request
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import source_hash
 
 ROUNDING = 1e-3
 """Scores may be beyond [0, 1] by so much."""
+SAME = 0.01
+"""Best scores of an image that differ by more are two answers."""
+CLEAR = 0.05
+"""Boxes with a higher score have their corners in order."""
 
 
 class PythonDetector(Detector):
@@ -47,6 +52,7 @@ class PythonDetector(Detector):
         self.class_names = None if names is None else tuple(map(str, names))
         self.module, self.input_size, self.letterbox, self.file = module, input_size, letterbox, file
         self._range: Tensor | None = None
+        self._to_ask = {"twice", "alone"}
         self._lay_out(torch.channels_last if channels_last else torch.contiguous_format)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:
@@ -57,7 +63,8 @@ class PythonDetector(Detector):
         """
         first, layout = self._range is None, self.memory_format
         before = self._versions() if first else []
-        found = super().forward(images)
+        with set_back():
+            found = super().forward(images)
         if images.requires_grad and torch.is_grad_enabled() and not found.scores.requires_grad:
             if found.scores.numel():
                 raise self._error("its scores carry no gradient of the images (detached, or made without one?)")
@@ -67,13 +74,33 @@ class PythonDetector(Detector):
             self._check_range()
             if self.memory_format == layout and self._versions() != before:
                 raise self._error("it changes its own parameters or buffers when it is called")
+        with set_back():
+            self._ask_again(images.detach(), found)
         return found
 
     def verify(self, before: str) -> None:
         """See `Detector.verify`; what the user's module did wrong is an InputError."""
         self._check_range()
+        self._require_finite(self._not_finite)
         if state_hash(self) != before:
             raise self._error("it changed its own parameters or buffers while it was used")
+
+    @torch.no_grad()
+    def _ask_again(self, images: Float[Tensor, "B 3 H W"], found: Detections) -> None:
+        """Ask the first images twice, and one of the first batch alone. InputError: it does not answer the same."""
+        if "twice" in self._to_ask and len(images):
+            self._to_ask.discard("twice")
+            self._compare(max_person_score(super().forward(images)), found, "is asked twice about the same images")
+        if "alone" in self._to_ask and len(images) > 1:
+            self._to_ask.discard("alone")
+            last = Detections(*(None if part is None else part[-1:] for part in found))
+            self._compare(max_person_score(super().forward(images[-1:])), last, "sees an image alone and among others")
+
+    def _compare(self, again: Float[Tensor, " B"], found: Detections, how: str) -> None:
+        first = max_person_score(found).detach()
+        worst = float((first - again).abs().max())
+        if not worst <= SAME:
+            raise self._error(f"it answers otherwise where it {how}: best scores differ by {worst:.3g}")
 
     def _versions(self) -> list[tuple[int, int]]:
         """List the module's tensors and how often each was written to, from the host's memory alone."""
@@ -105,7 +132,7 @@ class PythonDetector(Detector):
         inputs, placement = images, Placement()
         if self.input_size is not None:
             inputs, placement = fit(images, self.input_size, self.letterbox)
-        found = self._checked(self._run(inputs), len(images))
+        found = self._checked(self._run(inputs), images)
         return found._replace(boxes=placement.restore(found.boxes)) if self.input_size is not None else found
 
     def _run(self, inputs: Float[Tensor, "B 3 H W"]) -> object:
@@ -123,7 +150,8 @@ class PythonDetector(Detector):
         self.memory_format = memory_format
         self.module.to(memory_format=memory_format)
 
-    def _checked(self, output: object, count: int) -> Detections:
+    def _checked(self, output: object, images: Float[Tensor, "B 3 H W"]) -> Detections:
+        count = len(images)
         if (
             not isinstance(output, (tuple, list))
             or len(output) < 2
@@ -137,6 +165,15 @@ class PythonDetector(Detector):
                 f"for {count} images must return boxes [{count}, N, 4] and scores [{count}, N]; "
                 f"it returned {list(boxes)} and {list(scores)}"
             )
+        for name, tensor in zip(("boxes", "scores"), found, strict=False):
+            if tensor.device != images.device:
+                raise self._error(f"its {name} are on {tensor.device}, the images on {images.device}")
+            if not tensor.is_floating_point():
+                raise self._error(f"its {name} are {tensor.dtype}, not floating-point numbers")
+        if found.boxes.device.type == "cpu":
+            sizes = (found.boxes[..., 2:] - found.boxes[..., :2]).detach()
+            if bool(((sizes < 0).any(dim=2) & (found.scores.detach() > CLEAR)).any()):
+                raise self._error("a box has its corners swapped: they are x1, y1, x2, y2")
         if (found.other is None) != (found.other_class is None):
             raise self._error("must return both of other and other_class, or neither")
         return found
@@ -148,10 +185,10 @@ def load_python(request: Request) -> PythonDetector:
     Told not to fold, the memory layout is left alone; the module itself is never changed.
     """
     name, function = request.parts
-    file = Path(name).expanduser()
+    file = Path(name).expanduser().absolute()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
-    with excused(request.spec, file):
+    with excused(request.spec, file), set_back():
         with watched(file):
             made = _function(file, function)()
         if not isinstance(made, nn.Module):

@@ -10,6 +10,8 @@ from cloak_core.files.specs import split_spec
 PERSON = "person"
 """The class that is looked for unless told otherwise."""
 _NUMBER = r"[0-9.]+(?:e-?[0-9]+)?"
+MAX_SIDE = 4096
+"""Pixels of a side of a network's input: beyond it, one image takes minutes and the machine's memory."""
 OPTIONS = {
     "size": r"\d+(?:x\d+)?",
     "letterbox": "letterbox|stretch",
@@ -109,6 +111,15 @@ def _numbers(spec: str, option: str) -> tuple[float, ...]:
         return tuple(float(part) for part in option.partition("=")[2].split("/"))
     except ValueError:
         raise InputError(f"detector {spec!r}: {option} holds something that is no number") from None
+
+
+def check_size(size: tuple[int, int], what: object) -> tuple[int, int]:
+    """Return a network's input size (height, width). InputError: a side of no pixel, or beyond `MAX_SIDE`."""
+    if not (1 <= min(size) and max(size) <= MAX_SIDE):
+        raise InputError(
+            f"{what}: an input size of {size[0]}x{size[1]} is not possible (1 to {MAX_SIDE} a side; @HEIGHTxWIDTH)"
+        )
+    return size
 
 
 def with_person_class(spec: str, person_class: str) -> str:

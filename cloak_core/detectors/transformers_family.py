@@ -19,7 +19,7 @@ from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import IMAGENET, Placement
 from cloak_core.detectors.protocol import Detections, Detector, at_least_float32
-from cloak_core.detectors.specs import Request
+from cloak_core.detectors.specs import MAX_SIDE, Request, check_size
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.files.reading import read_json
@@ -170,9 +170,9 @@ def _preprocessing(where: str, model_type: str, request: Request) -> Preprocessi
     mean, std = (config.get("image_mean") or IMAGENET[0], config.get("image_std") or IMAGENET[1])
     plain = config.get("do_normalize") is False
     return Preprocessing(
-        size=request.input_size or exact,
-        short_side=int(size.get("shortest_edge") or 800),
-        long_side=int(size.get("longest_edge") or config.get("max_size") or 1333),
+        size=request.input_size or (exact and check_size(exact, where)),
+        short_side=min(int(size.get("shortest_edge") or 800), MAX_SIDE),
+        long_side=min(int(size.get("longest_edge") or config.get("max_size") or 1333), MAX_SIDE),
         mean=(0.0, 0.0, 0.0) if plain else tuple(map(float, mean)),
         std=(1.0, 1.0, 1.0) if plain else tuple(map(float, std)),
     )

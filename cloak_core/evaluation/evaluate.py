@@ -24,6 +24,7 @@ from cloak_core.evaluation.measure import OnProgress, all_controls, check_asked,
 from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
 from cloak_core.evaluation.report.pictures import write_pictures
 from cloak_core.evaluation.report.plots import success_over_time
+from cloak_core.evaluation.report.stored import check_stored
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
@@ -224,13 +225,15 @@ def is_earlier_on_people(folder: Path) -> bool:
 
 
 def read_evaluation(folder: Path) -> StoredEvaluation:
-    """Read what `write_evaluation` wrote; InputError names what is missing or damaged."""
-    return StoredEvaluation(
+    """Read what `write_evaluation` wrote; InputError names what is missing, damaged or of another type."""
+    stored = StoredEvaluation(
         folder=folder,
         summary=read_json(folder / "summary.json"),
         pictures=read_json(folder / "pictures.json"),
         results=read_results(folder / "scores.npz"),
     )
+    check_stored(folder, stored.summary, stored.pictures, stored.results)
+    return stored
 
 
 def write_evaluation(

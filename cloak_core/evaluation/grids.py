@@ -7,10 +7,11 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cloak_core.attack.settings import TrainSettings, merge, settings_from_record
+from cloak_core.detectors.loading import check_recorded
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_toml
 
@@ -42,12 +43,15 @@ class SweepRun:
         return re.sub(r"[^\w.,=+-]+", "_", self.label.replace(", ", ","))[:80]
 
 
-def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> list[SweepRun]:
+def read_grid(
+    path: str | Path, changes: Mapping[str, object] | None = None, named: Sequence[str] = ()
+) -> list[SweepRun]:
     """Read the runs of a grid file: every combination of the lists in [grid], over [base], in the file's order.
 
     [base] and [grid] take the settings of `cloak train` by name, and scene, logo, detector, backgrounds, as on the
     command line. In [grid] each name has a list of values; an entry of `detector` may itself be a list, of detectors
-    to be trained against at once. `changes` replace what [base] says. InputError names the file and the key.
+    to be trained against at once. `changes` replace what [base] says; of its detectors only those `named` here may run
+    code. InputError names the file and the key.
     """
     path = Path(path)
     record = read_toml(path)
@@ -71,7 +75,10 @@ def read_grid(path: str | Path, changes: Mapping[str, object] | None = None) -> 
     if count > MOST_RUNS:
         raise InputError(f"{path}: {count} runs, more than {MOST_RUNS}")
     combinations = (dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values()))
-    return [_run(base, varied, path) for varied in combinations]
+    runs = [_run(base, varied, path) for varied in combinations]
+    for spec in {spec for run in runs for spec in run.detectors} - set(named):
+        check_recorded(spec, path)
+    return runs
 
 
 def _keys(table: dict, path: Path) -> dict:

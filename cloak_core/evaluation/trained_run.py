@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.attack.events import read_events
+from cloak_core.detectors.loading import check_recorded, missing_file
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -44,6 +45,20 @@ def read_run(folder: Path) -> dict:
     ):
         raise InputError(f"{folder / 'config.json'}: detectors is not a list of records, each with its spec")
     return config
+
+
+def trained_specs(folder: Path, config: dict) -> list[str]:
+    """List the detectors that a run was trained against.
+
+    InputError: one runs code, or its file is not here; the caller has to name it.
+    """
+    specs = [check_recorded(record["spec"], folder) for record in config["detectors"]]
+    for spec in specs:
+        if (file := missing_file(spec)) is not None:
+            raise InputError(
+                f"{folder}: trained against {spec}, and {file} is not here: name your copy of it, --detector SPEC"
+            )
+    return specs
 
 
 def kept_back(kind: str, config: dict) -> str:

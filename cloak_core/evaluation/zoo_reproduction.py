@@ -6,7 +6,8 @@ import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.loading import check_recorded, load_detector
+from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.evaluate import evaluate, headline
 from cloak_core.evaluation.measure import OnProgress
@@ -14,6 +15,7 @@ from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import EMBEDDED, kept_back
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
+from cloak_core.files.specs import without_folders
 from cloak_core.scene.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.scene.logos.logo import make_logo
 from cloak_core.scene.opening import load_scene
@@ -31,6 +33,8 @@ class Files:
     """Detectors and scenes, by their names, at any depth."""
     backgrounds: Path | None = None
     """A folder of photographs; those that training saw are left out by their content."""
+    detectors: tuple[str, ...] = ()
+    """Specs that stand for the recorded ones of the same file names; only these may run code."""
 
     def find(self, name: str, whose: str) -> Path:
         """Find a file by its name; InputError where it is not there."""
@@ -59,7 +63,7 @@ def evaluate_again(
             f"{files.backgrounds}: {len(backgrounds)} backgrounds that {whose} was not trained on, "
             f"its record has {told['inputs']['backgrounds']}"
         )
-    detectors = {spec: load_detector(_placed(spec, files, whose), device=device) for spec in told["detectors"]}
+    detectors = {spec: _detector(spec, files, whose, device) for spec in told["detectors"]}
     cloaked = Cloaked(found.colors, make_logo(bodies, found.ids), bodies, backgrounds)
     how = told["settings"]["angles"], _settings(told["settings"], most_images)
     measured = evaluate(cloaked, detectors, *how, training=found.config, on_progress=on_progress)
@@ -91,6 +95,14 @@ def _backgrounds(found: Entry, files: Files, whose: str) -> Backgrounds:
         )
     every, trained = load_backgrounds(files.backgrounds), set(found.config["backgrounds"]["identities"])
     return every.subset([i for i, identity in enumerate(every.identities()) if identity not in trained])
+
+
+def _detector(spec: str, files: Files, whose: str, device: str) -> Detector:
+    """Load a recorded detector, or the one that the caller names in its place."""
+    named = next((ours for ours in files.detectors if without_folders(ours) == spec), None)
+    if named is not None:
+        return load_detector(named, device=device)
+    return load_detector(_placed(check_recorded(spec, whose), files, whose), device=device)
 
 
 def _placed(spec: str, files: Files, whose: str) -> str:

@@ -60,6 +60,8 @@ class DiskCache:
                 data = np.memmap(file, np.uint8, "c")
         except ValueError:  # not there (`InputError`), or empty
             return None
+        if len(data) <= _CHECKSUM:  # no data has this checksum, too: four zeros
+            return None
         if zlib.crc32(data[:-_CHECKSUM]) != int.from_bytes(data[-_CHECKSUM:].tobytes(), "little"):
             return None
         with contextlib.suppress(OSError):

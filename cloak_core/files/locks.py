@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from .errors import InputError
-from .writing import open_to_append, written
+from .writing import open_to_append, try_lock
 
 
 @contextlib.contextmanager
@@ -19,7 +18,7 @@ def lock(path: Path, wait: bool = False) -> Iterator[None]:
     BlockingIOError: somebody else holds it (without `wait`). InputError: it cannot be made.
     """
     with open_to_append(path) as file:
-        while not _lock(file.fileno(), path):
+        while not try_lock(file.fileno(), path):
             if not wait:
                 raise BlockingIOError(f"{path}: held by another process")
             time.sleep(0.05)
@@ -40,20 +39,3 @@ def is_held(path: Path) -> bool:
         return True
     except InputError:
         return False
-
-
-def _lock(handle: int, path: Path) -> bool:
-    """Whether the lock is ours now; InputError where the file system has none."""
-    if os.name == "nt":
-        import msvcrt
-
-        with contextlib.suppress(OSError):
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-            return True
-        return False
-    import fcntl
-
-    with written(path), contextlib.suppress(BlockingIOError):
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False

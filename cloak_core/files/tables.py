@@ -46,6 +46,14 @@ def read_table(path: str | os.PathLike, known: Sequence[str], needed: Sequence[s
     return [{name: cell.strip() for name, cell in row.items() if cell.strip()} for row in rows]
 
 
+def as_cell(value: object) -> object:
+    """Write text as a cell that no spreadsheet takes for a formula: an apostrophe before =, +, -, @, tab and return.
+
+    File names and specs come from others, and a table is opened in a spreadsheet. Other values stay.
+    """
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
 def number(row: dict[str, str], name: str, path: str | os.PathLike, default: float | None = None) -> float:
     """A cell as a finite number. InputError: it is none, or is not there and has no default."""
     text = row.get(name)

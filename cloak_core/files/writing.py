@@ -9,6 +9,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -16,6 +17,10 @@ from typing import BinaryIO
 import numpy as np
 
 from .errors import InputError
+
+WRITING = ".writing"
+"""A file in a folder that is being written; its process holds its lock."""
+DAY = 24 * 3600.0
 
 
 def write_json(path: str | os.PathLike, record: dict) -> None:
@@ -95,6 +100,23 @@ def open_to_append(path: str | os.PathLike) -> BinaryIO:
         return os.fdopen(handle, "ab", buffering=0)
 
 
+def try_lock(handle: int, path: Path) -> bool:
+    """Take the lock of an open file if nobody has it; tell whether it is ours. InputError: the file system has none."""
+    if os.name == "nt":
+        import msvcrt
+
+        with contextlib.suppress(OSError):
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            return True
+        return False
+    import fcntl
+
+    with written(path), contextlib.suppress(BlockingIOError):
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False
+
+
 @contextlib.contextmanager
 def written(path: str | os.PathLike) -> Iterator[None]:
     """Whatever the system has against writing becomes an `InputError` that names `path`."""
@@ -106,15 +128,44 @@ def written(path: str | os.PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `folder` that takes its name when the block ends well and vanishes when not."""
+    """Yield a temporary folder beside `folder` that takes its name when the block ends well and vanishes when not.
+
+    What killed processes left of the same folder is removed.
+    """
     with written(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
+        remove_abandoned(folder)
         temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
         try:
-            yield temporary
+            with open_to_append(temporary / WRITING) as mark:
+                with contextlib.suppress(InputError):  # no locks here: what is left then goes by its age
+                    try_lock(mark.fileno(), temporary)
+                yield temporary
+            os.unlink(temporary / WRITING)
             os.chmod(temporary, 0o755)
             if folder.exists():
                 folder.rmdir()  # empty, or this fails; Windows cannot rename over a folder
             os.replace(temporary, folder)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary folders that `new_folder` left beside `folder` in processes that were killed.
+
+    A living process holds the lock of its mark. One without a mark (of an earlier version) goes after a day.
+    """
+    left = re.compile(rf"\.{re.escape(folder.name)}\.[a-z0-9_]{{8}}\Z")  # as tempfile names them
+    for other in folder.parent.iterdir():
+        if left.match(other.name) and other.is_dir() and _is_abandoned(other):
+            shutil.rmtree(other, ignore_errors=True)
+
+
+def _is_abandoned(temporary: Path) -> bool:
+    try:
+        if not (temporary / WRITING).is_file():
+            return time.time() - temporary.stat().st_mtime > DAY
+        with open_to_append(temporary / WRITING) as mark:
+            return try_lock(mark.fileno(), temporary)
+    except (OSError, InputError):  # its process has just renamed it, or there are no locks
+        return False

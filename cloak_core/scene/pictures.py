@@ -21,13 +21,17 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 64 << 20
 MAX_FILE_BYTES = 256 << 20
+ORIENTATION = 0x0112
+"""EXIF's tag."""
 FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "GIF", "PPM", "TGA", "TIFF")
 """No other is tried: some of Pillow's formats start programs (PostScript)."""
 
 
 @contextlib.contextmanager
 def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator[Image.Image]:
-    """Open a picture that is decoded inside the block; `data`: the file's content, where it is read already.
+    """Open a picture of 8 bits a channel, decoded inside the block; `data`: the file's content, where it is read.
+
+    Deeper ones are scaled to 8 bits, see `in_eight_bits`: Pillow's own conversion cuts them off, to white or black.
 
     InputError, also for what decoding it runs into: no regular file, larger than `MAX_FILE_BYTES`, more than
     `MAX_PIXELS`, damaged, or no picture.
@@ -39,13 +43,35 @@ def open_picture(path: Path, data: bytes | memoryview | None = None) -> Iterator
         with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
             if picture.width * picture.height > MAX_PIXELS:
                 raise InputError(f"{path}: {picture.width} x {picture.height} pixels, more than any picture taken here")
-            yield picture
+            yield in_eight_bits(picture, path)
     except InputError:
         raise
     except Image.UnidentifiedImageError:
         raise InputError(f"{path}: not a readable picture (none of {', '.join(FORMATS)})") from None
     except (OSError, ValueError, SyntaxError, EOFError, struct.error, Image.DecompressionBombError) as error:
         raise InputError(f"{path}: not a readable picture ({first_line(error)})") from None
+
+
+def in_eight_bits(picture: Image.Image, path: Path) -> Image.Image:
+    """Scale 16- and 32-bit grey (integers from 0, or floats from 0 to 1) to 8-bit grey; others stay as they are.
+
+    InputError: floats or integers beyond what such a picture holds, of which nobody knows what is white.
+    """
+    from PIL import Image
+
+    if not picture.mode.startswith(("I", "F")):
+        return picture
+    values = np.asarray(picture)
+    low, high = float(values.min(initial=0)), float(values.max(initial=0))
+    white = 1.0 if picture.mode.startswith("F") else 65535.0 if high <= 65535 else 2.0**31 - 1
+    if not (low >= 0 and high <= white):
+        raise InputError(f"{path}: its pixels are from {low:g} to {high:g}, not 0 to {white:g}: save it in 8 bits")
+    # Integers are cut, not rounded: identities of backgrounds are over these pixels.
+    eight = np.rint(255 * values) if white == 1 else values // (257 if white == 65535 else 1 << 23)
+    scaled = Image.fromarray(eight.astype(np.uint8))
+    scaled.info = picture.info
+    scaled.getexif()[ORIENTATION] = picture.getexif().get(ORIENTATION, 1)
+    return scaled
 
 
 def perspective(start: Float[np.ndarray, "4 2"], end: Float[np.ndarray, "4 2"]) -> Float[np.ndarray, " 8"]:

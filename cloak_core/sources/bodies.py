@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Float32, Int
 
 from cloak_core.attack.fabric import Fabric
 from cloak_core.attack.settings.components import ViewSettings
@@ -121,4 +121,15 @@ class BodySource:
             for pose in range(self.members):
                 if len(self.view_cache.bake(pose, camera, faces).map):
                     return
-        raise InputError(f"the logo: none of its {len(faces)} faces is seen from the training angles {settings.angles}")
+        raise InputError(
+            f"the logo: none of its {len(faces)} faces is seen from the training angles {settings.angles}"
+            + _unusual_size(self.bodies.vertices)
+        )
+
+
+def _unusual_size(vertices: Float32[np.ndarray, "P V 3"]) -> str:
+    """Say how large the bodies are where no person is: a file in other units; "" where they are as large as people."""
+    largest = float(np.ptp(vertices, axis=1).max())
+    if 0.5 <= largest <= 3:
+        return ""
+    return f"; the body is {largest:.3g} m large, people are about 1.7 (in the scene's file, is a unit a metre?)"

@@ -7,6 +7,7 @@ other, without what only resuming needs.
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import tempfile
@@ -211,6 +212,7 @@ def success(record: dict) -> float | None:
 
 SHELF = Path(__file__).parent / "entries"
 MARK = "zoo:"
+_log = logging.getLogger("cloak")
 _TEMPORARY: list[tempfile.TemporaryDirectory] = []
 """Where nothing is cached: gone when the process ends."""
 
@@ -234,9 +236,19 @@ def run_path(named: str | os.PathLike) -> Path:
 @cache
 def _run_of(name: str) -> Path:
     found, folder = entry(name), cache_folder("zoo")
-    if folder is None:
-        _TEMPORARY.append(tempfile.TemporaryDirectory(prefix="cloak-zoo-"))
-        folder = Path(_TEMPORARY[-1].name)
     # Named by content: another version's entry of the same name is another folder.
-    run = folder / f"{name}-{found.record['colors'][:12]}"
-    return run if (run / "colors.npy").exists() else found.write_run(run)
+    place = f"{name}-{found.record['colors'][:12]}"
+    if folder is not None:
+        run = folder / place
+        try:
+            return run if _is_there(run) else found.write_run(run)
+        except InputError as error:
+            if _is_there(run):  # another process was quicker
+                return run
+            _log.warning("%s: entries of the zoo are not kept (%s)", folder, error)
+    _TEMPORARY.append(tempfile.TemporaryDirectory(prefix="cloak-zoo-"))
+    return found.write_run(Path(_TEMPORARY[-1].name) / place)
+
+
+def _is_there(run: Path) -> bool:
+    return (run / "colors.npy").exists()

@@ -123,6 +123,9 @@ def test_nothing_is_written_before_a_run_can_begin(tmp_path):
     out = tmp_path / "run"
     with pytest.raises(InputError, match="none of its 16 faces is seen from the training angles -10,10"):
         run(out, logo=back_logo(bodies))
+    far = dataclasses.replace(bodies, vertices=bodies.vertices * 1000)
+    with pytest.raises(InputError, match=r"faces is seen .*; the body is [0-9.e+]+ m large, people are about 1\.7"):
+        train(settings(), far, front_logo(far), [TinyDetector()], noise_backgrounds(), out)
     with pytest.raises(InputError, match="--detector"):
         train(settings(), bodies, front_logo(bodies), [], noise_backgrounds(), out)
     black_box = TinyDetector()

@@ -132,7 +132,7 @@ def test_names_beside_must_agree(tmp_path: Path) -> None:
         ("python:none.py", "expected python:FILE.py:FUNCTION"),
         ("builtin:x:y", r"expected builtin\[:WEIGHTS\], @OPTIONS"),
         ("builtin:x", "x: no such file"),
-        ("darknet:a:b@0", "an input size of .0, 0. is not possible"),
+        ("darknet:a:b@0", "an input size of 0x0 is not possible"),
     ],
 )
 def test_bad_specs(spec: str, message: str) -> None:

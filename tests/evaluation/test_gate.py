@@ -96,3 +96,11 @@ def test_a_broken_bound_ends_with_1(
     assert end.value.code == 0
     with pytest.raises(InputError, match="--junit: needs --gate"):
         assess.Assess(out=tmp_path, junit=tmp_path / "gate.xml").run()
+
+
+def test_control_characters_do_not_break_the_junit_file(tmp_path: Path) -> None:
+    (tmp_path / "gate.toml").write_text(BOUNDS)
+    bound = gate.read_gate(tmp_path / "gate.toml")[0]
+    gate.write_junit(tmp_path / "gate.xml", {"onnx:a\x1b[31m\0.onnx": {bound: "below \x07 it"}})
+    (case,) = ElementTree.parse(tmp_path / "gate.xml").getroot().iter("testcase")
+    assert case.get("classname") == r"onnx:a\x1b[31m\x00.onnx" and case[0].get("message") == r"below \x07 it"

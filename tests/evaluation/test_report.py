@@ -17,6 +17,7 @@ from cloak_core.evaluation.report.words import duration, instead, interval, most
 from cloak_core.evaluation.trained_run import History
 from cloak_core.files.errors import InputError
 from tests.evaluation.made_evaluation import made_results, write_run
+from tests.scene.photographs.test_coco_reader import with_value
 
 HOSTILE = '<script>alert("1")</script>&'
 VOID = {"meta", "img", "br", "link", "input", "hr"}
@@ -104,6 +105,27 @@ def test_text_of_others_is_escaped(tmp_path: Path) -> None:
     text = make_report(run).read_text("utf-8")
     assert "script" not in parse(text).tags
     assert "&lt;script&gt;" in text
+
+
+@pytest.mark.parametrize(
+    ("file", "place", "value", "words"),
+    [
+        ("summary", ("settings", "threshold"), "0.6", "settings.threshold: '0.6' is not a number from 0 to 1"),
+        ("summary", ("inputs", "bodies"), -1, "inputs.bodies: -1 is not a list"),
+        ("summary", ("detectors", "builtin", "random", "ci95"), [[1]], "ci95: [[1]] is not two numbers"),
+        ("summary", ("detectors",), {"other": {}}, "detectors has no 'builtin'"),
+        ("pictures", ("gallery", 0, "logo", "file"), 2.5, "file: 2.5 is not text"),
+        ("pictures", ("worst", "builtin", 0), "text", "'text' is not a record"),
+        ("pictures", ("controls", "images", "grey", "scores", "builtin"), "<b>", "'<b>' is not a number"),
+    ],
+)
+def test_another_type_in_a_foreign_run_is_named(tmp_path: Path, file: str, place: tuple, value: object, words: str):
+    run = write_run(tmp_path / "run", results=made_results())
+    path = run / "evaluation" / f"{file}.json"
+    path.write_text(json.dumps(with_value(json.loads(path.read_text()), place, value)))
+    with pytest.raises(InputError) as said:
+        make_report(run)
+    assert str(said.value).startswith(str(path)) and words in str(said.value)
 
 
 @pytest.mark.slow

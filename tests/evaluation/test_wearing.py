@@ -165,7 +165,10 @@ def test_a_run_of_cloth_is_worn_as_the_cloth_where_its_logo_is(people, tmp_path)
 BAD = {
     "no such entry": "zoo:nothing",
     "say how wide": "{red}",
-    "not between 0.01 and 5": "{red}@tile=99",
+    "99 metres are not between 0.01 and 5": "{red}@tile=99",
+    "nan metres are not between": "{red}@tile=nan",
+    "1e3 metres are not between": "{red}@patch=1e3",
+    "-0.5 metres are not between": "{red}@patch=-0.5",
     "no such file": "{red}x.png@tile=0.5",
 }
 

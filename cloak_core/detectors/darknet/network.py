@@ -19,8 +19,8 @@ from cloak_core.detectors.darknet.layers import (
     Upsample,
     WeightedShortcut,
 )
+from cloak_core.detectors.specs import MAX_SIDE
 
-MAX_SIDE = 8192
 MAX_CHANNELS = 1 << 16
 MAX_VALUES = 1 << 28
 """Of one layer's output on one image: 1 GiB."""

@@ -160,6 +160,8 @@ def _first_outputs(file: ModelFile, network: Converted | Session, size: tuple[in
     """Run the network on one sample image."""
     try:
         return network(sample_images(size)[:1])
+    except InputError as error:
+        raise InputError(f"{file.path}: {error}") from None
     except Exception as error:  # of onnx2torch's modules, or onnxruntime's own
         if isinstance(network, Converted):
             raise _fails(error) from None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloak_core.detectors.classes import Description, confidence_of, names_of, read_description
+from cloak_core.detectors.specs import check_size
 from cloak_core.files.errors import InputError, first_line
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.reading import MAX_BYTES, read_bytes
@@ -68,7 +69,7 @@ class ModelFile:
         if self.fixed_size and wanted not in (None, self.size):
             fixed, other = (f"{h}x{w}" for h, w in (self.size, wanted))
             raise InputError(f"{self.path}: its input is fixed to {fixed}, it cannot run at {other}")
-        return wanted or self.size or (DEFAULT_SIDE, DEFAULT_SIDE)
+        return check_size(wanted or self.size or (DEFAULT_SIDE, DEFAULT_SIDE), self.path)
 
     def session(self, threads: int) -> onnxruntime.InferenceSession:
         """Load the model into onnxruntime. InputError: it cannot run it, in its words."""
@@ -188,7 +189,7 @@ def _literal(said: dict[str, str], key: str) -> object:
 def _said_size(said: dict[str, str]) -> tuple[int, int] | None:
     sides = _literal(said, "imgsz")
     sides = [sides, sides] if isinstance(sides, int) else sides
-    whole = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and 0 < s <= 8192 for s in sides)
+    whole = isinstance(sides, list) and len(sides) == 2 and all(isinstance(s, int) and s > 0 for s in sides)
     return tuple(sides) if whole else None
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Callable
+from queue import Empty, Queue
+from threading import Thread
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +17,15 @@ from torch import Tensor, fx, nn
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.onnx_family.model_file import ModelFile
 from cloak_core.detectors.onnx_family.simplify import activate_in_place, simplify
-from cloak_core.files.errors import first_line
+from cloak_core.files.errors import InputError, first_line
 
 if TYPE_CHECKING:
     import onnx
     import onnxruntime
+
+
+SECONDS = 120.0
+"""For one image, of a network in another runtime."""
 
 
 class NotConvertible(Exception):
@@ -115,11 +121,19 @@ class BlackBox(nn.Module):
     """A network that another runtime runs, as a module, on the CPU, without gradients."""
 
     def __init__(
-        self, run: Callable[[np.ndarray], list[np.ndarray]], digest: str, channels_last: bool, one_by_one: bool
+        self,
+        run: Callable[[np.ndarray], list[np.ndarray]],
+        digest: str,
+        channels_last: bool,
+        one_by_one: bool,
+        stop: Callable[[], object] = lambda: None,
     ) -> None:
-        """run: images to outputs; digest: SHA-256 of the network's file; one_by_one: it takes one image at a time."""
+        """run: images to outputs; digest: SHA-256 of the network's file; one_by_one: it takes one image at a time.
+
+        stop: ends a run that takes too long, where the runtime can.
+        """
         super().__init__()
-        self.run, self.channels_last, self.one_by_one = run, channels_last, one_by_one
+        self.run, self.channels_last, self.one_by_one, self._stop = run, channels_last, one_by_one, stop
         # The runtime's weights are no tensors of ours; this stands for them in `state_hash`.
         self.register_buffer("digest", torch.frombuffer(bytearray.fromhex(digest), dtype=torch.uint8))
 
@@ -128,20 +142,45 @@ class BlackBox(nn.Module):
         array = as_input(inputs, self)
         array = np.ascontiguousarray(array.cpu().numpy())
         chunks = np.split(array, len(array)) if self.one_by_one else [array]
-        runs = [self.run(chunk) for chunk in chunks]
+        runs = [self._timed(chunk) for chunk in chunks]
         joined = (np.concatenate(parts) for parts in zip(*runs, strict=True))
         return [torch.from_numpy(part).float().to(inputs.device) for part in joined]
+
+    def _timed(self, images: np.ndarray) -> list[np.ndarray]:
+        """Run the network. InputError: it takes longer than any network taken here, as with a loop without end."""
+        answers: Queue[list[np.ndarray] | Exception] = Queue()
+
+        def work() -> None:
+            try:
+                answers.put(self.run(images))
+            except Exception as error:  # the runtime's own
+                answers.put(error)
+
+        # Not a pool's thread: the process would wait for those when it ends.
+        Thread(target=work, daemon=True).start()
+        try:
+            answer = answers.get(timeout=SECONDS * len(images))
+        except Empty:
+            self._stop()
+            raise InputError(f"a network that takes more than {SECONDS:g} s for an image is not run") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
 class Session(BlackBox):
     """An onnxruntime session; image by image where the batch is fixed."""
 
     def __init__(self, session: onnxruntime.InferenceSession, file: ModelFile) -> None:
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
         super().__init__(
-            lambda array: session.run(None, {file.input_name: array}),
+            lambda array: session.run(None, {file.input_name: array}, options),
             file.digest,
             file.channels_last,
             one_by_one=file.batch is not None,
+            stop=lambda: setattr(options, "terminate", True),
         )
 
 

@@ -70,6 +70,8 @@ def _first_outputs(model: RuntimeModel, network: BlackBox) -> list[Tensor]:
     """Run the network on one sample image."""
     try:
         return network(sample_images(model.size)[:1])
+    except InputError as error:
+        raise InputError(f"{model.path}: {error}") from None
     except Exception as error:  # the runtime's own
         raise InputError(f"{model.path}: does not run ({first_line(error)[:160]})") from None
 

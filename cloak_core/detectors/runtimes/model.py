@@ -10,6 +10,7 @@ import numpy as np
 
 from cloak_core.detectors.onnx_family.layouts import Layout
 from cloak_core.detectors.pixels import PixelFormat
+from cloak_core.detectors.specs import check_size
 from cloak_core.files.errors import InputError
 
 
@@ -50,7 +51,7 @@ def image_size(shape: list[int | None], wanted: tuple[int, int] | None, path: Pa
         if wanted not in (None, sides):
             fixed, other = (f"{h}x{w}" for h, w in (sides, wanted))
             raise InputError(f"{path}: its input is fixed to {fixed}, it cannot run at {other}")
-        return channels_last, sides
+        return channels_last, check_size(sides, path)
     if wanted is None:
         raise InputError(f"{path}: its input {words} has any size; say one, @HEIGHTxWIDTH")
     return channels_last, wanted

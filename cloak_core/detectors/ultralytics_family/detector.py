@@ -17,7 +17,7 @@ from cloak_core.detectors.extras import require
 from cloak_core.detectors.folding import fold_batch_norm
 from cloak_core.detectors.pixels import YOLO_GREY, fit
 from cloak_core.detectors.protocol import Detections, Detector
-from cloak_core.detectors.specs import Request
+from cloak_core.detectors.specs import Request, check_size
 from cloak_core.detectors.ultralytics_family.architecture import (
     QUERIES,
     SEED,
@@ -154,7 +154,8 @@ def _size(request: Request, checkpoint: Checkpoint | None, stride: int) -> tuple
     """Choose (height, width) of the network's input. InputError: not a multiple of its coarsest stride."""
     if request.input_size is None:
         trained = (checkpoint and checkpoint.image_size) or (IMAGE_SIZE, IMAGE_SIZE)
-        return math.ceil(trained[0] / stride) * stride, math.ceil(trained[1] / stride) * stride
+        sides = math.ceil(trained[0] / stride) * stride, math.ceil(trained[1] / stride) * stride
+        return check_size(sides, request.what)
     if any(side % stride for side in request.input_size):
         sides = "x".join(map(str, request.input_size))
         raise InputError(f"detector {request.spec!r}: an input of {sides} is not a multiple of {stride}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cloak_core.evaluation.card.leaderboard import is_too_short, name_of
-from cloak_core.files.errors import InputError
+from cloak_core.files.errors import InputError, one_line
 from cloak_core.files.reading import is_number, read_toml
 from cloak_core.files.writing import write_text
 
@@ -68,15 +68,18 @@ def _short_attacks(card: dict) -> dict[str, int]:
 
 
 def write_junit(path: Path, checked: Mapping[str, Mapping[Bound, str]]) -> None:
-    """Write what `check` said of each detector as JUnit XML: a suite for each detector, a case for each bound."""
+    """Write what `check` said of each detector as JUnit XML: a suite for each detector, a case for each bound.
+
+    Control characters, which XML has no way to write, are written out as \\x1b.
+    """
     root = ElementTree.Element("testsuites", name="cloak assess")
     for name, said in checked.items():
         counts = {"tests": str(len(said)), "failures": str(sum(map(bool, said.values())))}
-        suite = ElementTree.SubElement(root, "testsuite", name=name, **counts)
+        suite = ElementTree.SubElement(root, "testsuite", name=one_line(name), **counts)
         for bound, words in said.items():
-            case = ElementTree.SubElement(suite, "testcase", classname=name, name=str(bound))
+            case = ElementTree.SubElement(suite, "testcase", classname=one_line(name), name=one_line(str(bound)))
             if words:
-                ElementTree.SubElement(case, "failure", message=words)
+                ElementTree.SubElement(case, "failure", message=one_line(words))
     ElementTree.indent(root)
     write_text(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
 

@@ -25,6 +25,7 @@ from cloak_core.evaluation.report.page import jpeg_uri
 from cloak_core.evaluation.settings import JudgeSettings
 from cloak_core.evaluation.statistics_photographs import clean_scores, find_partners, summarize_photographs
 from cloak_core.files.errors import InputError
+from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import write_json, write_text, written
 from cloak_core.scene import videos
 from cloak_core.scene.pictures import open_picture
@@ -184,4 +185,4 @@ def _table_text(rows: pd.DataFrame) -> str:
     table = next(iter(by_detector.values()))[[*columns]].rename(columns=columns)
     table["box"] = ["" if box is None else " ".join(f"{x:g}" for x in box) for box in table["box"]]
     scores = {spec: [f"{score:.4f}" for score in mine["score"]] for spec, mine in by_detector.items()}
-    return table.assign(**scores).to_csv(index=False, lineterminator="\n")
+    return table.assign(**scores).map(as_cell).rename(columns=as_cell).to_csv(index=False, lineterminator="\n")

@@ -32,7 +32,7 @@ from cloak_core.zoo.entry import run_path
 
 CLOTHES = "shirt+trousers"
 """What a cloth covers, and the controls."""
-_PICTURE = re.compile(r"(?P<file>.+)@(?P<kind>tile|patch)=(?P<metres>[0-9.]+)")
+_PICTURE = re.compile(r"(?P<file>.+)@(?P<kind>tile|patch)=(?P<metres>[^@/]*)")
 CHEST = 0.40
 """Middle of a patch: metres above the middle of the hips of the body at rest."""
 

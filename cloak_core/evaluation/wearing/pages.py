@@ -20,6 +20,7 @@ from cloak_core.evaluation.report.pictures import PAPER, font
 from cloak_core.evaluation.report.style import INK
 from cloak_core.evaluation.results import CORNERS
 from cloak_core.evaluation.wearing.clothes import CONTROLS
+from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import write_text
 from cloak_core.scene.pictures import save_picture
 
@@ -110,4 +111,4 @@ class Rating:
         write_page(self._folder / "rate.html", "rate.html", {"title": "Which one?", "pairs": shown})
         key = [(k, *names, self._people[person]) for k, (names, person) in enumerate(self._pairs, 1)]
         table = pd.DataFrame(key, columns=["pair", "left", "right", "person"])
-        write_text(self._folder / "rate-key.csv", table.to_csv(index=False, lineterminator="\n"))
+        write_text(self._folder / "rate-key.csv", table.map(as_cell).to_csv(index=False, lineterminator="\n"))

@@ -20,6 +20,7 @@ from cloak_core.evaluation.wearing.clothes import CONTROLS, Clothes, read_clothe
 from cloak_core.evaluation.wearing.pages import Album, Rating
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.files.errors import InputError
+from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.render.photographs.fits import fit_people
 from cloak_core.render.photographs.fitting import Fit
@@ -132,4 +133,4 @@ def _table(results: Results, people: People) -> str:
     shown = results.images[(results.images["control"] != NOBODY).to_numpy()].rename(columns={"control": "clothes"})
     shown = shown.assign(person=[people.people[pose].number for pose in shown["pose"]])
     columns = ["detector", "clothes", "photograph", "person", "seen_from", "score", "other", "other_name"]
-    return shown[columns].to_csv(index=False, float_format="%.4f", lineterminator="\n")
+    return shown[columns].map(as_cell).to_csv(index=False, float_format="%.4f", lineterminator="\n")

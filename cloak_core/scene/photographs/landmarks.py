@@ -68,7 +68,7 @@ def read_landmarks(annotation: dict, what: str) -> Landmarks | None:
     return Landmarks(xy, None, visibility)
 
 
-def _from_blazepose(given: dict, what: str) -> Landmarks:
+def _from_blazepose(given: object, what: str) -> Landmarks:
     if not isinstance(given, dict) or "xy" not in given:
         raise InputError(f"{what}: no 'xy' in it")
     xy = numbers(given["xy"], what)

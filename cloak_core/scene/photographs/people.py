@@ -19,8 +19,8 @@ from jaxtyping import Bool, UInt8
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.likeness import picture_look
-from cloak_core.files.reading import read_json
 from cloak_core.scene.photographs.annotations import description, listed_images, people_by_image
+from cloak_core.scene.photographs.coco_reader import check_place, read_coco
 from cloak_core.scene.photographs.landmarks import INDEX, LIMBS, SEEN, Landmarks, is_upright, read_landmarks
 from cloak_core.scene.photographs.masks import decode_mask, numbers
 from cloak_core.scene.pictures import open_picture
@@ -114,7 +114,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     broken or does not fit the picture.
     """
     path, selection = split_selection(str(spec))
-    record = read_json(path)
+    record = read_coco(path)
     folders = [Path(images)] if images is not None else [Path(path).parent, Path(path).parent / "images"]
     listed = listed_images(record, path)
     if selection is not None:
@@ -197,6 +197,7 @@ def _annotated(
         if reason:
             yield what, reason
             continue
+        check_place(box, landmarks, what)
         others = tuple(b for i, b in enumerate(boxes) if i != number and not named[i][1].get("iscrowd"))
         yield what, _cropped(Person("", annotation["id"], image, mask, box, landmarks, others))
 
