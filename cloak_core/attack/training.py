@@ -17,7 +17,7 @@ from cloak_core.attack.batches import Batcher, require_visible_logo
 from cloak_core.attack.black_box import QueryPrior, Search, search_settings
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
-from cloak_core.attack.first_colors import first_colors
+from cloak_core.attack.first_colors import first_colors, on_squares
 from cloak_core.attack.held_out import HeldOut, TrainingData, held_out_settings, set_aside
 from cloak_core.attack.loop import RunResult, TrainingError, TrainingLoop
 from cloak_core.attack.near import Near
@@ -148,7 +148,7 @@ def _train(
     else:
         first = torch.from_numpy(start).to(device)
     if cloth is not None:
-        first = torch.from_numpy(cloth.of_faces(first.cpu().numpy())).to(device)
+        first = on_squares(cloth, settings.optimization, first)
     with contextlib.ExitStack() as stack:
         run = world.on_rank0(lambda: stack.enter_context(open_run(out, config, logo, resume))) or RunFolder(out)
         stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
