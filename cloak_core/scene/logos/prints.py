@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from cloak_core.files.errors import InputError
 
-PrintName = Literal["ellipses", "dots", "checks", "stripes"]
+PrintName = Literal["balls", "ellipses", "dots", "checks", "stripes"]
 PRINT_METRES = 0.25
 """Width and height of the piece that repeats."""
 PIXELS = 250
@@ -25,7 +25,7 @@ class Print:
     """An ellipse, a filled cell of a chessboard, or a bar across the whole piece."""
     columns: int = 1
     rows: int = 2
-    """Of cells, each with a shape in its middle. An even number repeats without a seam."""
+    """Of cells, each with a shape in its middle; every second row is moved by half a cell, as bricks lie."""
     width: float = 0.08
     height: float = 0.10
     """Of an ellipse or a bar, metres."""
@@ -39,7 +39,6 @@ class Print:
         """Find the colours at places on the cloth, metres right and down."""
         cells = places / PRINT_METRES * (self.columns, self.rows)
         row = np.floor(cells[:, 1]).astype(int) % self.rows
-        # Every second row is moved by half a cell, as bricks lie.
         across = cells[:, 0] + 0.5 * (row % 2)
         right = (across % 1 - 0.5) * PRINT_METRES / self.columns
         down = (cells[:, 1] % 1 - 0.5) * PRINT_METRES / self.rows
@@ -56,6 +55,7 @@ class Print:
 
 ROSE, LIME, WHITE = (0.95, 0.55, 0.6), (0.75, 0.9, 0.3), (1.0, 1.0, 1.0)
 PRINTS: dict[str, Print] = {
+    "balls": Print(shape="ellipse", columns=3, rows=3, width=0.08, height=0.08, colors=(LIME,), shade=0.8),
     "ellipses": Print(shape="ellipse", columns=3, colors=(ROSE, LIME), shade=0.5),
     "dots": Print(shape="ellipse", columns=3, rows=4, width=0.04, height=0.04, colors=(WHITE,)),
     "checks": Print(shape="check", columns=2, rows=4, colors=(WHITE,)),
