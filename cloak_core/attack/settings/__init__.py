@@ -139,7 +139,7 @@ PRESETS: dict[str, dict[str, object]] = {
     },
     "photographs": _MANY_DETECTORS
     | {
-        "steps": 450,
+        "steps": 300,
         "noise": 0.05,
         "people_share": 1.0,
         "pattern": "tile",
