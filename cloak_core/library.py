@@ -216,32 +216,36 @@ def wear(
     settings: WearSettings | None = None,
     device: str = "cpu",
     on_progress: OnProgress | None = None,
+    width_people: People | Named | None = None,
+    width_detectors: Mapping[str, Detector] | Sequence[Detector | str] = (),
     **changes: object,
 ) -> dict:
     """Dress people in photographs in trained colours or pictures, and judge them beside controls.
 
-    colors: each a run folder, zoo:NAME, FILE.png@tile=METRES or FILE.png@patch=METRES. people: what `load_people` gave,
-    or a COCO file (its photographs in `images`). backgrounds: without people, for false alarms. out: a new folder for
-    pictures and tables. How to judge: `settings`, or `changes` of the defaults by the names of `cloak wear`'s options.
-    `on_progress` hears (images done, images in all).
+    colors: each a run folder, zoo:NAME, PICTURE@tile=METRES or PICTURE@patch=METRES; PICTURE: a file, print:NAME, or a
+    run of cloth. people: what `load_people` gave, or a COCO file (its photographs in `images`). backgrounds: without
+    people, for false alarms. out: a new folder for pictures and tables. How to judge: `settings`, or `changes` of the
+    defaults by the names of `cloak wear`'s options. `on_progress` hears (images done, images in all). width_people,
+    width_detectors: on whom PICTURE@tile=auto chooses its width; they may not judge.
 
     Returns what `cloak wear --json` prints: for each detector success of every colours and control with intervals over
     people and photographs, how many people, who was left out and why. InputError names what cannot be read or worn.
     """
     from cloak_core.evaluation.settings import WearSettings
     from cloak_core.evaluation.wearing.wearing import wear_and_judge
+    from cloak_core.evaluation.wearing.widths import choose_widths
 
     settings = _either(settings, changes, WearSettings)
-    given = [colors] if isinstance(colors, str | os.PathLike) else list(colors)
-    return wear_and_judge(
-        [os.fspath(color) for color in given],
-        people if isinstance(people, People) else load_people(people, images),
-        _by_name(detectors, device),
-        backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
-        None if out is None else Path(out),
-        settings,
-        on_progress,
-    )
+    given = [os.fspath(color) for color in ([colors] if isinstance(colors, str | os.PathLike) else colors)]
+    scenes = backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds)
+    judging = (people if isinstance(people, People) else load_people(people, images), _by_name(detectors, device))
+    choosing = None
+    if width_people is not None:
+        choosing = width_people if isinstance(width_people, People) else load_people(width_people, images)
+    choosers = _by_name(width_detectors, device) if len(width_detectors) else {}
+    colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress)
+    more = {"widths": widths} if widths else None
+    return wear_and_judge(colors, *judging, scenes, None if out is None else Path(out), settings, on_progress, more)
 
 
 def _fitted(people: People | Named | None) -> list[Fit]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
@@ -25,6 +25,7 @@ from cloak_core.scene.logos.logo import Logo
 from cloak_core.scene.logos.patches import patch_of_face
 
 
+@runtime_checkable
 class Places(Protocol):
     """P places on somebody's clothes, as a photograph shows them."""
 

@@ -1,4 +1,4 @@
-"""The colours that a training begins with, and the animal's face that one may begin with."""
+"""The colours that a training begins with: of faces, or of the squares of a cloth."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
 
+from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.settings.components import OptimizerSettings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.cloth import face_places
 from cloak_core.scene.logos.logo import Logo
+from cloak_core.scene.logos.prints import PRINT_METRES, PRINTS
 
 FUR, COAT, DARK, MOUTH = (0.9, 0.85, 0.75), (0.75, 0.45, 0.15), (0.02, 0.02, 0.02), (0.25, 0.12, 0.08)
 # Places in the face, in its heights: across from its middle, down from its top.
@@ -31,7 +34,9 @@ COLUMN, GAP = 0.06, 0.05
 def first_colors(
     settings: OptimizerSettings, bodies: Bodies, logo: Logo, seed: int = 0, device: torch.device | None = None
 ) -> Float[Tensor, "L 3"]:
-    """Make the logo's first colours: grey, seeded random ones, those of the first outfit, or an animal's face."""
+    """Make the logo's first colours: grey, seeded random ones, the first outfit's, an animal's face, or a print."""
+    if settings.initial in PRINTS:
+        return torch.from_numpy(PRINTS[settings.initial].at(face_places(bodies, logo))).to(device)
     if settings.initial == "clothing":
         return torch.from_numpy(bodies.face_colors[0, logo.face_ids]).to(device)
     if settings.initial == "animal":
@@ -40,6 +45,19 @@ def first_colors(
         generator = torch.Generator().manual_seed(seed)
         return torch.rand((len(logo), 3), generator=generator).to(device)
     return torch.full((len(logo), 3), 0.5, device=device)
+
+
+def on_squares(
+    cloth: ClothOnLogo, settings: OptimizerSettings, first: Float[np.ndarray, "L 3"]
+) -> Float32[np.ndarray, "S 3"]:
+    """Give each square of a cloth its first colour: a print's, as sharp as the squares, or the mean of its faces'."""
+    if settings.initial not in PRINTS:
+        return cloth.of_faces(first)
+    flat = cloth.cloth
+    # As many whole pieces of the print as come closest to their own size.
+    pieces = max(1, round(flat.metres / PRINT_METRES))
+    places = flat.centres() / flat.metres * pieces * PRINT_METRES
+    return PRINTS[settings.initial].at(places)
 
 
 def animal_face(bodies: Bodies, logo: Logo) -> Float32[np.ndarray, "L 3"]:

@@ -50,6 +50,7 @@ class Source(Protocol):
         ...
 
 
+@runtime_checkable
 class Backdrops(Protocol):
     """Images without people."""
 

@@ -49,8 +49,8 @@ class Job:
 
     settings: TrainSettings
     worn: Fabric
-    first: Float[np.ndarray, "L 3"]
-    """Colours of the logo's faces to begin with."""
+    first: Float[np.ndarray, "C 3"]
+    """The colours to begin with."""
     techniques: Techniques
     trained: Material
     held: Material | None
@@ -73,7 +73,7 @@ def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, wo
         search = importlib.import_module("cloak_core.attack.black_box")
     drawn = settings if search is None else search.search_settings(settings, len(job.detectors))
     batcher = make_batcher(drawn, job.trained, worn, device, techniques)
-    first = torch.from_numpy(worn.colors(job.first)).to(device)
+    first = torch.from_numpy(job.first).to(device)
     with contextlib.ExitStack() as stack:
         folder = lambda: stack.enter_context(open_run(out, job.config, worn.logo, resume))
         run = world.on_rank0(folder) or RunFolder(out)

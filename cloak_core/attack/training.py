@@ -12,7 +12,7 @@ import torch
 from cloak_core.attack.ensemble import Ensemble
 from cloak_core.attack.events import OnEvent
 from cloak_core.attack.fabric import Fabric
-from cloak_core.attack.first_colors import first_colors
+from cloak_core.attack.first_colors import first_colors, on_squares
 from cloak_core.attack.held_out import held_out_settings
 from cloak_core.attack.loop import RunResult, TrainingError
 from cloak_core.attack.material import TrainingData, set_aside
@@ -107,7 +107,11 @@ def make_job(asked: Asked, world: World) -> Job:
     techniques = Techniques.built(Setup(settings, worn, detectors, device))
     trained, held = set_aside(settings.run, data)
     begun = [technique.first() for technique in techniques.at("first")]
-    first = begun[0] if begun else first_colors(settings.optimization, data.bodies, logo, settings.run.seed).numpy()
+    if begun:
+        first = worn.colors(begun[0])
+    else:
+        start = first_colors(settings.optimization, data.bodies, logo, settings.run.seed).numpy()
+        first = on_squares(worn.cloth, settings.optimization, start) if worn.cloth is not None else start
     more = RunInputs(world.size, held, techniques.content(), asked.query_prior, data.people)
     config = run_config(settings, data.bodies, logo, detectors, data.backgrounds, asked.inputs, more)
     material = make_material(settings, trained, worn, device)

@@ -27,14 +27,21 @@ class Wear(Detecting):
     example = "zoo:builtin-sample --people people.json --detector builtin --out worn"
 
     colors: Positional[tuple[str, ...]]
-    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres), FILE.png@patch=0.3
-    (a patch on the chest). '*.png@tile=0.5' is every such file."""
+    """What they wear: a run, zoo:NAME, FILE.png@tile=0.5 (cloth that repeats every so many metres; auto: the width that
+    hides best), FILE.png@patch=0.3 (a patch on the chest). '*.png@tile=0.5' is every such file. print:balls,
+    ellipses, dots, checks and stripes are plain prints to compare with; @flipped at the end wears a cloth or picture
+    upside down."""
     people: str
     """COCO file of people: masks, and COCO keypoints or BlazePose landmarks; PEOPLE.json[0::2] takes photographs."""
     images: Path | None = None
     """Folder of the photographs (default: beside the file, or images/ beside it)."""
     detector: UseAppendAction[tuple[str, ...]] = ()
     """Detectors that judge."""
+    width_people: str | None = None
+    """With @tile=auto: people on whom the width is chosen, in photographs that do not judge (--images is their folder,
+    too)."""
+    width_detector: UseAppendAction[tuple[str, ...]] = ()
+    """With @tile=auto: detectors that the width is chosen on, and that do not judge."""
     out: Path | None = None
     """New folder for the pictures, a contact sheet and the table of scores."""
     backgrounds: str = "procedural:test"
@@ -51,7 +58,7 @@ class Wear(Detecting):
             require_new(self.out)
         from cloak_core.library import wear
 
-        detectors = self.by_spec(self.detector)
+        detectors, choosers = self.by_spec(self.detector), self.by_spec(self.width_detector)
         with counted("dressing") as tell:
             return wear(
                 [one for color in self.colors for one in expanded(color)],
@@ -62,6 +69,8 @@ class Wear(Detecting):
                 out=self.out,
                 settings=self.settings,
                 on_progress=tell,
+                width_people=self.width_people,
+                width_detectors=choosers,
             )
 
     def show(self, result: dict) -> None:
@@ -89,6 +98,9 @@ def show_worn(result: dict, threshold: float | int) -> None:
             rest = (share(s[key]) for key in ("success_own", "renamed", "gone"))
             table.add_row(name, share(s["success"]), f"{low:.2f}–{high:.2f}", *rest, most_named(s))
         out.print(table)
+    for color, curve in result.get("widths", {}).items():
+        on = f"{curve['people']} people and {', '.join(curve['detectors'])}, who do not judge"
+        out.print(f"{color}: {curve['chosen']:g} m wide, chosen on {on}")
     show_people(result)
     if "out" in result:
         out.print(f"wrote {result['out']} (sheet.jpg, pictures, scores.csv)")

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.first_colors import DARK, FUR, animal_face, first_colors
+from cloak_core.attack.first_colors import DARK, FUR, animal_face, first_colors, on_squares
+from cloak_core.attack.on_cloth import ClothOnLogo
 from cloak_core.attack.settings import make_settings
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.scene.geometry import face_centres, face_normals
+from cloak_core.scene.logos.cloth import Cloth
 from cloak_core.scene.logos.logo import load_logo, make_logo
+from cloak_core.scene.logos.prints import PRINTS, print_picture
 from cloak_core.scene.people.samples import sample_bodies
 from tests.scene.solids import cube
 
@@ -54,6 +57,36 @@ def test_a_small_logo_gets_a_small_animal_and_a_flat_one_none(samples: Bodies) -
     side = make_logo(cube(), [1])
     assert (animal_face(cube(), side) == 0.5).all()
     assert np.isfinite(animal_face(cube(), make_logo(cube(), [0, 1, 4, 5]))).all()
+
+
+def test_a_cloth_begins_with_a_print_as_sharp_as_its_squares(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    settings = make_settings("best", initial="ellipses").optimization
+    on_faces = first_colors(settings, samples, logo)
+    dark = (on_faces == 0).all(dim=1)
+    assert on_faces.shape == (len(logo), 3) and 0.2 < dark.float().mean() < 0.6, "the gaps between the shapes"
+    # A square of 1 mm is a pixel of the print; 50 cm hold two pieces in either direction.
+    piece = print_picture("ellipses")
+    for pieces in (1, 2):
+        cloth = ClothOnLogo.of(Cloth.of(0.25 * pieces, 0.001), samples, logo)
+        squares = on_squares(cloth, settings, on_faces.numpy()).reshape(*2 * [250 * pieces], 3)
+        assert np.abs(squares - np.tile(piece / 255, (pieces, pieces, 1))).max() < 0.003
+    # What is no whole number of pieces wide is filled without a seam all the same.
+    squares = on_squares(ClothOnLogo.of(Cloth.of(0.3, 0.0012), samples, logo), settings, on_faces.numpy())
+    assert np.abs(squares.reshape(250, 250, 3) - piece / 255).max() < 0.003
+
+
+def test_a_cloth_that_begins_otherwise_takes_the_mean_of_its_faces(samples: Bodies) -> None:
+    logo = load_logo(samples, "chest")
+    cloth = ClothOnLogo.of(Cloth.of(0.25, 0.05), samples, logo)
+    settings = make_settings("best", initial="random").optimization
+    first = first_colors(settings, samples, logo).numpy()
+    assert np.array_equal(on_squares(cloth, settings, first), cloth.of_faces(first))
+
+
+def test_every_print_can_be_begun_with() -> None:
+    for name in PRINTS:
+        assert make_settings("photographs", initial=name).optimization.initial == name
 
 
 def test_the_transfer_preset_begins_with_the_animal() -> None:

@@ -5,19 +5,21 @@ import json
 import re
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-from cloak_core.commands.wear import expanded
+from cloak_core.commands.wear import expanded, show_worn
 from cloak_core.detectors.protocol import Detections
 from cloak_core.evaluation.measure import measure
 from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.wearing.clothes import clothes_position, controls, read_clothes
 from cloak_core.evaluation.wearing.renderer import PeopleRenderer, dress, paint
+from cloak_core.evaluation.wearing.widths import WIDTHS
 from cloak_core.files.errors import InputError
 from cloak_core.library import wear
 from cloak_core.render.photographs.fits import fit_people
@@ -162,6 +164,45 @@ def test_a_run_of_cloth_is_worn_as_the_cloth_where_its_logo_is(people, tmp_path)
         read_clothes(str(run))
 
 
+def test_prints_are_worn_and_anything_of_cloth_upside_down(people, tmp_path):
+    upright, flipped = read_clothes("print:ellipses@tile=0.3"), read_clothes("print:ellipses@tile=0.3@flipped")
+    assert (upright.name, flipped.name) == ("print:ellipses@tile=0.3", "print:ellipses@tile=0.3@flipped")
+    assert np.array_equal(upright.picture[::-1], flipped.picture) and upright.metres == flipped.metres == 0.3
+    fit = fit_people(people)[0]
+    assert upright.on(fit, 0)[1].shape == flipped.on(fit, 0)[1].shape
+    whole, wider = read_clothes("zoo:transfer-people@flipped"), read_clothes("zoo:transfer-people@tile=0.5")
+    assert whole.name == "zoo:transfer-people@flipped" and whole.metres == 0.25
+    assert np.array_equal(whole.picture[::-1], wider.picture) and wider.metres == 0.5
+
+
+def test_a_width_is_chosen_on_those_who_do_not_judge(people, tmp_path):
+    bars = np.zeros((100, 100, 3), np.uint8)
+    bars[:, :40, 2] = 255
+    bars[:, 40:, 0] = 255
+    Image.fromarray(bars).save(tmp_path / "bars.png")
+    spec, other = f"{tmp_path / 'bars.png'}@tile=auto", BodyDetector()
+    other.spec = "other"
+    judges, chosen_on = people.halves()
+    worn = partial(wear, [spec, "print:dots@tile=0.2"], judges, {"body": BodyDetector()}, settings=SMALL)
+    result = worn(width_people=chosen_on, width_detectors={"other": other}, out=tmp_path / "out")
+    curve = result["widths"][spec]
+    rates = {metres: s["success"] + s["success_own"] for metres, s in curve["detectors"]["other"].items()}
+    assert list(map(float, rates)) == list(WIDTHS) and len(set(rates.values())) > 1
+    assert curve["chosen"] == float(max(rates, key=rates.get)) and curve["people"] == len(chosen_on)
+    assert f"bars@tile={curve['chosen']:g}" in result["detectors"]["body"]
+    assert json.loads((tmp_path / "out" / "wear.json").read_text())["widths"] == result["widths"]
+    validate("wear", (tmp_path / "out" / "wear.json").read_text())
+    show_worn(result, 0.6)
+    for words, asked, detectors in (
+        ("needs --width-people", None, {"other": other}),
+        ("needs --width-detector", chosen_on, {}),
+        (f"--width-people: {judges.photographs[0]} judges as well", people, {"other": other}),
+        ("--width-detector: again judges as well", chosen_on, {"other": other, "again": BodyDetector()}),
+    ):
+        with pytest.raises(InputError, match=words):
+            worn(width_people=asked, width_detectors=detectors)
+
+
 BAD = {
     "no such entry": "zoo:nothing",
     "say how wide": "{red}",
@@ -170,6 +211,11 @@ BAD = {
     "1e3 metres are not between": "{red}@patch=1e3",
     "-0.5 metres are not between": "{red}@patch=-0.5",
     "no such file": "{red}x.png@tile=0.5",
+    "the width auto is not": "{red}@tile=auto",
+    "print:dots: say how wide": "print:dots",
+    "no such print": "print:zigzag@tile=0.3",
+    "has no cloth that repeats": "zoo:transfer-anny@tile=0.3",
+    "colours of faces": "zoo:transfer-anny@flipped",
 }
 
 

@@ -140,16 +140,16 @@ PRESETS: dict[str, dict[str, object]] = {
     },
     "photographs": _MANY_DETECTORS
     | {
-        "steps": 900,
+        "steps": 300,
         "noise": 0.05,
         "people_share": 1.0,
         "pattern": "tile",
         "tile_cm": 25.0,
-        "feature_cm": 0.5,
+        "feature_cm": 0.25,
         "gamut": "sigmoid",
         "octaves": 5,
-        "initial": "random",
-        "lr": 0.12,
+        "initial": "balls",
+        "lr": 0.05,
     },
 }
 """What each preset changes of the defaults. The reference's learning rate is its 1e-2 / sqrt(batch) at batch 8."""

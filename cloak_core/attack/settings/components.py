@@ -199,9 +199,10 @@ class OptimizerSettings:
     """With --schedule step: epochs between drops."""
     gamut: Literal["projection", "sigmoid"] = "projection"
     """How colours stay in [0, 1]: projection after every update, or the sigmoid of free parameters."""
-    initial: Literal["grey", "random", "clothing", "animal"] = "grey"
-    """First colours: grey; random, uniform per face and channel; clothing, the first outfit; or animal, a dog's face on
-    front and back, which helps against detectors of many classes."""
+    initial: Literal["grey", "random", "clothing", "animal", "balls", "ellipses", "dots", "checks", "stripes"] = "grey"
+    """First colours: grey; random, uniform per face and channel; clothing, the first outfit; animal, a dog's face on
+    front and back, which helps against detectors of many classes; or a plain print that repeats every 25 cm, which
+    helps a cloth (--pattern tile): balls, ellipses, dots, checks, stripes."""
 
     def check(self) -> None:
         """Check that values go together. InputError: they do not."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -25,6 +25,7 @@ from cloak_core.render.photographs.views import cloth_places, logo_positions, sh
 from cloak_core.render.texture import look_up
 from cloak_core.scene.logos.cloth import CLOTH_FILE
 from cloak_core.scene.logos.logo import select_region
+from cloak_core.scene.logos.prints import print_picture
 from cloak_core.scene.people.samples import sample_bodies
 from cloak_core.scene.photographs.rig import NUMBER, body_rig
 from cloak_core.scene.pictures import read_picture
@@ -33,6 +34,9 @@ from cloak_core.zoo.entry import run_path
 CLOTHES = "shirt+trousers"
 """What a cloth covers, and the controls."""
 _PICTURE = re.compile(r"(?P<file>.+)@(?P<kind>tile|patch)=(?P<metres>[^@/]*)")
+FLIPPED = "@flipped"
+"""Ends the name of a picture that is worn upside down (mirrored top to bottom): the same shapes, lit from below."""
+_PRINT = "print:"
 CHEST = 0.40
 """Middle of a patch: metres above the middle of the hips of the body at rest."""
 
@@ -177,7 +181,16 @@ def cloth_spec(pattern: str) -> str:
 
 
 def read_clothes(spec: str) -> Clothes:
-    """Read one of COLORS: a run's folder, zoo:NAME, FILE.png@tile=METRES or FILE.png@patch=METRES. `InputError`."""
+    """Read one of COLORS: a run's folder, zoo:NAME, or a picture, PICTURE@tile=METRES or PICTURE@patch=METRES.
+
+    PICTURE: a file, print:NAME (a plain print of ours), or a run or zoo:NAME whose cloth repeats. @flipped after any
+    cloth or picture wears it upside down. InputError: names `spec`.
+    """
+    if spec.endswith(FLIPPED):
+        clothes = read_clothes(spec.removesuffix(FLIPPED))
+        if not isinstance(clothes, PictureClothes):
+            raise InputError(f"{spec}: has colours of faces; a picture or a cloth can be turned upside down")
+        return replace(clothes, name=clothes.name + FLIPPED, picture=clothes.picture[::-1].copy())
     picture = _PICTURE.fullmatch(spec)
     if picture is not None:
         try:
@@ -185,11 +198,11 @@ def read_clothes(spec: str) -> Clothes:
         except ValueError:
             metres = 0.0
         if not 0.01 <= metres <= 5:
-            raise InputError(f"{spec}: {picture['metres']} metres are not between 0.01 and 5")
-        path = Path(picture["file"])
-        name, is_patch = f"{path.stem}@{picture['kind']}={metres:g}", picture["kind"] == "patch"
-        return PictureClothes(name, read_picture(path), metres, is_patch, clothes_position())
-    if not spec.startswith("zoo:") and Path(spec).is_file():
+            raise InputError(f"{spec}: the width {picture['metres']} is not between 0.01 and 5 metres")
+        name, pixels = _picture_of(picture["file"])
+        is_patch = picture["kind"] == "patch"
+        return PictureClothes(f"{name}@{picture['kind']}={metres:g}", pixels, metres, is_patch, clothes_position())
+    if spec.startswith(_PRINT) or (not spec.startswith("zoo:") and Path(spec).is_file()):
         raise InputError(f"{spec}: say how wide it is worn: {spec}@tile=0.5 or {spec}@patch=0.3 (metres)")
     folder = run_path(spec)
     config = read_run(folder)
@@ -200,3 +213,15 @@ def read_clothes(spec: str) -> Clothes:
         # Printed as one piece: finer than the faces that it is shown on elsewhere.
         return PictureClothes(name, read_picture(folder / CLOTH_FILE), cloth_metres(folder), False, position)
     return LogoClothes(name, position, read_colors(folder / "colors.npy", len(faces.ids)))
+
+
+def _picture_of(named: str) -> tuple[str, UInt8[np.ndarray, "h w 3"]]:
+    """Read a picture, and what to call it: a file's, a print's, or a run's cloth."""
+    if named.startswith(_PRINT):
+        return named, print_picture(named.removeprefix(_PRINT))
+    if not named.startswith("zoo:") and not Path(named).is_dir():
+        return Path(named).stem, read_picture(Path(named))
+    cloth = run_path(named) / CLOTH_FILE
+    if not cloth.exists():
+        raise InputError(f"{named}: has no cloth that repeats ({CLOTH_FILE}), so no width to choose")
+    return named if named.startswith("zoo:") else Path(named).name, read_picture(cloth)

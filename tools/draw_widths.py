@@ -1,0 +1,93 @@
+"""Measure how many people pictures hide as cloth of several widths, and draw the curves.
+
+    python tools/draw_widths.py PICTURE ... --people PEOPLE.json --detector SPEC ... --out DIR
+
+PICTURE is one of those that `cloak wear PICTURE@tile=auto` takes. DIR/widths.json has for each, by its name, what that
+command records of the width's choice, and the mean over the detectors at each width; DIR/widths.png draws it. What is
+in DIR/widths.json already is not measured again, so that a stopped call goes on.
+
+    python tools/draw_widths.py --draw WIDTHS.json PICTURE.png
+
+draws such a file again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cloak_core.detectors.loading import load_detector
+from cloak_core.evaluation.report.style import CYCLE, MARKERS, WIDTH, new_figure, percent_axis, style
+from cloak_core.evaluation.settings import WearSettings
+from cloak_core.evaluation.wearing.clothes import read_clothes
+from cloak_core.evaluation.wearing.widths import AUTO, WIDTHS, width_curve
+from cloak_core.files.reading import read_json
+from cloak_core.files.specs import without_folders
+from cloak_core.files.writing import write_json
+from cloak_core.library import load_people
+from cloak_core.scene.backdrops.backgrounds import load_backgrounds
+
+RATES = {"success": "at 0.6", "success_own": "at the own thresholds"}
+
+
+def measured(picture: str, people: object, detectors: dict) -> dict:
+    """Judge a picture at every width; specs without folders, and means over the detectors beside them."""
+    curve = width_curve(picture + AUTO, people, detectors, load_backgrounds("procedural:test"), WearSettings())
+    rates = {without_folders(spec): by_width for spec, by_width in curve["detectors"].items()}
+    mean = {
+        f"{metres:g}": {
+            rate: round(float(np.mean([by_width[f"{metres:g}"][rate] for by_width in rates.values()])), 4)
+            for rate in RATES
+        }
+        for metres in WIDTHS
+    }
+    return curve | {"detectors": rates, "mean": mean}
+
+
+def draw(record: dict, path: Path) -> None:
+    """Draw the mean success of every picture against its width, a panel for each threshold."""
+    with style():
+        figure, axes = new_figure(1.5 * WIDTH, 0.75 * WIDTH, columns=len(RATES))
+        for axis, (rate, label) in zip(axes, RATES.items(), strict=True):
+            for number, (name, curve) in enumerate(record.items()):
+                points = [(100 * float(metres), one[rate]) for metres, one in curve["mean"].items()]
+                look = {"color": CYCLE[number % len(CYCLE)], "marker": MARKERS[number % len(MARKERS)], "markersize": 3}
+                axis.plot(*zip(*points, strict=True), linewidth=1, label=name, **look)
+            axis.set_xscale("log")
+            ticks = [100 * metres for metres in WIDTHS]
+            axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
+            axis.set_xticks([], minor=True)
+            axis.set_xlabel("width of the cloth, cm")
+            percent_axis(axis, f"hidden {label}")
+        axes[0].legend(loc="upper left", bbox_to_anchor=(0, 1.3), ncols=4)
+        figure.savefig(path, dpi=150, bbox_inches="tight")
+
+
+def main() -> None:
+    """Measure every picture, then draw."""
+    if sys.argv[1:2] == ["--draw"]:
+        return draw(read_json(Path(sys.argv[2])), Path(sys.argv[3]))
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("pictures", nargs="+")
+    parser.add_argument("--people", required=True)
+    parser.add_argument("--detector", action="append", required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    detectors, people = {spec: load_detector(spec) for spec in given.detector}, load_people(given.people)
+    given.out.mkdir(parents=True, exist_ok=True)
+    kept = given.out / "widths.json"
+    record = read_json(kept) if kept.exists() else {}
+    for picture in given.pictures:
+        name = read_clothes(f"{picture}@tile=0.5").name.removesuffix("@tile=0.5")
+        if name not in record:
+            record[name] = measured(picture, people, detectors)
+            write_json(kept, record)
+        print(name, record[name]["chosen"], record[name]["mean"][f"{record[name]['chosen']:g}"], flush=True)
+    draw(record, given.out / "widths.png")
+
+
+if __name__ == "__main__":
+    main()
