@@ -44,14 +44,14 @@ def _decisive(part: str, value: object) -> object:
     return _only(DECISIVE[part], value)
 
 
-def check_same(recorded: dict, config: dict, path: Path, parts: Iterable[str] = tuple(DECISIVE)) -> None:
+def check_same(recorded: dict, config: dict, path: Path) -> None:
     """Check that `config` is what the run at `path` recorded, in all that decides the result.
 
     InputError names the first difference.
 
     What versions before this one did not record is not compared.
     """
-    for part in parts:
+    for part in DECISIVE:
         old, new = recorded.get(part), config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
