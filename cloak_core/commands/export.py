@@ -15,7 +15,7 @@ from cloak_core.commands.progress import counted
 from cloak_core.evaluation.settings import EvaluateSettings
 
 if TYPE_CHECKING:
-    from cloak_core.evaluation.renderer import BodyRenderer
+    from cloak_core.evaluation.body_renderer import BodyRenderer
 
 
 @dataclass(kw_only=True)

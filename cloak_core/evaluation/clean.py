@@ -19,10 +19,11 @@ from cloak_core.detectors.check import read_image
 from cloak_core.detectors.defended.masks import Masks
 from cloak_core.detectors.protocol import Detector
 from cloak_core.detectors.verification.kit import framed, natural_size, verify
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import CLOTHING
 from cloak_core.evaluation.measure import batches, measure
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, Indices, render_images
+from cloak_core.evaluation.renderer import EvaluationRenderer, Indices, render_images
 from cloak_core.evaluation.results import NOBODY
 from cloak_core.evaluation.settings import WearSettings
 from cloak_core.evaluation.statistics import hidden

@@ -15,9 +15,9 @@ import torch
 from jaxtyping import Bool
 
 from cloak_core import __version__
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.measure import OnProgress, batches
-from cloak_core.evaluation.renderer import BodyRenderer
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.files.errors import InputError
 from cloak_core.files.writing import new_folder, write_json

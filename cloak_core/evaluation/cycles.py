@@ -20,9 +20,10 @@ import torch
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.controls import LOGO, control_colors, random_colors
 from cloak_core.evaluation.measure import OnProgress
-from cloak_core.evaluation.renderer import BodyRenderer, Indices
+from cloak_core.evaluation.renderer import Indices
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record, source_hash

@@ -16,31 +16,30 @@ import numpy as np
 import torch
 
 from cloak_core.attack.events import read_events
-from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
+from cloak_core.evaluation.counting import content_hash, headline, measure_and_count
 from cloak_core.evaluation.cycles import in_cycles
 from cloak_core.evaluation.film import write_turntable
-from cloak_core.evaluation.measure import OnProgress, all_controls, check_asked, kept_frozen, measure
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
+from cloak_core.evaluation.measure import OnProgress, all_controls, check_asked
+from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.report.pictures import write_pictures
 from cloak_core.evaluation.report.plots import success_over_time
 from cloak_core.evaluation.report.stored import check_stored
 from cloak_core.evaluation.report.style import save_figure, style
 from cloak_core.evaluation.results import Results, read_results
 from cloak_core.evaluation.settings import EvaluateSettings
-from cloak_core.evaluation.statistics import summarize
 from cloak_core.evaluation.trained_run import seen_in_training, trained_against
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.files.errors import InputError
-from cloak_core.files.identity import code_hash, package_versions, sha256_arrays, sha256_record
+from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.files.reading import read_json
 from cloak_core.files.writing import new_folder, write_json
 from cloak_core.render.settings import RenderSettings
 from cloak_core.render.view_cache import ViewCache
 from cloak_core.render.view_files import view_files
 
-ROOMS = ("exchange", "scene", "render", "detectors", "evaluation")
-"""The rooms whose code decides the figures of an evaluation."""
 _log = logging.getLogger("cloak")
 
 
@@ -109,35 +108,19 @@ def evaluate_renderer(
     controls: see `measure_frozen`. Where `out` holds an evaluation of the same content, its summary is returned; any
     other one is replaced.
     """
-    content = _content(detectors, circumstances)
+    content = content_hash(detectors, circumstances)
     if out is not None and (out / "summary.json").exists():
         summary = _finished(out, content)
         if summary is not None:
             _log.warning("%s: holds this very evaluation already: nothing is measured again", out)
             return summary
         _log.warning("%s: holds an evaluation already, which this one replaces (--out DIR keeps both)", out)
-    results, hashes = measure_frozen(renderer, detectors, settings, on_progress, controls)
-    summary = summarize(results, settings.threshold, settings.resamples)
-    summary |= {"n": len(renderer.trials)} | detector_facts(detectors) | dict(circumstances)
-    summary["inputs"] = summary["inputs"] | {"detector_hashes": hashes} | ({"content": content} if content else {})
+    summary, results = measure_and_count(renderer, detectors, settings, circumstances, controls, on_progress)
+    if content:
+        summary["inputs"] |= {"content": content}
     if out is not None:
         write_evaluation(out, summary, results, renderer, detectors)
     return summary
-
-
-def _content(detectors: Mapping[str, Detector], circumstances: Mapping[str, object]) -> str | None:
-    """Hash (SHA-256, hex) all that decides an evaluation; None where that is not known.
-
-    Not known: inputs without an `identity`, or a detector that no family loaded, whose code may be anything.
-    """
-    if "identity" not in circumstances["inputs"] or not all(detector.source for detector in detectors.values()):
-        return None
-    judges = [
-        [spec, detector_record(detector), detector.operating_point, detector.device.type]
-        for spec, detector in detectors.items()
-    ]
-    around = {"code": code_hash(*ROOMS), "packages": package_versions("torch", "numpy", "numba", "pillow")}
-    return sha256_record([judges, dict(circumstances), around])
 
 
 def _finished(folder: Path, content: str | None) -> dict | None:
@@ -150,32 +133,6 @@ def _finished(folder: Path, content: str | None) -> dict | None:
     return summary if content and isinstance(kept, dict) and kept.get("content") == content else None
 
 
-def measure_frozen(
-    renderer: EvaluationRenderer,
-    detectors: dict[str, Detector],
-    settings: EvaluateSettings,
-    on_progress: OnProgress | None = None,
-    controls: Sequence[str] | None = None,
-) -> tuple[Results, dict[str, str]]:
-    """Measure, and return the detectors' hashes, which the evaluation must not change.
-
-    controls: what is measured, the trained colours first; None: the settings' controls.
-    """
-    # Of more backgrounds than are looked at, a draw by the seed.
-    order = np.random.default_rng([settings.seed, 0xBA2E]).permutation(len(renderer.background_names))
-    bare, controls = np.sort(order[: settings.bare]), controls or all_controls(settings)
-    with kept_frozen(detectors) as hashes:
-        results = measure(renderer, detectors, controls, bare, batch=settings.batch, on_progress=on_progress)
-    return results, hashes
-
-
-def detector_facts(detectors: Mapping[str, Detector]) -> dict:
-    """Return the summary's `operating_points`, by spec, and which of them are assumed."""
-    points = {spec: detector.operating_point for spec, detector in detectors.items()}
-    assumed = [spec for spec, detector in detectors.items() if detector.operating_point_assumed]
-    return {"operating_points": points, "operating_points_assumed": assumed}
-
-
 def make_renderer(
     cloaked: Cloaked, angles: Sequence[float], settings: EvaluateSettings, device: torch.device | str = "cpu"
 ) -> BodyRenderer:
@@ -185,11 +142,6 @@ def make_renderer(
     render = RenderSettings.of(settings, device=device, files=view_files())
     view_cache = ViewCache(bodies, render, on_cloth=cloaked.cloth is not None)
     return BodyRenderer(cloaked, trials, settings.camera, view_cache, settings.seed)
-
-
-def headline(record: Mapping[str, object]) -> dict:
-    """Select success at both thresholds, intervals and count of one S of contract C6; None for what it lacks."""
-    return {key: record.get(key) for key in ("success", "success_own", "ci95", "ci95_own", "n")}
 
 
 # --- the folder of an evaluation

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float32
 
 from cloak_core.detectors.protocol import Detector
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.film_frames import draw_frames
 from cloak_core.evaluation.measure import OnProgress, check_asked, kept_frozen, measure
-from cloak_core.evaluation.renderer import BodyRenderer
 from cloak_core.evaluation.settings import MOST_FRAMES, FilmSettings
 from cloak_core.evaluation.statistics_film import frame_rows, summarize_film
 from cloak_core.evaluation.trials import make_trials

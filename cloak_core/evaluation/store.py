@@ -17,13 +17,15 @@ from jaxtyping import Float32, Int64
 
 from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.detectors.protocol import Detector, detector_record
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import LOGO, NATURAL, STANDARD
+from cloak_core.evaluation.counting import measure_frozen
 from cloak_core.evaluation.data_split import DataSplit, backgrounds_record, bodies_record
-from cloak_core.evaluation.evaluate import make_renderer, measure_frozen
+from cloak_core.evaluation.evaluate import make_renderer
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.printed_cloth import PrintedCloth
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer
+from cloak_core.evaluation.renderer import EvaluationRenderer
 from cloak_core.evaluation.results import Results, pool, read_results
 from cloak_core.evaluation.settings import QUICK_STEPS, EvaluateSettings, StoreOptions, WearSettings
 from cloak_core.evaluation.training_store import Trained, Training, TrainingStore, content_key

@@ -9,7 +9,8 @@ from pathlib import Path
 from cloak_core.detectors.loading import check_recorded, load_detector
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.cloaked import Cloaked
-from cloak_core.evaluation.evaluate import evaluate, headline
+from cloak_core.evaluation.counting import headline
+from cloak_core.evaluation.evaluate import evaluate
 from cloak_core.evaluation.measure import OnProgress
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import EMBEDDED, kept_back

@@ -10,9 +10,10 @@ from pycocotools.coco import COCO
 from torchvision.datasets import CocoDetection
 
 from cloak_core.cli import main
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.coco import export_coco, run_lengths
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import render_images
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trials import draw_trials
 from cloak_core.exchange.colors import write_colors

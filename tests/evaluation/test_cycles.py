@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from cloak_core.evaluation import cycles
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.cycles import CyclesRenderer, NoBlender, image_difference, render_frames, require_blender
 from cloak_core.evaluation.evaluate import make_renderer
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import render_images
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.files.errors import InputError
 from cloak_core.library import evaluate

@@ -14,11 +14,12 @@ from torch import Tensor
 from cloak_core.commands.evaluate import show_success
 from cloak_core.detectors.outcomes import on_body
 from cloak_core.detectors.protocol import Detections, Detector, state_hash
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import random_colors
 from cloak_core.evaluation.evaluate import evaluate, make_renderer, read_evaluation
 from cloak_core.evaluation.printed_cloth import PrintedCloth
-from cloak_core.evaluation.renderer import BodyRenderer, EvaluationRenderer, render_images
+from cloak_core.evaluation.renderer import EvaluationRenderer, render_images
 from cloak_core.evaluation.report.run_report import make_report
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.exchange.bodies import Bodies

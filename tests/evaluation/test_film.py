@@ -13,9 +13,9 @@ from torch import Tensor
 from cloak_core.attack.settings.values import Angles
 from cloak_core.cli import main
 from cloak_core.detectors.protocol import Detections, Detector
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.film import approaches, camera_path, film_renderer, make_film, usual_pace, write_turntable
-from cloak_core.evaluation.renderer import BodyRenderer
 from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
 from cloak_core.evaluation.statistics_film import longest_run, track
 from cloak_core.evaluation.trials import draw_trials

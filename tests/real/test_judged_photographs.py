@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 from cloak_core.detectors.loading import load_detector
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.cloaked import Cloaked
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.photographs.judge import judge
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import render_images
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.settings import EvaluateSettings, JudgeSettings
 from cloak_core.evaluation.trials import draw_trials

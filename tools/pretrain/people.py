@@ -89,7 +89,11 @@ def _cropped(view: View, distance: float, face_count: int) -> CroppedView:
     top, left = int(rows.min()), int(columns.min())
     height, width = int(rows.max()) - top + 1, int(columns.max()) - left + 1
     weights = torch.sparse_csr_tensor(
-        view.map.crow.int(), view.map.column.int(), view.map.weight, (len(view.pixels), face_count), check_invariants=False
+        view.map.crow.int(),
+        view.map.column.int(),
+        view.map.weight,
+        (len(view.pixels), face_count),
+        check_invariants=False,
     )
     return CroppedView(
         height,

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from cloak_core.evaluation.body_renderer import BodyRenderer
 from cloak_core.evaluation.controls import CLOTHING, LOGO
 from cloak_core.evaluation.cycles import (
     LIGHTS,
@@ -15,7 +16,7 @@ from cloak_core.evaluation.cycles import (
     render_frames,
     require_blender,
 )
-from cloak_core.evaluation.renderer import BodyRenderer, render_images
+from cloak_core.evaluation.renderer import render_images
 from cloak_core.evaluation.report.charts import Rows
 from cloak_core.evaluation.report.pictures import to_pil
 from cloak_core.evaluation.report.words import file_name

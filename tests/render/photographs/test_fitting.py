@@ -97,7 +97,7 @@ def dressed_image(fit, framing, color, looseness=None):
     shares = shares_of(fit, logo_positions(bodies.topology, ids), len(ids), looseness)
     view = photograph_view(fit, shares, framing, looseness)
     colors = torch.full((len(ids), 3), color)
-    return compose([view], colors, torch.zeros(1, 3, framing.size, framing.size))[0].numpy(), view, shares
+    return compose([view], colors, torch.zeros(1, 3, framing.size, framing.size))[0].numpy(), view, shares.to_scipy()
 
 
 def test_pixels_off_the_clothes_are_the_photographs(fitted):
