@@ -20,26 +20,26 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cloak_core.attack.batches import Prefetcher
-from cloak_core.attack.events import EventLog, read_events
-from cloak_core.attack.fabric import Fabric
-from cloak_core.attack.losses import disappearance
-from cloak_core.attack.material import TrainingData
-from cloak_core.attack.objective import Objective, gradient_step
-from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.settings import TrainSettings, make_settings
-from cloak_core.attack.technique import Setup, Techniques
-from cloak_core.attack.train import make_batcher
-from cloak_core.attack.training import make_material
 from cloak_core.bench.records import table
 from cloak_core.bench.views import chest_and_thighs, machine
-from cloak_core.detectors.protocol import Detector
+from cloak_core.core.batches import Prefetcher
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.events import EventLog, read_events
+from cloak_core.core.logo import make_logo
+from cloak_core.core.losses import disappearance
+from cloak_core.core.objective import Objective, gradient_step
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.settings import TrainSettings, make_settings
+from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.train import make_batcher
+from cloak_core.core.visibility.threads import torch_threads
+from cloak_core.core.worn import Worn
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
-from cloak_core.render.threads import torch_threads
-from cloak_core.scene.backdrops.backgrounds import Backgrounds
-from cloak_core.scene.logos.logo import make_logo
-from cloak_core.sources.bodies import BodyPlan
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.source import BodyPlan
+from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.training import make_material
 
 WARM_UP = 3
 """Rounds that are not counted: what allocates, compiles and plans on first use."""
@@ -102,21 +102,21 @@ class _Bench:
         self.device = torch.device(settings.compute.device)
         faces = chest_and_thighs(bodies) if logo_faces is None else logo_faces
         self.logo = make_logo(bodies, faces)
-        self.fabric = Fabric(bodies, self.logo)
+        self.worn = Worn(bodies, self.logo)
         self.plan = BodyPlan(settings.views, bodies.pose_count, bodies.outfit_count)
-        material = make_material(settings, TrainingData(bodies, backgrounds), self.fabric, self.device)
-        techniques = Techniques.built(Setup(settings, self.fabric, [], self.device))
-        self.batcher = make_batcher(settings, material, self.fabric, self.device, techniques)
+        material = make_material(settings, TrainingData(bodies, backgrounds), self.worn, self.device)
+        techniques = Techniques.built(Setup(settings, self.worn, [], self.device))
+        self.batcher = make_batcher(settings, material, self.worn, self.device, techniques)
         # Cached views: one round meets every pose, angle and outfit, so that none is built while the clock runs.
         for number in range(self._warm_up_steps()):
             self.batcher.batch(number)
 
     def measure(self, detector: Detector, repeats: int) -> dict:
         settings = self.settings
-        techniques = Techniques.built(Setup(settings, self.fabric, [detector], self.device))
+        techniques = Techniques.built(Setup(settings, self.worn, [detector], self.device))
         objective = Objective(settings, self.logo, [detector], self.device, techniques)
         grey = torch.full((len(self.logo), 3), 0.5, device=self.device)
-        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.fabric)
+        optimizer = ColorOptimizer(settings.optimization, grey, techniques, self.worn)
         ready = self.batcher.batch(0).images(optimizer.colors()).detach().clone().requires_grad_()
         upstream = torch.zeros_like(ready)
         prefetcher = Prefetcher(self.batcher)

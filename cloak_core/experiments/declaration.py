@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float32
 from PIL import Image
 
-from cloak_core.evaluation.printed_cloth import PrintedCloth
-from cloak_core.evaluation.report.charts import Bars, Lines, Rings, Rows
-from cloak_core.evaluation.results import Results
-from cloak_core.evaluation.store import RunStore
-from cloak_core.evaluation.training_store import Trained
+from cloak_core.core.evaluation.results import Results
 from cloak_core.experiments.charts import Chart, Matrix, Thresholds
 from cloak_core.experiments.logos import FaceIds
+from cloak_core.studies.printed_cloth import PrintedCloth
+from cloak_core.studies.report.charts import Bars, Lines, Rings, Rows
+from cloak_core.studies.store import RunStore
+from cloak_core.studies.training_store import Trained
 
 __all__ = ["MULTI", "SINGLE", "Bars", "Cell", "Cells", "Experiment", "Lines", "Matrix", "Numbers", "Rings", "RunStore"]
 __all__ += ["Thresholds", "Trainings", "test_angles"]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-TRAINING = ("exchange", "scene", "render", "detectors", "attack", "techniques")
+TRAINING = ("exchange", "core", "sources", "detectors", "techniques", "studies/trainings")
 """The rooms whose code decides the colours of a training."""
 _PROJECT = Path(__file__).parents[1]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float, Int
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Distortion, Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Distortion, Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")
@@ -50,7 +50,7 @@ class Blurred(Distortion):
     """Pixels."""
 
     def __call__(self, images: Float[torch.Tensor, "B 3 H W"]) -> Float[torch.Tensor, "B 3 H W"]:
-        from cloak_core.detectors.filters import blurred
+        from cloak_core.core.filters import blurred
 
         return blurred(images, self.deviations)
 

@@ -11,8 +11,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Setup, Technique
 
 _STREAM = 2
 
@@ -36,7 +36,7 @@ class Cutout(Technique):
     @classmethod
     def build(cls, setup: Setup) -> Cutout | None:
         share = setup.settings.augmentation.cutout
-        return cls(share, setup.fabric.centres) if share else None
+        return cls(share, setup.worn.centres) if share else None
 
     def hidden(self, seeds: Int[np.ndarray, " B"]) -> Bool[np.ndarray, "B C"]:
         hidden = np.zeros((len(seeds), len(self.centres)), bool)

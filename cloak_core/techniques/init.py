@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.identity import sha256_arrays
 
 
@@ -32,10 +32,10 @@ class Init(Technique):
     @classmethod
     def build(cls, setup: Setup) -> Init | None:
         """InputError: the colours cannot be read, or are of another logo."""
-        from cloak_core.attack.starting import read_start
+        from cloak_core.zoo.starting import read_start
 
         path = setup.settings.optimization.init
-        return None if path is None else cls(read_start(Path(path), setup.fabric.logo))
+        return None if path is None else cls(read_start(Path(path), setup.worn.logo))
 
     def first(self) -> Float32[np.ndarray, "L 3"]:
         return self.colors

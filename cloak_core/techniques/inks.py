@@ -18,8 +18,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")

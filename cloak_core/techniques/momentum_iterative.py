@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")

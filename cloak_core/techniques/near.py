@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.settings.values import Positive
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Positive
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.lazy import Lazy
-from cloak_core.scene.color_difference import de2000, lab
+from cloak_core.sources.bodies.logos.color_difference import de2000, lab
 
 torch = Lazy("torch")
 HALVINGS = 12
@@ -64,20 +64,20 @@ class Near(Technique):
 
         InputError: no such garment; one of several colours where inks are counted.
         """
-        from cloak_core.attack.starting import read_start
-        from cloak_core.scene.logos.garment_colors import garment_colors
+        from cloak_core.sources.bodies.logos.garment_colors import garment_colors
+        from cloak_core.zoo.starting import read_start
 
-        wanted, fabric = setup.settings.pattern, setup.fabric
+        wanted, worn = setup.settings.pattern, setup.worn
         if wanted.near is None:
             return None
-        garment = garment_colors(wanted.near, fabric.bodies, fabric.logo)
-        garment = read_start(Path(wanted.near), fabric.logo, "--near") if garment is None else garment
+        garment = garment_colors(wanted.near, worn.bodies, worn.logo)
+        garment = read_start(Path(wanted.near), worn.logo, "--near") if garment is None else garment
         if wanted.colors_at_most is not None:
             if len(np.unique(garment, axis=0)) > 1:
                 raise InputError("--near: with --colors-at-most the garment must have one colour")
             if setup.settings.objective.palette is not None:
                 raise InputError("--near: would move colours away from those of --palette; give --colors-at-most alone")
-        return cls(fabric.shared(garment), wanted.within, wanted.within_most or 2 * wanted.within)
+        return cls(worn.shared(garment), wanted.within, wanted.within_most or 2 * wanted.within)
 
     def distances(self, colors: Float[np.ndarray, "L 3"]) -> Float[np.ndarray, " L"]:
         """Compute each face's CIEDE2000 from the garment."""

@@ -15,8 +15,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.lazy import Lazy
 
@@ -54,7 +54,7 @@ class Octaves(Technique):
         period: float | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
-        from cloak_core.render.linear import SparseMap
+        from cloak_core.core.linear import SparseMap
 
         weights = sparse.hstack([_grid(points, spacing * 2**k, period) for k in range(1, count)], "csr")
         self.rows = weights.shape[1]
@@ -64,8 +64,8 @@ class Octaves(Technique):
 
     @classmethod
     def build(cls, setup: Setup) -> Octaves | None:
-        count, fabric = setup.settings.optimization.octaves, setup.fabric
-        return cls(fabric.points, fabric.spacing, count, fabric.period, setup.device) if count > 1 else None
+        count, worn = setup.settings.optimization.octaves, setup.worn
+        return cls(worn.points, worn.spacing, count, worn.period, setup.device) if count > 1 else None
 
     def free(
         self, values: Float[torch.Tensor, "N 3"], own: Float[torch.Tensor, "rows 3"]

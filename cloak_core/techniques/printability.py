@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.settings.values import NotNegative
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import NotNegative
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.lazy import Lazy
@@ -58,7 +58,7 @@ class Printability(Technique):
 
 def palette_of(setup: Setup) -> Float[np.ndarray, "P 3"] | None:
     """Read the palette; None where none is named. InputError: it cannot be read."""
-    from cloak_core.scene.logos.palette import read_palette
+    from cloak_core.sources.bodies.logos.palette import read_palette
 
     file = setup.settings.objective.palette
     return None if file is None else read_palette(file)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.exchange.profiles import Profile, read_profile
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.lazy import Lazy

@@ -15,8 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.errors import InputError
 from cloak_core.files.lazy import Lazy
 

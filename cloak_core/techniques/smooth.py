@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float, Int
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")
@@ -36,7 +36,7 @@ class Smoothing(Technique):
         self, edges: Int[np.ndarray, "E 2"], count: int, rounds: int, device: torch.device | str = "cpu"
     ) -> None:
         """Build the matrix; edges: positions of two neighbouring faces among the `count`."""
-        from cloak_core.render.linear import SparseMap, offsets
+        from cloak_core.core.linear import SparseMap, offsets
 
         self.rounds = rounds
         pairs = np.unique(np.sort(edges, axis=1), axis=0)
@@ -53,8 +53,8 @@ class Smoothing(Technique):
 
     @classmethod
     def build(cls, setup: Setup) -> Smoothing | None:
-        rounds, fabric = setup.settings.optimization.smooth, setup.fabric
-        return cls(fabric.edges, fabric.count, rounds, setup.device) if rounds else None
+        rounds, worn = setup.settings.optimization.smooth, setup.worn
+        return cls(worn.edges, worn.count, rounds, setup.device) if rounds else None
 
     def mix(self, values: Float[torch.Tensor, "L C"]) -> Float[torch.Tensor, "L C"]:
         """Average the values; they stay within [0, 1] where the given ones do."""

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from jaxtyping import Float, Int
 
-from cloak_core.attack.settings.values import Bounds
-from cloak_core.attack.technique import Distortion, Setup, Technique
+from cloak_core.core.settings.values import Bounds
+from cloak_core.core.technique import Distortion, Setup, Technique
 from cloak_core.files.lazy import Lazy
 
 torch = Lazy("torch")
@@ -52,7 +52,7 @@ class Windows(Distortion):
     """Side and centre (x, y), in units in which the image's edges are at -1 and 1."""
 
     def __call__(self, images: Float[torch.Tensor, "B 3 H W"]) -> Float[torch.Tensor, "B 3 H W"]:
-        from cloak_core.detectors.filters import windowed
+        from cloak_core.core.filters import windowed
 
         return windowed(images, self.windows)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.ensemble import Ensemble
+from cloak_core.core.ensemble import Ensemble
 from cloak_core.techniques.adaptive import Adaptive
-from tests.attack.fakes import TinyDetector, techniques_of, tiny_settings
-from tests.attack.test_ensemble import asked
+from tests.core.fakes import TinyDetector, techniques_of, tiny_settings
+from tests.core.test_ensemble import asked
 
 
 def ensemble_of(count: int, **changes: object) -> tuple[Ensemble, Adaptive]:

@@ -7,16 +7,16 @@ import pytest
 import torch
 from PIL import Image, ImageFilter
 
-from cloak_core.attack.batches import Batcher
-from cloak_core.attack.fabric import Fabric
-from cloak_core.attack.sampling import Sampler
-from cloak_core.attack.technique import Distortions
-from cloak_core.detectors.filters import blurred, through_jpeg, windowed
-from cloak_core.render.settings import RenderSettings
-from cloak_core.render.view_cache import ViewCache
-from cloak_core.scene.geometry import face_centres
+from cloak_core.core.batches import Batcher
+from cloak_core.core.filters import blurred, through_jpeg, windowed
+from cloak_core.core.geometry import face_centres
+from cloak_core.core.sampling import Sampler
+from cloak_core.core.technique import Distortions
+from cloak_core.core.visibility.settings import RenderSettings
+from cloak_core.core.worn import Worn
+from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.techniques.window import Windows, draw_window
-from tests.attack.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings
+from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings
 
 
 def smooth_images(count: int = 2, size: int = 48) -> torch.Tensor:
@@ -96,7 +96,7 @@ def batch_of(**changes) -> tuple[torch.Tensor, torch.Tensor]:
     """A batch's images of a grey logo, and their gradient's length on each face."""
     bodies, settings = box_bodies(), tiny_settings(noise=0.0, contrast="1", brightness="0", **changes)
     logo, backgrounds = front_logo(bodies), noise_backgrounds()
-    worn = Fabric(bodies, logo)
+    worn = Worn(bodies, logo)
     source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=4)))
     sampler = Sampler(settings, source, len(backgrounds))
     techniques = techniques_of(settings, bodies=bodies)
@@ -119,7 +119,7 @@ def test_what_is_switched_on_changes_images_and_is_drawn_by_seed_and_step(change
 
 def test_cut_out_faces_are_grey_and_stand_together():
     bodies, settings = box_bodies(), tiny_settings(cutout=1.0, batch=8, noise=0.0)
-    worn = Fabric(bodies, front_logo(bodies))
+    worn = Worn(bodies, front_logo(bodies))
     faces = worn.logo.face_ids
     source = BodySource(bodies, worn, settings.views, view_cache=ViewCache(bodies, RenderSettings(samples=1)))
     techniques = techniques_of(settings, bodies=bodies)

@@ -2,10 +2,10 @@
 
 import torch
 
-from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.settings import make_settings
-from tests.attack.fakes import techniques_of
-from tests.attack.test_optimizing import _pushed
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.settings import make_settings
+from tests.core.fakes import techniques_of
+from tests.core.test_optimizing import _pushed
 
 
 def optimizer_of(**changes: float) -> ColorOptimizer:

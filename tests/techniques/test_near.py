@@ -5,15 +5,15 @@ import pytest
 import torch
 from PIL import Image
 
-from cloak_core.attack.fabric import Fabric
-from cloak_core.attack.settings import make_settings
+from cloak_core.core.settings import make_settings
+from cloak_core.core.worn import Worn
 from cloak_core.exchange.colors import read_colors, write_colors
 from cloak_core.files.errors import InputError
-from cloak_core.scene.color_difference import de2000, lab
-from cloak_core.scene.logos.garment_colors import camouflage, garment_colors
+from cloak_core.sources.bodies.logos.color_difference import de2000, lab
+from cloak_core.sources.bodies.logos.garment_colors import camouflage, garment_colors
 from cloak_core.techniques.near import Near
-from tests.attack.fakes import box_bodies, front_logo, techniques_of
-from tests.attack.test_training import run
+from tests.core.fakes import box_bodies, front_logo, techniques_of
+from tests.core.test_training import run
 
 RANDOM = np.random.default_rng(0)
 PRINT = RANDOM.random((500, 3)).astype(np.float32)
@@ -86,9 +86,9 @@ def test_beside_a_pattern_a_print_is_taken_in_its_mean(tmp_path, pattern):
     bodies = box_bodies()
     logo = front_logo(bodies)
     settings = make_settings(near="camouflage", within=6, **pattern)
-    fabric, (near,) = Fabric.of(settings.pattern, bodies, logo), techniques_of(settings, bodies=bodies)
-    garment, cloth = near.garment, fabric.cloth
-    patch = fabric.patch if cloth is None else cloth.square
+    worn, (near,) = Worn.of(settings.pattern, bodies, logo), techniques_of(settings, bodies=bodies)
+    garment, cloth = near.garment, worn.cloth
+    patch = worn.patch if cloth is None else cloth.square
     garment = garment if cloth is None else garment[patch]
     printed = garment_colors("camouflage", bodies, logo)
     for number in np.unique(patch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cloak_core.attack.settings import make_settings
+from cloak_core.core.settings import make_settings
 from cloak_core.files.errors import InputError
 from cloak_core.techniques.octaves import Octaves
 
@@ -53,8 +53,8 @@ def test_octaves_need_a_sigmoid():
     "pattern", [{}, {"pattern": "tile", "tile_cm": 50}, {"pattern": "camouflage", "feature_cm": 30}]
 )
 def test_a_run_with_octaves_is_resumed_to_the_bit(tmp_path, pattern):
-    from cloak_core.attack.training import train
-    from tests.attack.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
+    from cloak_core.studies.trainings.training import train
+    from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds
 
     bodies = box_bodies()
     chosen = {"batch": 2, "size": 64, "translation": 5, "samples": 1, "octaves": 3, "gamut": "sigmoid", **pattern}

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cloak_core.files.errors import InputError
 from cloak_core.techniques.printability import non_printability
-from tests.attack.fakes import tiny_settings
-from tests.attack.test_training import run
+from tests.core.fakes import tiny_settings
+from tests.core.test_training import run
 
 
 @given(st.integers(0, 2**31), st.integers(1, 40), st.integers(1, 60))

@@ -6,11 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from cloak_core.detectors.protocol import Detections, Detector, state_hash
+from cloak_core.core.detector.protocol import Detections, Detector, state_hash
 from cloak_core.files.errors import InputError
 from cloak_core.techniques.shake import Shake
-from tests.attack.fakes import TinyDetector
-from tests.attack.test_training import run
+from tests.core.fakes import TinyDetector
+from tests.core.test_training import run
 
 IMAGES = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(0))
 

@@ -3,11 +3,11 @@
 import numpy as np
 import torch
 
-from cloak_core.attack.optimizing import ColorOptimizer
-from cloak_core.attack.settings import make_settings
-from cloak_core.attack.technique import Techniques
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.settings import make_settings
+from cloak_core.core.technique import Techniques
 from cloak_core.techniques.smooth import Smoothing
-from tests.attack.fakes import box_bodies, front_logo
+from tests.core.fakes import box_bodies, front_logo
 
 LOGO = front_logo(box_bodies())
 

@@ -1,0 +1,202 @@
+"""What a step minimises, and its gradient."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from cloak_core.core.batches import Batch, Company
+from cloak_core.core.detector.outcomes import as_anything, only_hers
+from cloak_core.core.detector.protocol import Detections, Detector, join_detections
+from cloak_core.core.detector.scoring import is_detected
+from cloak_core.core.ensemble import Ensemble
+from cloak_core.core.logo import Logo
+from cloak_core.core.losses import person_loss, proposal_loss, total_variation
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.settings import TrainSettings
+from cloak_core.core.technique import NO_TECHNIQUES, Techniques
+from cloak_core.core.world import ALONE, World
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class LossAndGradient:
+    """What the detectors say of images, and the gradient of it."""
+
+    disappearance: Float[Tensor, ""]
+    """Mean over the images of the ensemble's loss."""
+    success: Float[Tensor, ""]
+    """Share of images in which nothing was found that is to be hidden, mean over the detectors that were asked."""
+    gradient: Float[Tensor, "B 3 H W"] | None
+    """Of `disappearance`, with respect to the images; None under `torch.no_grad`, and where there are no images."""
+    detections: dict[int, Detections]
+    """What each asked detector said, by its number; see `Objective.detect`."""
+
+
+class Objective:
+    """What is minimised: the ensemble's disappearance loss plus weighted total variation and techniques' penalties."""
+
+    def __init__(
+        self,
+        settings: TrainSettings,
+        logo: Logo,
+        detectors: Sequence[Detector],
+        device: torch.device,
+        techniques: Techniques = NO_TECHNIQUES,
+    ) -> None:
+        self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
+        self.techniques = techniques
+        self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
+        self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
+        self.edge_lengths = torch.as_tensor(logo.edge_lengths, dtype=torch.float32, device=device)
+        self._without_proposals: set[int] = set()
+
+    def penalty(self, colors: Float[Tensor, "L 3"]) -> tuple[float, Float[Tensor, ""]]:
+        """Compute what techniques add to the loss: a weight, and what it weighs; 0 without any."""
+        penalties = [technique.penalty(colors) for technique in self.techniques.at("penalty")]
+        if len(penalties) == 1:
+            return penalties[0]
+        return 1.0, sum((weight * value for weight, value in penalties), colors.new_zeros(()))
+
+    def total_variation(self, colors: Float[Tensor, "L 3"]) -> Float[Tensor, ""]:
+        """Compute the colours' total variation."""
+        return total_variation(colors, self.edges, self.edge_lengths)
+
+    def forward_backward(
+        self,
+        images: Float[Tensor, "B 3 H W"],
+        step: int | None = None,
+        bodies: Float[Tensor, "B 4"] | None = None,
+        company: Company | None = None,
+    ) -> LossAndGradient:
+        """Show the images to the detectors of `step` (None: to all), `microbatch` at a time.
+
+        bodies: the true box of each image's body, needed where everything on it is to be hidden, and with `company`:
+        who else is in the images, and does not count.
+
+        Each detector's activations are gone before the next one starts (but for the maximum, which needs all). Under
+        `torch.no_grad` there are none.
+        """
+        groups = self.ensemble.asked(step)
+        asked = [number for group in groups for number in group]
+        said: dict[int, list[Detections]] = {number: [] for number in asked}
+        disappearance, found = images.new_zeros(()), images.new_zeros(())
+        gradients: list[Tensor] = []
+        size = self.run.microbatch or max(len(images), 1)
+        for first in range(0, len(images), size):
+            part = images[first : first + size].detach().requires_grad_(torch.is_grad_enabled())
+            near = None if bodies is None else bodies[first : first + size]
+            among = None if company is None else company.part(first, first + size)
+            for group in groups:
+                detected = {number: self.detect(number, part, step, near, among) for number in group}
+                losses = {number: self.loss(detections, number) for number, detections in detected.items()}
+                loss = self.ensemble.combine(losses, len(asked)).sum() / len(images)
+                if part.requires_grad:
+                    loss.backward()
+                disappearance += loss.detach()
+                for number, detections in detected.items():
+                    said[number].append(join_detections([detections]))
+                    found += is_detected(detections, self.run.threshold).sum() / (len(images) * len(asked))
+            if part.grad is not None:
+                gradients.append(part.grad)
+        detections = {number: join_detections(parts) for number, parts in said.items() if parts}
+        gradient = torch.cat(gradients) if len(gradients) > 1 else next(iter(gradients), None)
+        return LossAndGradient(disappearance, 1 - found, gradient, detections)
+
+    def detect(
+        self,
+        number: int,
+        images: Float[Tensor, "B 3 H W"],
+        step: int | None,
+        bodies: Float[Tensor, "B 4"] | None = None,
+        company: Company | None = None,
+    ) -> Detections:
+        """Ask detector `number` about images, within what techniques put around it where `step` is not None.
+
+        Its scores are of what is to be hidden: of persons, or (`hide` everything) of any class on the bodies.
+        """
+        with self.techniques.around(number, step):
+            detections = self.detectors[number](images)
+        if company is not None:
+            detections = only_hers(detections, bodies, company.others, company.anywhere)
+        if self.settings.hide == "person":
+            return detections
+        if bodies is None:
+            raise ValueError("to hide everything on a body, its box must be known")
+        return as_anything(detections, bodies)
+
+    def loss(self, detections: Detections, number: int) -> Float[Tensor, "B"]:
+        """Compute what detector `number` adds to each image's loss."""
+        settings = self.settings
+        # Success is said at both: the lower one is what has to be passed.
+        point = min(self.detectors[number].operating_point, self.run.threshold)
+        loss = person_loss(detections, settings.loss, point, settings.margin)
+        if not settings.rpn_weight:
+            return loss
+        if detections.proposal_scores is not None:
+            return loss + settings.rpn_weight * proposal_loss(detections)
+        self._without_proposals.add(number)
+        if len(self._without_proposals) == len(self.detectors):
+            raise InputError("--rpn-weight: none of the detectors gives scores of proposals (two-stage ones do)")
+        return loss
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """What one step measured, before its update, over the whole batch."""
+
+    loss: float
+    disappearance: float
+    tv: float
+    nps: float
+    """What techniques' penalties come to, before their weight: non-printability; 0 without any."""
+    success: float
+    """Share of the batch (over all detectors) in which nothing was found that is to be hidden."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A gradient that is ready to be followed."""
+
+    figures: StepFigures
+    is_finite: bool
+    """Loss and gradient are."""
+    images: Float[Tensor, "B 3 H W"]
+    """This process's share of the batch."""
+    detections: dict[int, Detections]
+    """Of these images, by the number of the detector, those that were asked."""
+
+
+def gradient_step(
+    objective: Objective,
+    optimizer: ColorOptimizer,
+    batch: Batch,
+    world: World = ALONE,
+    share: float = 1.0,
+    step: int = 0,
+) -> Step:
+    """Leave the gradient of one batch in `optimizer`. `share`: this process's part of the batch's images."""
+    optimizer.clear()
+    colors = optimizer.colors()
+    images = batch.images(colors)
+    found = objective.forward_backward(images, step, batch.bodies, batch.company)
+    variation, weight = objective.total_variation(colors), objective.settings.tv_weight
+    penalty_weight, penalty = objective.penalty(colors)
+    restless = (weight * variation + penalty_weight * penalty) / world.size
+    gradient = torch.zeros_like(images) if found.gradient is None else found.gradient
+    torch.autograd.backward([images, restless], [gradient if share == 1 else gradient.mul_(share), None])
+    gradient = optimizer.gradient
+    shares = [share * found.disappearance, variation / world.size, penalty / world.size, share * found.success]
+    values = torch.stack(shares).detach()
+    if world.size > 1:
+        message = world.sum(torch.cat([gradient.view(-1), values]))
+        gradient.copy_(message[: -len(values)].view_as(gradient))
+        values = message[-len(values) :]
+    finite = torch.isfinite(gradient).all() & torch.isfinite(values).all()
+    # One transfer for everything the host wants to know.
+    seen, variation, penalty, success, is_finite = torch.cat([values, finite[None].to(values.dtype)]).tolist()
+    loss = seen + weight * variation + penalty_weight * penalty
+    figures = StepFigures(loss, seen, variation, penalty, success)
+    return Step(figures, bool(is_finite), images.detach(), found.detections)

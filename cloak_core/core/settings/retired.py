@@ -1,0 +1,49 @@
+"""Options of earlier versions: the values that old records may still name, and what replaces each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cloak_core.core.settings.values import option
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True)
+class Retired:
+    """An option that was removed because it did not help."""
+
+    off: tuple[object, ...] | None = (0,)
+    """Values that changed nothing; None: all, because another option switched it on."""
+    instead: str = ""
+    """What to use instead; "": nothing."""
+
+
+RETIRED: dict[str, Retired] = {
+    "activation_noise": Retired(instead="--shake"),
+    "ascent": Retired(None),
+    "background_mix": Retired(),
+    "hard_views": Retired(instead="--angles LOW..HIGH, which shows all sides evenly"),
+    "jpeg": Retired((None,)),
+    "occluders": Retired(instead="--cutout"),
+    "photometric_on": Retired(("logo",)),
+    "random_depth": Retired(instead="--shake"),
+    "reduce": Retired(("max",)),
+    "sharpness": Retired(),
+    "tint": Retired(),
+    "wrinkle_draws": Retired(None),
+    "wrinkles": Retired(instead="--scene sample-clothed:train, or a simulated garment"),
+    "zoom": Retired((1, "1", "1.0", "1:1"), instead="--distance, --crop and --pad"),
+}
+"""By the name that records and files have. docs/reports/training.md says what each was measured to do."""
+
+
+def without_retired(record: dict[str, object]) -> dict[str, object]:
+    """Leave out retired settings that were off. InputError: one was on."""
+    for name in RETIRED.keys() & record.keys():
+        retired = RETIRED[name]
+        if retired.off is not None and record[name] not in retired.off:
+            replaced = f"; use {retired.instead}" if retired.instead else ""
+            raise InputError(
+                f"{option(name)} {record[name]}: this version has no such option, it did not help{replaced}"
+            )
+    return {name: value for name, value in record.items() if name not in RETIRED}

@@ -1,0 +1,107 @@
+"""What makes the views of a training, whatever it is that they show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Int, UInt8
+from torch import Tensor
+
+from cloak_core.core.view import BakedView
+
+_CHOICE = 4
+"""Stream of random numbers, apart from those of `sampling`."""
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Shows what is worn. What an image shows is a function of its columns (`draw`) and its seed alone."""
+
+    directions: int
+    """An epoch shows every background once in each direction: training angles, say."""
+    members: int
+    """Whom it shows, dealt out evenly: poses, say."""
+    is_fresh: bool
+    """Whether every image has a view of its own, so that keeping views gains nothing."""
+
+    def draw(
+        self,
+        step: int,
+        images: Int[np.ndarray, " B"],
+        member: Int[np.ndarray, " B"],
+        direction: Int[np.ndarray, " B"],
+        random: np.random.Generator,
+    ) -> dict[str, np.ndarray]:
+        """Draw what the images of a step show: columns of length B.
+
+        images: their numbers, counted from the start of the run; random: the step's generator.
+        """
+        ...
+
+    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+        """Make one image's view, of its columns."""
+        ...
+
+    def undressed(self, shown: Mapping[str, float], seed: int) -> BakedView | None:
+        """The same view as it is without what is worn; None: it has to be painted in some clothing."""
+        ...
+
+
+@runtime_checkable
+class Backdrops(Protocol):
+    """Images without people."""
+
+    def __len__(self) -> int: ...
+
+    def image(self, index: int, size: tuple[int, int]) -> UInt8[Tensor, "3 H W"]:
+        """One of them, cut to (height, width)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Two sources: `share` of the images show the second."""
+
+    first: Source
+    second: Source
+    share: float
+    seed: int
+
+    @property
+    def directions(self) -> int:
+        """Those of the first."""
+        return self.first.directions
+
+    @property
+    def members(self) -> int:
+        """Those of the first."""
+        return self.first.members
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether both are."""
+        return self.first.is_fresh
+
+    def draw(
+        self,
+        step: int,
+        images: Int[np.ndarray, " B"],
+        member: Int[np.ndarray, " B"],
+        direction: Int[np.ndarray, " B"],
+        random: np.random.Generator,
+    ) -> dict[str, np.ndarray]:
+        """See `Source`. The second draws from streams of its own, so that the first draws as it does alone."""
+        chosen = np.random.default_rng([self.seed, _CHOICE, step]).random(len(images)) < self.share
+        columns = self.first.draw(step, images, member, direction, random)
+        return columns | self.second.draw(step, images, member, direction, random) | {"second": chosen}
+
+    def view(self, shown: Mapping[str, float], seed: int) -> BakedView:
+        """See `Source`."""
+        return (self.second if shown["second"] else self.first).view(shown, seed)
+
+    def undressed(self, shown: Mapping[str, float], seed: int) -> BakedView | None:
+        """See `Source`."""
+        return (self.second if shown["second"] else self.first).undressed(shown, seed)

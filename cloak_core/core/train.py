@@ -1,0 +1,115 @@
+"""Training: views of something worn + detectors + backgrounds -> its colours.
+
+One step: draw views, backgrounds and augmentations; compose the images; ask the detectors; move the colours against the
+gradient of the loss; keep them in [0, 1]. This puts the parts together; `loop` has the steps. What makes the views
+(`source`), what is worn (`worn`) and which techniques act is the caller's choice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from cloak_core.core.batches import Batcher
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.events import OnEvent
+from cloak_core.core.held_out import HeldOut, held_out_settings
+from cloak_core.core.loop import RunResult, TrainingLoop
+from cloak_core.core.objective import Objective
+from cloak_core.core.optimizer import ColorOptimizer
+from cloak_core.core.run_folder import RunFolder, open_run
+from cloak_core.core.sampling import Sampler
+from cloak_core.core.settings import TrainSettings
+from cloak_core.core.source import Backdrops, Source
+from cloak_core.core.stopping import stop_request
+from cloak_core.core.technique import Techniques
+from cloak_core.core.world import World, local_device
+from cloak_core.core.worn import Worn
+from cloak_core.files.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What images are made of."""
+
+    source: Source
+    backgrounds: Backdrops
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One training."""
+
+    settings: TrainSettings
+    worn: Worn
+    first: Float[np.ndarray, "C 3"]
+    """The colours to begin with."""
+    techniques: Techniques
+    trained: Material
+    held: Material | None
+    """Set aside to choose the best colours."""
+    detectors: Sequence[Detector]
+    query_prior: Sequence[Detector]
+    """Whose gradients lead a search by questions."""
+    config: Mapping[str, object]
+    """The record of all that decides the result, for the run folder."""
+
+
+def run_training(job: Job, out: Path, resume: bool, on_event: OnEvent | None, world: World) -> RunResult:
+    """Train into the run folder `out`, in each process of `world`. InputError: the folder, a detector that changed."""
+    settings, worn, techniques = job.settings, job.worn, job.techniques
+    device = local_device(settings.compute.device)
+    search = None
+    if settings.queries.black_box_queries is not None:
+        _require_plain(job, world)
+        # By name: who reads how training goes need not read how searching does.
+        search = importlib.import_module("cloak_core.core.black_box")
+    drawn = settings if search is None else search.search_settings(settings, len(job.detectors))
+    batcher = make_batcher(drawn, job.trained, worn, device, techniques)
+    first = torch.from_numpy(job.first).to(device)
+    with contextlib.ExitStack() as stack:
+        folder = lambda: stack.enter_context(open_run(out, job.config, worn.logo, resume))
+        run = world.on_rank0(folder) or RunFolder(out)
+        stop = stack.enter_context(stop_request(run.cancel, settings.run.max_seconds))
+        objective = Objective(drawn, worn.bordered, job.detectors, device, techniques)
+        if search is None:
+            held_out = None
+            if job.held is not None:
+                measured = make_batcher(held_out_settings(settings), job.held, worn, device, techniques)
+                held_out = HeldOut(settings.run, measured, objective, world)
+            optimizer = ColorOptimizer(settings.optimization, first, techniques, worn)
+            loop = TrainingLoop(settings, run, batcher, objective, optimizer, held_out, on_event, world)
+        else:
+            prior = None
+            if job.query_prior:
+                asked = Objective(drawn, worn.logo, job.query_prior, device, techniques)
+                prior = search.QueryPrior(asked, worn.centres)
+            loop = search.Search(drawn, run, batcher, objective, first, on_event, world, worn.centres, prior)
+        result = loop.run_to_end(stop)
+    for detector, record in zip(job.detectors, job.config["detectors"], strict=True):
+        detector.verify(record["sha256"])
+    return result
+
+
+def make_batcher(
+    settings: TrainSettings, material: Material, worn: Worn, device: torch.device, techniques: Techniques
+) -> Batcher:
+    """Make what draws and builds a run's batches."""
+    sampler = Sampler(settings, material.source, len(material.backgrounds))
+    return Batcher(settings, sampler, material.backgrounds, worn, device, techniques)
+
+
+def _require_plain(job: Job, world: World) -> None:
+    """Refuse what a search by questions does not do. InputError."""
+    if job.held is not None or world.size > 1:
+        raise InputError("--black-box-queries: searches in one process, without --held-out")
+    if job.settings.pattern.pattern != "free" or any(technique.bars_search for technique in job.techniques):
+        refused = "--colors-at-most, --pattern, --profile, --near and --octaves"
+        raise InputError(f"--black-box-queries: free colours alone, without {refused}")

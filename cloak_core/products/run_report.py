@@ -1,0 +1,156 @@
+"""Write a run's report from what its folder holds: its record, the curves of its training, and its evaluation."""
+
+from __future__ import annotations
+
+import json
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+
+from cloak_core.core.evaluation.results import NOBODY
+from cloak_core.core.evaluation.statistics import hidden
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+from cloak_core.studies.evaluate import FOLDER, StoredEvaluation, is_earlier_on_people, read_evaluation
+from cloak_core.studies.report import plots, words
+from cloak_core.studies.report.page import MAX_PICTURE, data_uri, page_style, shot, svg, write_page
+from cloak_core.studies.trained_run import read_history
+from cloak_core.studies.wearing.dressed import FOLDER as PEOPLE_FOLDER
+
+BLENDER = "blender.png"
+"""What a training through Blender leaves in the run folder: the cloaked body as Blender renders it."""
+TURNTABLE = "turntable.gif"
+"""What `cloak film RUN --camera orbit --out RUN/turntable.gif` leaves there; it stands for the evaluation's own."""
+
+
+def make_report(run: Path) -> Path:
+    """Write RUN/report.html from what the run folder holds and return its path.
+
+    An evaluation on people in photographs comes before the one on rendered bodies. A run without any gets a report that
+    says so. InputError names a folder that is no run, or a damaged file.
+    """
+    run = Path(run)
+    if not (run / "config.json").exists():
+        raise InputError(f"{run}: not a run folder (no config.json in it)")
+    config = read_json(run / "config.json")
+    history = read_history(run)
+    stored = read_evaluation(run / FOLDER) if (run / FOLDER).exists() else None
+    earlier = is_earlier_on_people(run / PEOPLE_FOLDER)
+    people = read_evaluation(run / PEOPLE_FOLDER) if (run / PEOPLE_FOLDER).exists() and not earlier else None
+    with page_style():
+        page = {
+            "name": run.resolve().name,
+            "config": config,
+            "config_text": json.dumps(config, indent=2),
+            "history": history,
+            "training": svg(plots.training_curves(history)) if history.losses or history.success else None,
+            "previews": _previews(run),
+            "blender": data_uri(run / BLENDER) if (run / BLENDER).exists() else None,
+            "turntable": _turntable(run, stored),
+            "evaluation": _evaluation(stored) if stored else None,
+            "photographs": _photographs(people) if people else None,
+            "earlier_photographs": earlier,
+        }
+    return write_page(run / "report.html", "report.html", page)
+
+
+def _previews(run: Path) -> list[str]:
+    """Read the first and the last preview, as data."""
+    files = sorted((run / "previews").glob("*.png"))
+    return [data_uri(file) for file in dict.fromkeys(files[:1] + files[-1:]) if file.stat().st_size <= MAX_PICTURE]
+
+
+def _turntable(run: Path, stored: StoredEvaluation | None) -> str | None:
+    """Read the run's film from all around, or the evaluation's, as data; evaluations of few images have none."""
+    if (run / TURNTABLE).exists():
+        return data_uri(run / TURNTABLE)
+    if stored is None or "turntable" not in stored.pictures:
+        return None
+    return data_uri(stored.folder / "pictures" / Path(stored.pictures["turntable"]).name)
+
+
+def _evaluation(stored: StoredEvaluation) -> dict:
+    summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
+    specs = list(summary["detectors"])
+    shown = [_pair(folder, specs, pair) for pair in pictures["gallery"]]
+    gallery = [(body, list(pairs)) for body, pairs in groupby(shown, key=itemgetter("body"))]
+    strip = pictures["controls"]
+    images = {control: shot(folder, specs, picture) for control, picture in strip["images"].items()}
+    return {
+        "summary": summary,
+        "threshold": summary["settings"]["threshold"],
+        "detectors": [_detector(stored, d, spec) for d, spec in enumerate(specs)],
+        "controls": list(stored.results.controls),
+        "gallery": gallery,
+        "columns": max([3, *(len(pairs) for _, pairs in gallery)]),  # fewer would be larger than they were rendered
+        "strip": _label(strip) | {"images": images},
+        "flat": {side: data_uri(folder / Path(name).name) for side, name in pictures["flat"].items()},
+        "size": summary["settings"]["size"],
+    }
+
+
+def _photographs(stored: StoredEvaluation) -> dict:
+    """Prepare what is shown of people in photographs: figures by detector, pictures of some people, the controls.
+
+    Detectors that the colours were never trained against come first.
+    """
+    summary, pictures, folder = stored.summary, stored.pictures, stored.folder / "pictures"
+    specs = sorted(summary["detectors"], key=lambda spec: summary["white_box"].get(spec) is not False)
+    summary = summary | {"detectors": {spec: summary["detectors"][spec] for spec in specs}}
+    controls = stored.results.controls
+    images = pictures["controls"]["images"]
+    detectors = [
+        {
+            "spec": spec,
+            "name": words.short_name(spec),
+            "own": summary["operating_points"][spec],
+            "white_box": summary["white_box"].get(spec),
+            "rows": [(control, summary["detectors"][spec][control]) for control in controls],
+            "false_alarms": summary["false_alarms"][spec],
+            "bare": len(stored.results.rows(spec, NOBODY)),
+            "failures": [_pair(folder, [spec], pair) for pair in pictures["failures"].get(spec, [])],
+            "failed": int((~hidden(stored.results.rows(spec, controls[0]), summary["settings"]["threshold"])).sum()),
+            "hash": summary["inputs"]["detector_hashes"][spec],
+        }
+        for spec in specs
+    ]
+    return {
+        "summary": summary,
+        "threshold": summary["settings"]["threshold"],
+        "size": summary["settings"]["size"],
+        "unseen": summary["unseen"].get("photographs"),
+        "detectors": detectors,
+        "gallery": [_pair(folder, specs, pair) for pair in pictures["gallery"]],
+        "strip": {control: shot(folder, specs, picture) for control, picture in images.items()},
+    }
+
+
+def _detector(stored: StoredEvaluation, d: int, spec: str) -> dict:
+    results, summary, folder = stored.results, stored.summary, stored.folder / "pictures"
+    rates, threshold = summary["detectors"][spec], summary["settings"]["threshold"]
+    logo = results.rows(spec, results.controls[0])
+    figures = plots.evaluation_figures(results, spec, threshold)
+    worst = stored.pictures.get("worst", {}).get(spec, [])
+    return {
+        "index": d,
+        "spec": spec,
+        "own": summary.get("operating_points", {}).get(spec),
+        "name": words.short_name(spec),
+        "rows": [(c, rates[c], rates["average_precision"][c]) for c in results.controls],
+        "false_alarms": summary["false_alarms"][spec],
+        "bare": len(results.rows(spec, NOBODY)),
+        "figures": {title: svg(figure) for title, figure in figures.items()},
+        "failures": [_pair(folder, [spec], pair) for pair in stored.pictures["failures"].get(spec, [])],
+        "worst": [_pair(folder, [spec], pair) | {"success": pair["success"]} for pair in worst],
+        "bodies": logo["pose"].nunique(),
+        "failed": int((~hidden(logo, threshold)).sum()),
+        "hash": summary["inputs"]["detector_hashes"][spec],
+    }
+
+
+def _pair(folder: Path, specs: list[str], pair: dict) -> dict:
+    return _label(pair) | {control: shot(folder, specs, pair[control]) for control in ("clothing", "logo")}
+
+
+def _label(told: dict) -> dict:
+    return {key: told.get(key) for key in ("body", "angle", "distance", "background")}

@@ -1,0 +1,49 @@
+"""A cloth that repeats, in its colours: a run's, or any picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from cloak_core.core.cloth import CLOTH_FILE, Cloth
+from cloak_core.core.pictures import read_picture
+from cloak_core.exchange.profiles import Profile
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedCloth:
+    """What is sewn into clothes, as fine as it is printed."""
+
+    cloth: Cloth
+    colors: Float32[np.ndarray, "S 3"]
+    """Of its squares, in [0, 1]."""
+
+    @classmethod
+    def of(cls, picture: UInt8[np.ndarray, "h w 3"], metres: float) -> PrintedCloth:
+        """Print a picture `metres` wide: a square for each of its pixels."""
+        height, width = picture.shape[:2]
+        return cls(Cloth(metres, width, height), picture.reshape(-1, 3).astype(np.float32) / 255)
+
+    def printed(self, profile: Profile) -> PrintedCloth:
+        """Give the cloth as it comes out of this printer and camera."""
+        return replace(self, colors=profile.photographed(profile.to_send(self.colors)).astype(np.float32))
+
+
+def cloth_of_run(folder: Path) -> PrintedCloth | None:
+    """Read the cloth that a run trained; None where it trained colours of faces. InputError: it is damaged."""
+    if not (folder / CLOTH_FILE).exists():
+        return None
+    return PrintedCloth.of(read_picture(folder / CLOTH_FILE), cloth_metres(folder))
+
+
+def cloth_metres(folder: Path) -> float:
+    """Read how wide a run's cloth is, metres. InputError: its configuration does not say."""
+    centimetres = read_json(folder / "config.json").get("settings", {}).get("tile_cm")
+    if not isinstance(centimetres, int | float) or not centimetres > 0:
+        raise InputError(f"{folder / 'config.json'}: does not say how wide {CLOTH_FILE} is (settings.tile_cm)")
+    return centimetres / 100

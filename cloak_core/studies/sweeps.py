@@ -1,0 +1,219 @@
+"""Sweeps: a training for every combination of a grid of settings, resumable, done here or by a cluster.
+
+    DIR/runs/NAME/          run folders of a `TrainingStore`: what the grid varies, and the hash of their content
+    DIR/results/NAME.json   what came of each; written when it is done, so that it is not done again
+    DIR/sweep.json, .md     all results so far
+
+One process hands the runs out (`jobs`): to itself, one after the other, or to Ray. A run whose process died goes on
+from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+import time
+from collections.abc import Callable, Sequence
+from functools import cache, cached_property
+from pathlib import Path
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.events import OnEvent, read_events
+from cloak_core.core.logo import Logo, make_logo
+from cloak_core.core.settings.components import ComputeSettings
+from cloak_core.detectors.loading import load_detector
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.face_lists import face_ids, read_face_list
+from cloak_core.files.errors import InputError
+from cloak_core.files.locks import lock
+from cloak_core.files.reading import read_json
+from cloak_core.files.writing import write_json, write_text, written
+from cloak_core.jobs.job import Executor, Job, Tell, hand_out, resources
+from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.sources.bodies.opening import load_scene
+from cloak_core.studies.grids import SweepRun, words
+from cloak_core.studies.training_store import Training, TrainingStore
+
+FIGURES = ("loss", "disappearance", "tv", "nps", "success")
+"""Of training, each the mean over a run's last tenth."""
+TABLE_SECONDS = 60.0
+"""Between writes of the table while runs go on; whoever ran the sweep writes it at the end."""
+_log = logging.getLogger("cloak")
+_NAME = re.compile(r"(.*-)?[0-9a-f]{16}")
+Prepare = Callable[[ComputeSettings], object]
+
+
+@cache
+def _scene(spec: str) -> Bodies:
+    """Open a scene, once in a process."""
+    return load_scene(spec)
+
+
+@cache
+def _backgrounds(spec: str) -> Backgrounds:
+    """Open backgrounds, once in a process."""
+    return load_backgrounds(spec)
+
+
+@cache
+def _detector(spec: str, device: str) -> Detector:
+    """Load a detector, once in a process."""
+    return load_detector(spec, device=device)
+
+
+def open_run(run: SweepRun) -> tuple[Bodies, Logo, list[Detector], Backgrounds]:
+    """Open bodies, logo, detectors and backgrounds of a run. InputError names what cannot be opened."""
+    bodies = _scene(run.scene)
+    logo = make_logo(bodies, face_ids(read_face_list(run.logo, bodies), bodies))
+    detectors = [_detector(spec, run.settings.compute.device) for spec in run.detectors]
+    return bodies, logo, detectors, _backgrounds(run.backgrounds)
+
+
+def train_run(run: SweepRun, folder: Path, prepare: Prepare | None, on_event: OnEvent | None = None) -> dict:
+    """Train one into OUT/runs/NAME, or go on with it.
+
+    Returns what is recorded of it, or `{"stopped": why}`.
+    """
+    if prepare:
+        prepare(run.settings.compute)
+    store = TrainingStore(folder.parents[1], alone=True)
+    store.on_event = on_event
+    inputs = {"scene": run.scene, "logo": run.logo, "backgrounds": run.backgrounds}
+    result = store.go_on(Training(run.settings, *open_run(run), inputs=inputs), folder)
+    if result.stopped and result.stopped != "time budget":  # which is a run's own
+        return {"stopped": f"stopped in run {run.label}, at step {result.step}: {result.stopped}"}
+    return result.record() | {"out": f"runs/{folder.name}"} | _figures(folder)
+
+
+class Sweep:
+    """The runs of a grid in a folder. `run` does what is left of them."""
+
+    def __init__(self, runs: Sequence[SweepRun], out: str | Path) -> None:
+        self.runs = tuple(runs)
+        self.out = Path(out)
+
+    def run(
+        self,
+        tell: Tell = _log.info,
+        on_event: OnEvent | None = None,
+        prepare: Prepare | None = None,
+        executor: Executor | None = None,
+        gpus: float = 1.0,
+    ) -> str:
+        """Train what has no result yet; returns why it stopped early, "" when every run has ended.
+
+        A run that fails (bad input, a loss that is not finite) is recorded with its message, and the others go on; the
+        next sweep tries it again. `prepare` is called where a run is trained, before it; `on_event` hears runs that are
+        trained here. `executor`: who trains (None: this process, in order); `gpus`: of one, or a share of one, for each
+        run on a GPU. InputError before anything is trained: something in the grid cannot be opened, the folder is of an
+        earlier version, or somebody else is at it.
+        """
+        self._require_names()
+        left = [(run, folder) for run, folder in zip(self.runs, self.folders, strict=True) if not self._is_done(folder)]
+        with written(self.out):
+            for name in ("runs", "results"):
+                (self.out / name).mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack:
+            try:
+                stack.enter_context(lock(self.out / ".lock"))
+            except BlockingIOError:
+                raise InputError(f"{self.out}: another sweep is at it; many at once are --ray's business") from None
+            listener = None if executor else on_event
+            jobs = {self._job(run, folder, listener, prepare, gpus): (run, folder) for run, folder in left}
+            return self._hand_out(executor, jobs, tell)
+
+    @cached_property
+    def folders(self) -> tuple[Path, ...]:
+        """The run folder of each run, named by its content. InputError: something in the grid cannot be opened."""
+        store = TrainingStore(self.out)
+        opened: dict[tuple, tuple] = {}
+        folders = []
+        for run in self.runs:
+            # Of a hundred thousand runs most differ in settings alone.
+            inputs = (run.scene, run.logo, run.backgrounds, run.detectors, run.settings.compute.device)
+            if inputs not in opened:
+                opened[inputs] = open_run(run)
+            folders.append(store.folder(Training(run.settings, *opened[inputs]), run.file_label))
+        return tuple(folders)
+
+    def results(self) -> list[dict]:
+        """Read what came of the runs that have ended, in the grid's order; those without an end are missing."""
+        paths = [self._result_path(folder) for folder in self.folders]
+        return [read_json(path) for path in paths if path.exists()]
+
+    def write_results(self) -> dict:
+        """Write sweep.json and sweep.md; returns the former."""
+        with written(self.out):
+            results = self.results()
+            record = {"runs": len(self.runs), "done": sum("error" not in r for r in results), "results": results}
+            write_json(self.out / "sweep.json", record)
+            write_text(self.out / "sweep.md", "\n".join(table(results)) + "\n")
+        return record
+
+    def _hand_out(self, executor: Executor | None, jobs: dict[Job, tuple[SweepRun, Path]], tell: Tell) -> str:
+        shown = time.monotonic()
+        with contextlib.closing(hand_out(executor, list(jobs), tell, "run")) as outcomes:
+            for outcome in outcomes:
+                run, folder = jobs[outcome.job]
+                record = outcome.result or {"error": outcome.error}
+                if "stopped" in record:
+                    return record["stopped"]
+                write_json(self._result_path(folder), {"name": folder.name, "varied": run.varied} | record)
+                # The table reads every result: of many short runs it must not be written after each.
+                if time.monotonic() - shown > TABLE_SECONDS:
+                    self.write_results()
+                    shown = time.monotonic()
+        return ""
+
+    def _job(self, run: SweepRun, folder: Path, on_event: OnEvent | None, prepare: Prepare | None, gpus: float) -> Job:
+        arguments = {"run": run, "folder": folder, "prepare": prepare, "on_event": on_event}
+        compute = run.settings.compute
+        return Job(run.label, train_run, arguments, **resources(compute.threads, compute.device, gpus))
+
+    def _require_names(self) -> None:
+        """Refuse the results of earlier versions, which were not named by content. InputError."""
+        results = self.out / "results"
+        if any(not _NAME.fullmatch(path.stem) for path in results.glob("*.json")):
+            raise InputError(
+                f"{self.out}: holds the results of a sweep by an earlier version, which sweep.md lists; choose another "
+                "--out"
+            )
+
+    def _is_done(self, folder: Path) -> bool:
+        path = self._result_path(folder)
+        return path.exists() and "error" not in read_json(path)
+
+    def _result_path(self, folder: Path) -> Path:
+        return self.out / "results" / f"{folder.name}.json"
+
+
+def _figures(folder: Path) -> dict:
+    """Average the last tenth of a run's steps; add what was held out last told."""
+    events = read_events(folder / "events.jsonl")
+    steps = [e for e in events if e.get("type") == "step" and all(isinstance(e.get(k), (int, float)) for k in FIGURES)]
+    last = steps[-max(1, len(steps) // 10) :]
+    figures = {key: round(sum(event[key] for event in last) / len(last), 6) for key in FIGURES} if last else {}
+    held = [e for e in events if e.get("type") == "held_out" and e.get("step") == e.get("best_step")]
+    if held:
+        figures["held_out"] = {key: held[-1].get(key) for key in ("step", "disappearance", "success")}
+    return figures
+
+
+def table(results: Sequence[dict]) -> list[str]:
+    """Write the results as lines of a Markdown table."""
+    varied = list(dict.fromkeys(key for result in results for key in result["varied"]))
+    held = any("held_out" in result for result in results)
+    heads = [*varied, "steps", "seconds", "loss", "success", *(["held-out success"] if held else []), "run"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for result in results:
+        cells = [words(result["varied"].get(key, "")) for key in varied]
+        if "error" in result:
+            cells += [*[""] * (len(heads) - len(varied) - 1), f"failed: {result['error']}"]
+        else:
+            cells += [str(result["step"]), f"{result['seconds']:.0f}"]
+            cells += [f"{result[key]:.4f}" if key in result else "" for key in ("loss", "success")]
+            cells += [f"{result['held_out']['success']:.4f}" if "held_out" in result else ""] if held else []
+            cells += [result["out"]]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return lines

@@ -1,0 +1,196 @@
+"""Train once: a training is kept in OUT/runs/KEY and is found again by its content.
+
+The key is a hash of everything that decides the colours, so that sweeps, matrices, cards and experiments share
+trainings, and an interrupted set goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.events import OnEvent
+from cloak_core.core.logo import Logo
+from cloak_core.core.loop import RunResult
+from cloak_core.core.run_config import FILES, decisive
+from cloak_core.core.settings import TrainSettings, settings_record
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.colors import read_colors
+from cloak_core.files.errors import InputError, Stopped
+from cloak_core.files.identity import package_versions, sha256_arrays, sha256_record
+from cloak_core.files.locks import lock
+from cloak_core.files.writing import remove_leftovers, written
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.studies.printed_cloth import PrintedCloth, cloth_of_run
+from cloak_core.studies.trained_run import clocked, cpu_seconds, read_history
+from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.run_record import device_kind
+from cloak_core.studies.trainings.training import train, training_config
+
+_log = logging.getLogger("cloak")
+TRAINING_VERSION = 4
+"""Raise it by one when the same settings and inputs train other colours than before: after a change of sampling,
+objective, optimizer, rendering, detectors or scenes. A change of words, speed or structure keeps every run."""
+PACKAGES = ("torch", "numpy", "numba", "pillow")
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """Everything that a training is made of."""
+
+    settings: TrainSettings
+    bodies: Bodies
+    logo: Logo
+    detectors: Sequence[Detector]
+    backgrounds: Backgrounds
+    people: Sequence[Fit] = ()
+    """Fitted people in photographs."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """Names under which the user gave all this, for the record."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """The colours of one training."""
+
+    colors: Float32[np.ndarray, "L 3"]
+    logo: Logo
+    folder: Path
+    seconds: float
+    """Wall-clock time of the training."""
+    cpu_seconds: float
+    """Processor time of the training, all threads; nan where it was not measured."""
+    settings: TrainSettings = field(repr=False)
+    cloth: PrintedCloth | None = None
+    """What the colours are the means of on each face, where a cloth was trained."""
+
+    @property
+    def content(self) -> str:
+        """SHA-256 (hex) of what is worn: faces, colours, cloth."""
+        arrays = [self.logo.face_ids, self.colors]
+        if self.cloth is not None:
+            arrays += [self.cloth.colors, np.array(self.cloth.cloth.metres)]
+        return sha256_arrays(*arrays)
+
+
+class TrainingStore:
+    """A folder of trainings, each in a run folder of its own."""
+
+    def __init__(self, out: Path, on_progress: Callable[[str], None] | None = None, alone: bool = False) -> None:
+        """Keep trainings below `out`. on_progress takes lines of progress.
+
+        alone: under torchrun, train in this process and not in all of them together.
+        """
+        self.out = out
+        self.tell = on_progress or partial(_log.info, "%s")
+        self.alone = alone
+        self.on_event: OnEvent | None = None
+        """Takes what trainings log."""
+        self._hashes: dict[tuple, str] = {}
+
+    def folder(self, training: Training, label: str = "") -> Path:
+        """Name the folder of a training by its content, behind a label for people. InputError: a file it names."""
+        key = self.training_key(training)
+        return self.out / "runs" / (f"{label}-{key}" if label else key)
+
+    def training_key(self, training: Training) -> str:
+        """Hash everything that decides a training's colours."""
+        settings = decisive({"settings": settings_record(training.settings)}, ("settings",))
+        record = settings | {"inputs": self._inputs_hash(training), "training": TRAINING_VERSION}
+        return content_key(record, training.settings.compute.device)
+
+    def is_done(self, folder: Path) -> bool:
+        """Tell whether a run ended by itself."""
+        return (folder / "colors.npy").exists() and read_history(folder).outcome == "done"
+
+    def train_once(self, training: Training, folder: Path, words: str) -> Trained:
+        """Train into its folder, or find what was trained. words: about the training, for people.
+
+        Stopped: it was stopped in order; the next call goes on.
+        """
+        with self.locked(folder):
+            if not self.is_done(folder):
+                self.tell(f"training {folder.name} ({words})")
+                result = self._go_on(training, folder)
+                if result.stopped:
+                    raise Stopped(f"{folder}: stopped at step {result.step}: {result.stopped}")
+        colors = read_colors(folder / "colors.npy", len(training.logo))
+        seconds = read_history(folder).seconds
+        return Trained(
+            colors, training.logo, folder, seconds, cpu_seconds(folder), training.settings, cloth_of_run(folder)
+        )
+
+    def go_on(self, training: Training, folder: Path) -> RunResult:
+        """Train into its folder, from where it is, and tell how that ended; of a complete run, how it had ended."""
+        with self.locked(folder):
+            return self._go_on(training, folder)
+
+    def _go_on(self, training: Training, folder: Path) -> RunResult:
+        with clocked(folder):
+            return train(
+                training.settings,
+                training.bodies,
+                training.logo,
+                training.detectors,
+                training.backgrounds,
+                folder,
+                resume=True,
+                on_event=self.on_event,
+                inputs=training.inputs,
+                alone=self.alone,
+                people=training.people,
+            )
+
+    @contextlib.contextmanager
+    def locked(self, folder: Path) -> Iterator[None]:
+        """Wait until no other process makes this result, and keep others from it."""
+        locks = self.out / "locks"
+        with written(locks):
+            locks.mkdir(parents=True, exist_ok=True)
+        with lock(locks / folder.name, wait=True):
+            remove_leftovers(folder)
+            yield
+
+    def _inputs_hash(self, training: Training) -> str:
+        """Hash what a training is made of beside its settings; once, for many trainings that differ in settings."""
+        settings, logo = training.settings, training.logo
+        recorded = settings_record(settings)
+        named = [recorded[name] for name in FILES]
+        precisions = tuple((detector, detector.precision) for detector in training.detectors)
+        material = (training.bodies, sha256_arrays(logo.face_ids), precisions, training.backgrounds)
+        place = (*material, tuple(training.people), *named, settings.pattern)
+        if place not in self._hashes:
+            data = TrainingData(training.bodies, training.backgrounds, tuple(training.people))
+            config = training_config(settings, data, logo, training.detectors)
+            record = decisive(config) | {"settings": None}
+            record["packages"] = [detector["packages"] for detector in config["detectors"]]
+            self._hashes[place] = sha256_record(record)
+        return self._hashes[place]
+
+
+def content_key(record: Mapping[str, object], device: str) -> str:
+    """Name what a record decides, together with the packages and the kind of device that compute it."""
+    around = {"packages": package_versions(*PACKAGES), "device": device_kind(device)}
+    try:
+        return sha256_record(dict(record) | around)[:16]
+    except ValueError as error:
+        raise InputError(f"settings: {error}") from None
+
+
+def training_times(trained: Sequence[Trained]) -> dict[str, float | None]:
+    """Average `seconds` and `cpu_seconds` over repetitions, one decimal; None where they were not measured."""
+    times = {}
+    for name in ("seconds", "cpu_seconds"):
+        mean = float(np.mean([getattr(one, name) for one in trained]))
+        times[name] = None if math.isnan(mean) else round(mean, 1)
+    return times

@@ -1,0 +1,136 @@
+"""The record of what a run was started with: config.json."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from cloak_core import __version__
+from cloak_core.core.detector.protocol import Detector, detector_record
+from cloak_core.core.logo import Logo
+from cloak_core.core.settings import TrainSettings, settings_record
+from cloak_core.core.technique import NO_TECHNIQUES
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.exchange.versions import FORMAT_VERSION
+from cloak_core.files.identity import TRAINING, code_hash, sha256_arrays, sha256_record
+from cloak_core.files.likeness import pose_shape
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.photographs.fits import people_identity
+from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.studies.trainings.material import TrainingData
+
+
+@dataclass(frozen=True, eq=False)
+class RunInputs:
+    """What beside the material decides a run."""
+
+    processes: int = 1
+    held_out: TrainingData | None = None
+    files: Mapping[str, object] | None = None
+    """Content of the files that techniques read, by the setting's name."""
+    query_prior: Sequence[Detector] = ()
+    people: Sequence[Fit] = ()
+
+
+def run_config(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    detectors: Sequence[Detector],
+    backgrounds: Backgrounds,
+    inputs: Mapping[str, str],
+    more: RunInputs | None = None,
+) -> dict:
+    """Make config.json: what decides the result (settings, scene, logo, detectors and so on), and where it ran."""
+    more = more or RunInputs()
+    held_out = more.held_out
+    return {
+        "format": "cloak run",
+        "version": FORMAT_VERSION,
+        "cloak": __version__,
+        "code": code_hash(*TRAINING),
+        "topology": bodies.topology,
+        "settings": settings_record(settings),
+        "scene": _scene(bodies),
+        "logo": {"faces": len(logo.face_ids), "sha256": sha256_arrays(logo.face_ids)},
+        "detectors": [_detector(detector) for detector in detectors],
+        "backgrounds": _backgrounds(backgrounds),
+        "people": _people(more.people),
+        **(NO_TECHNIQUES.content() if more.files is None else more.files),
+        "query_prior": [_detector(detector) for detector in more.query_prior] or None,
+        "held_out": held_out
+        and {"poses": list(held_out.bodies.names), "backgrounds": held_out.backgrounds.identities()},
+        "inputs": dict(inputs),
+        "environment": environment() | {"processes": more.processes, "device": device_kind(settings.compute.device)},
+    }
+
+
+def scene_counts(bodies: Bodies) -> dict:
+    """Describe a scene for people: its name and its size."""
+    return {
+        "name": bodies.name,
+        "poses": list(bodies.names),
+        "outfits": bodies.outfit_count,
+        "faces": bodies.face_count,
+    }
+
+
+def _scene(bodies: Bodies) -> dict:
+    return scene_counts(bodies) | {
+        "identity": bodies.identity,
+        # As versions before "identity" recorded and compare it.
+        "sha256": sha256_arrays(bodies.vertices, bodies.triangles, bodies.face_colors, *bodies.textures.values()),
+        "pose_sha256": list(bodies.pose_hashes),
+        "pose_shapes": [pose_shape(vertices) for vertices in bodies.vertices],
+    }
+
+
+def _detector(detector: Detector) -> dict:
+    # Not part of the detector's own record: it is the same network, wherever its scores are cut.
+    named = {"spec": detector.spec, "name": detector.name, "operating_point": detector.operating_point}
+    return named | detector_record(detector)
+
+
+def _backgrounds(backgrounds: Backgrounds) -> dict:
+    return {
+        "count": len(backgrounds),
+        "names": list(backgrounds.names),
+        "identities": backgrounds.identities(),
+        "files": [picture.file for picture in backgrounds.pictures],
+        "looks": [picture.look for picture in backgrounds.pictures],
+    }
+
+
+def _people(fits: Sequence[Fit]) -> dict | None:
+    """Record who was trained on, photographs by content and by name, so that evaluation can tell them from others."""
+    if not fits:
+        return None
+    photographs = {fit.person.photograph: fit.person for fit in fits}.values()
+    return {
+        "count": len(fits),
+        "photographs": [person.photograph for person in photographs],
+        "licences": [person.licence for person in photographs],
+        "pixels": [person.pixels for person in photographs],
+        "looks": [person.look for person in photographs],
+        "identity": people_identity(fit.person for fit in fits),
+        # As versions before "identity" recorded and compare it.
+        "sha256": sha256_record({"fits": [fit.identity for fit in fits]}),
+    }
+
+
+def environment() -> dict:
+    """Record versions, the machine's kind, and the threads of torch."""
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "threads": torch.get_num_threads(),
+    }
+
+
+def device_kind(device: str | torch.device) -> str:
+    """Name a device as far as results depend on it: "cpu", or the model of a GPU."""
+    return torch.cuda.get_device_name(device) if torch.device(device).type == "cuda" else torch.device(device).type

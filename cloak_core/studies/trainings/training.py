@@ -1,0 +1,154 @@
+"""Train on bodies and people in photographs: their sources, their record, and the training itself (`train`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+
+from cloak_core.core.detector.protocol import Detector
+from cloak_core.core.ensemble import Ensemble
+from cloak_core.core.events import OnEvent
+from cloak_core.core.held_out import held_out_settings
+from cloak_core.core.logo import Logo
+from cloak_core.core.loop import RunResult, TrainingError
+from cloak_core.core.settings import TrainSettings
+from cloak_core.core.source import Mixture
+from cloak_core.core.technique import Setup, Techniques
+from cloak_core.core.train import Job, Material, run_training
+from cloak_core.core.world import LostProcess, World, join_world, local_device
+from cloak_core.core.worn import Worn
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.files.errors import InputError
+from cloak_core.sources.backdrops.backgrounds import Backgrounds
+from cloak_core.sources.bodies.source import BodySource
+from cloak_core.sources.photographs.fitting import Fit
+from cloak_core.sources.photographs.source import PeopleSource
+from cloak_core.studies.trainings.first_colors import first_colors, on_squares
+from cloak_core.studies.trainings.material import TrainingData, set_aside
+from cloak_core.studies.trainings.run_record import RunInputs, run_config
+
+
+def train(
+    settings: TrainSettings,
+    bodies: Bodies,
+    logo: Logo,
+    detectors: Sequence[Detector],
+    backgrounds: Backgrounds,
+    out: str | os.PathLike,
+    *,
+    resume: bool = False,
+    on_event: OnEvent | None = None,
+    inputs: Mapping[str, str] | None = None,
+    alone: bool = False,
+    query_prior: Sequence[Detector] = (),
+    people: Sequence[Fit] = (),
+) -> RunResult:
+    """Train the logo's colours into the run folder `out`.
+
+    The loss is the ensemble's disappearance loss (the mean over `detectors` unless the settings say otherwise), plus
+    weighted total variation and what techniques add. A search by questions (`black_box_queries`) looks where the
+    gradients of the detectors of `query_prior` point. `people`: fitted people in photographs, shown in the share of the
+    images that the settings say. `on_event` hears every event that goes to events.jsonl. `inputs` (paths and specs, as
+    the user gave them) are recorded.
+    Under torchrun its processes train together, unless this one is to train `alone`.
+    Nothing of the process is changed: threads and the like are the caller's (`torch.set_num_threads`).
+    SIGINT, SIGTERM, a file `cancel` in `out` or the time budget end it after the current step with a checkpoint;
+    `resume` then continues to the bit-identical result on the same device and number of threads.
+
+    Raises InputError: `out` exists (without `resume`), belongs to other inputs or is in use; the logo is another
+    body's, or no training view sees it; a detector cannot be trained against. TrainingError: the loss is not finite.
+    """
+    if not detectors:
+        raise InputError("--detector: none given")
+    if query_prior and settings.queries.black_box_queries is None:
+        raise InputError("--query-prior: only leads a search (--black-box-queries)")
+    for detector in detectors:
+        if not detector.differentiable and settings.queries.black_box_queries is None:
+            hint = "ask for its answers alone with --black-box-queries"
+            raise InputError(
+                f"--detector {detector.spec}: gives no gradients, so nothing can be trained by them; {hint}"
+            )
+    Ensemble(settings.objective, len(detectors))  # refuses what does not fit
+    if logo.topology != bodies.topology:
+        raise InputError(f"the logo: made for topology {logo.topology}, but the scene has {bodies.topology}")
+    data = TrainingData(bodies, backgrounds, tuple(people))
+    asked = Asked(settings, data, logo, detectors, query_prior, dict(inputs or {}))
+    try:
+        with join_world(local_device(settings.compute.device), alone) as world:
+            return run_training(make_job(asked, world), Path(out), resume, on_event, world)
+    except LostProcess as lost:
+        raise TrainingError(f"{out}: lost another process of this run ({lost}); --resume goes on") from None
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What was asked for."""
+
+    settings: TrainSettings
+    data: TrainingData
+    logo: Logo
+    detectors: Sequence[Detector]
+    query_prior: Sequence[Detector] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """As the user gave them."""
+
+
+def make_job(asked: Asked, world: World) -> Job:
+    """Make the training that was asked for. InputError: something does not go together, or cannot be read."""
+    settings, logo, data = asked.settings, asked.logo, asked.data
+    device = local_device(settings.compute.device)
+    detectors = [detector.to(device) for detector in asked.detectors]
+    surrogates = [detector.to(device) for detector in asked.query_prior]
+    worn = Worn.of(settings.pattern, data.bodies, logo)
+    techniques = Techniques.built(Setup(settings, worn, detectors, device))
+    trained, held = set_aside(settings.run, data)
+    begun = [technique.first() for technique in techniques.at("first")]
+    if begun:
+        first = worn.colors(begun[0])
+    else:
+        start = first_colors(settings.optimization, data.bodies, logo, settings.run.seed).numpy()
+        first = on_squares(worn.cloth, settings.optimization, start) if worn.cloth is not None else start
+    more = RunInputs(world.size, held, techniques.content(), asked.query_prior, data.people)
+    config = run_config(settings, data.bodies, logo, detectors, data.backgrounds, asked.inputs, more)
+    material = make_material(settings, trained, worn, device)
+    if not data.people or settings.photographs.people_share < 1:
+        require_visible(material.source)
+    return Job(
+        settings,
+        worn,
+        first,
+        techniques,
+        material,
+        None if held is None else make_material(held_out_settings(settings), held, worn, device),
+        detectors,
+        surrogates,
+        config,
+    )
+
+
+def make_material(settings: TrainSettings, data: TrainingData, worn: Worn, device: torch.device) -> Material:
+    """Make the source of bodies, and of people in photographs where there are any."""
+    bodies = BodySource(data.bodies, worn, settings.views, device)
+    if not data.people:
+        return Material(bodies, data.backgrounds)
+    people = PeopleSource(data.people, worn, settings.photographs, settings.views.size, settings.run.seed)
+    mixed = Mixture(bodies, people, settings.photographs.people_share, settings.run.seed)
+    return Material(mixed, data.backgrounds)
+
+
+def require_visible(source: BodySource | Mixture) -> None:
+    """Require that some training view of the bodies shows the logo. InputError: none does."""
+    bodies = source.first if isinstance(source, Mixture) else source
+    bodies.require_visible()
+
+
+def training_config(settings: TrainSettings, material: TrainingData, logo: Logo, detectors: Sequence[Detector]) -> dict:
+    """Make the configuration of a training that is not begun: its `decisive` parts are those that it would record."""
+    worn = Worn.of(settings.pattern, material.bodies, logo)
+    techniques = Techniques.built(Setup(settings, worn, detectors, torch.device("cpu")))
+    more = RunInputs(files=techniques.content(), people=material.people)
+    return run_config(settings, material.bodies, logo, detectors, material.backgrounds, {}, more)

@@ -1,0 +1,103 @@
+"""A cloth on a body is seen as finely as the image can show it."""
+
+import numpy as np
+import torch
+
+from cloak_core.core.baking import on_cloth
+from cloak_core.core.cameras import Camera
+from cloak_core.core.cloth import MOST_SQUARES, Cloth
+from cloak_core.core.linear import SparseMap
+from cloak_core.core.paint import compose
+from cloak_core.core.visibility.settings import Light, RenderSettings
+from cloak_core.exchange.bodies import Bodies
+from cloak_core.sources.bodies.view_cache import ViewCache
+
+FLAT = Light(ambient=1.0, diffuse=0.0, specular=0.0)
+SIDE = 0.4
+"""Of the panel, metres."""
+
+
+def panel() -> Bodies:
+    """A square of two large triangles that faces the camera: far coarser than any cloth."""
+    half = SIDE / 2
+    corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
+    return Bodies(vertices=corners[None], triangles=np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def camera(pixels_across: int, size: int = 80) -> Camera:
+    """One that shows the panel this many pixels wide."""
+    distance = SIDE * size / pixels_across / (2 * np.tan(np.radians(30)))
+    return Camera(distance=float(distance), elevation=0.0, width=size, height=size)
+
+
+def shown(cloth: Cloth, colors: torch.Tensor, pixels_across: int) -> np.ndarray:
+    """The panel as the image shows it, pixels [n, n, 3]."""
+    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
+    view = on_cloth(cache.bake(0, camera(pixels_across), [0, 1]), cloth)
+    image = compose([view], colors, torch.zeros(1, 3, 80, 80))[0].permute(1, 2, 0).numpy()
+    start = (80 - pixels_across) // 2
+    return image[start : start + pixels_across, start : start + pixels_across]
+
+
+def test_squares_as_large_as_pixels_are_seen_one_by_one() -> None:
+    cloth = Cloth.of(SIDE, SIDE / 40)
+    colors = torch.rand(len(cloth), 3, generator=torch.Generator().manual_seed(0))
+    seen = shown(cloth, colors, 40)
+    # The cloth begins in the middle of the body.
+    printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
+    # Pixels that the panel's diagonal cuts are lit in two parts, each at its own middle.
+    off_diagonal = ~np.eye(40, dtype=bool)[:, ::-1]
+    np.testing.assert_allclose(seen[off_diagonal], printed[off_diagonal], atol=2e-3)
+
+
+def test_a_pixel_that_covers_many_squares_sees_their_mean() -> None:
+    cloth = Cloth.of(SIDE, SIDE / 40)
+    colors = torch.rand(len(cloth), 3, generator=torch.Generator().manual_seed(1))
+    seen = shown(cloth, colors, 10)
+    printed = np.roll(colors.view(40, 40, 3).numpy(), (20, 20), axis=(0, 1))
+    means = printed.reshape(10, 4, 10, 4, 3).mean(axis=(1, 3))
+    off_diagonal = ~np.eye(10, dtype=bool)[:, ::-1]
+    np.testing.assert_allclose(seen[off_diagonal], means[off_diagonal], atol=5e-3)
+
+
+def test_a_cloth_far_away_costs_bounded_entries() -> None:
+    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
+    baked = cache.bake(0, camera(4), [0, 1])
+    view = on_cloth(baked, Cloth.of(SIDE, SIDE / 400))
+    assert len(view.map) <= MOST_SQUARES**2 * len(baked.map)
+    torch.testing.assert_close(view.map.row_sums(), baked.map.row_sums())
+
+
+def test_the_gradient_reaches_every_square_that_is_seen() -> None:
+    cloth = Cloth.of(SIDE, SIDE / 40)
+    cache = ViewCache(panel(), RenderSettings(light=FLAT), on_cloth=True)
+    view = on_cloth(cache.bake(0, camera(40), [0, 1]), cloth)
+    colors = torch.full((len(cloth), 3), 0.5, requires_grad=True)
+    compose([view], colors, torch.zeros(1, 3, 80, 80)).sum().backward()
+    np.testing.assert_allclose(colors.grad.sum(), 3 * view.coverage.sum(), rtol=1e-4)
+    assert (colors.grad > 0).all()
+
+
+def random_map(rows: int, columns: int, seed: int) -> SparseMap:
+    dense = torch.rand(rows, columns, generator=torch.Generator().manual_seed(seed))
+    sparse = torch.where(dense > 0.6, dense, 0).to_sparse_csr()
+    return SparseMap(sparse.crow_indices(), sparse.col_indices(), sparse.values(), columns)
+
+
+def test_maps_compose_transpose_and_differentiate_as_dense_matrices_do() -> None:
+    one, other = random_map(7, 5, 0), random_map(5, 4, 1)
+    dense = one.matrix.to_dense() @ other.matrix.to_dense()
+    torch.testing.assert_close((one @ other).matrix.to_dense(), dense)
+    torch.testing.assert_close(one.transposed.matrix.to_dense(), one.matrix.to_dense().T)
+    torch.testing.assert_close(
+        one.scaled(torch.arange(7.0)).matrix.to_dense(), torch.arange(7.0)[:, None] * one.matrix.to_dense()
+    )
+    torch.testing.assert_close(one.row_sums(), one.matrix.to_dense().sum(1))
+    stacked = torch.cat([one.matrix.to_dense(), one.matrix.to_dense()])
+    torch.testing.assert_close(SparseMap.stacked([one, one]).matrix.to_dense(), stacked)
+    torch.testing.assert_close(
+        SparseMap.blocks([one, other]).matrix.to_dense(),
+        torch.block_diag(one.matrix.to_dense(), other.matrix.to_dense()),
+    )
+    values = torch.rand(5, 3, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(one.to("cpu", torch.float64), values)

@@ -1,0 +1,151 @@
+"""Who is in a file: known by content, counted once, and people alone."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.sources.bodies.photographs.made_people import write_people
+
+from cloak_core.core.run_config import _people, check_same
+from cloak_core.files.errors import InputError
+from cloak_core.sources.photographs.fits import fit_people, people_identity
+from cloak_core.sources.photographs.people import Person, load_people
+
+pytestmark = pytest.mark.slow
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> Path:
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+    return path
+
+
+def nearer(person: Person) -> Person:
+    """Her left knee moved towards the camera, and nothing else."""
+    depth = person.landmarks.depth.copy()
+    depth[11] += 30
+    return replace(person, landmarks=replace(person.landmarks, depth=depth))
+
+
+CHANGES = {
+    "depth": nearer,
+    "no depth": lambda p: replace(p, landmarks=replace(p.landmarks, depth=None)),
+    "visibility": lambda p: replace(p, landmarks=replace(p.landmarks, visibility=p.landmarks.visibility * 0.9)),
+    "box": lambda p: replace(p, box=(p.box[0] + 1, *p.box[1:])),
+    "others": lambda p: replace(p, others=((0.0, 0.0, 5.0, 5.0),)),
+    "mask": lambda p: replace(p, mask=p.mask & (np.arange(p.mask.shape[1]) > p.box[0] + 3)),
+    "pixels": lambda p: replace(p, image=255 - p.image),
+}
+
+
+@pytest.mark.parametrize("what", CHANGES)
+def test_whatever_decides_a_figure_is_part_of_who_she_is(tmp_path: Path, what: str) -> None:
+    (person,) = load_people(write_people(tmp_path, 1))
+    assert people_identity([CHANGES[what](person)]) != people_identity([person])
+
+
+def test_names_are_no_part_of_who_she_is(tmp_path: Path) -> None:
+    people = load_people(write_people(tmp_path))
+    (tmp_path / "renamed").mkdir()
+    shutil.copy(tmp_path / "made0.png", tmp_path / "renamed" / "other.png")
+    shutil.copy(tmp_path / "made1.png", tmp_path / "renamed" / "made1.png")
+    path = shutil.copy(tmp_path / "people.json", tmp_path / "renamed" / "list.json")
+    edit(path, lambda record: record["images"][0].update(file_name="other.png"))
+    renamed = load_people(path)
+    assert renamed.photographs == ("other.png", "made1.png") and people_identity(renamed) == people_identity(people)
+    assert [person.pixels for person in renamed] == [person.pixels for person in people]
+
+
+def test_another_depth_is_another_fit(tmp_path: Path) -> None:
+    people = load_people(write_people(tmp_path, 1))
+    moved = replace(people, people=(nearer(people.people[0]),))
+    first, other = fit_people(people)[0], fit_people(moved)[0]
+    assert first.identity != other.identity
+    assert fit_people(moved)[0].identity == other.identity
+
+
+def test_an_annotation_listed_twice_counts_once(tmp_path: Path) -> None:
+    path = write_people(tmp_path)
+
+    def twice(record: dict) -> None:
+        first = record["annotations"][0]
+        record["annotations"] += [first, first | {"id": 77}]
+
+    people = load_people(edit(path, twice))
+    assert len(people) == 2 and people.left_out == {"listed twice": 2}
+    # She is not somebody else who stands where she does.
+    assert all(person.others == () for person in people)
+
+
+def test_a_photograph_listed_twice_counts_once_whatever_it_is_called(tmp_path: Path) -> None:
+    path = write_people(tmp_path)
+    shutil.copy(tmp_path / "made0.png", tmp_path / "copy.png")
+
+    def twice(record: dict) -> None:
+        image, person = record["images"][0], record["annotations"][0]
+        record["images"] += [image, image | {"id": 9, "file_name": "copy.png"}]
+        record["annotations"].append(person | {"id": 9, "image_id": 9})
+
+    people = load_people(edit(path, twice))
+    assert len(people) == 2 and people.photographs == ("made0.png", "made1.png")
+    assert people.left_out == {"listed twice": 2}
+
+
+def test_people_of_a_copied_photograph_stay_in_one_half(tmp_path: Path) -> None:
+    path = write_people(tmp_path)
+    shutil.copy(tmp_path / "made0.png", tmp_path / "made1.png")
+    people = load_people(path)
+    assert len(people) == 2 and people.photographs == ("made0.png",)
+    with pytest.raises(InputError, match="one photograph cannot be both"):
+        people.halves()
+
+
+def with_horse(record: dict) -> None:
+    person = record["annotations"][0]
+    horse = {"id": 5, "image_id": 1, "category_id": 17, "bbox": person["bbox"]}
+    record["annotations"].append(horse)
+
+
+def test_a_horse_is_nobody(tmp_path: Path) -> None:
+    path = edit(write_people(tmp_path, 1), with_horse)
+    assert len(load_people(path).people[0].others) == 1  # nobody said that it is a horse
+    edit(path, lambda record: record.update(categories=[{"id": 1, "name": "Person"}, {"id": 17, "name": "horse"}]))
+    people = load_people(path)
+    assert people.people[0].others == () and not people.left_out
+
+
+REFUSED = {
+    "categories: none is called person": lambda r: r.update(categories=[{"id": 1, "name": "horse"}]),
+    "annotation 2: category 1 is none of the file's": lambda r: (
+        r.update(categories=[{"id": 3, "name": "person"}]),
+        r["annotations"][0].update(category_id=3),
+    ),
+    "annotation 1: two different ones have this id": lambda r: r["annotations"][1].update(id=1),
+    "annotation 'x': its id is not a whole number": lambda r: r["annotations"][1].update(id="x"),
+    "image 1: stands for both made0.png and made1.png": lambda r: r["images"][1].update(id=1),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_contradicts_itself_is_refused_in_one_line(tmp_path: Path, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        load_people(edit(write_people(tmp_path), REFUSED[words]))
+    assert "people.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_training_goes_on_with_the_same_people_alone(tmp_path: Path) -> None:
+    fits = fit_people(load_people(write_people(tmp_path, 1)))
+    recorded = {"people": json.loads(json.dumps(_people(fits)))}
+    check_same(recorded, {"people": _people(fits)}, tmp_path, ("people",))
+    for change in (nearer, CHANGES["others"]):
+        other = {"people": _people([replace(fits[0], person=change(fits[0].person))])}
+        with pytest.raises(InputError, match=r"was started with people\.identity = "):
+            check_same(recorded, other, tmp_path, ("people",))
+        # What earlier versions recorded is all that can be compared.
+        earlier = {"people": {"sha256": recorded["people"]["sha256"], "photographs": ["made0.png"]}}
+        check_same(earlier, other, tmp_path, ("people",))

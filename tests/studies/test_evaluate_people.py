@@ -1,0 +1,288 @@
+"""A run judged on photographs, as on bodies: content decides what it was trained on, and the report shows it first."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tests.sources.bodies.photographs.made_people import write_people
+
+from cloak_core.commands.evaluate import Evaluate
+from cloak_core.core.detector.protocol import Detections, detector_record
+from cloak_core.core.run_folder import RunFolder
+from cloak_core.detectors.loading import load_detector
+from cloak_core.exchange.colors import read_colors, write_colors
+from cloak_core.exchange.profiles import Profile, write_profile
+from cloak_core.files.errors import InputError
+from cloak_core.library import evaluate, train
+from cloak_core.products.run_report import make_report
+from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.people import load_people
+from cloak_core.studies.evaluate import read_evaluation
+from cloak_core.studies.trained_run import photographs_seen_in_training, trained_against
+from cloak_core.studies.trainings.run_record import _people
+from cloak_core.zoo.entry import entry, write_entry
+from tests.core.fakes import RedDetector
+from tests.detectors.helpers import write_tiny
+from tests.schemas import validate
+
+pytestmark = pytest.mark.slow
+HOW = {"size": 128, "bare": 2, "resamples": 100, "backgrounds": "procedural:test:2"}
+CONTROLS = {"logo", "clothing", "grey", "random", "resampled"}
+MODULE = """
+import torch
+class Tiny(torch.nn.Module):
+    def __init__(self):
+        super().__init__()
+        torch.manual_seed(0)
+        self.layer = torch.nn.Conv2d(3, 5, 16, stride=16)
+    def forward(self, images):
+        return self.layer(images)
+def make():
+    return Tiny()
+"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return entry("builtin-sample").write_run(tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_people(tmp_path_factory.mktemp("people"), 3)
+
+
+def trained_on(path: Path) -> dict:
+    """A config.json as far as photographs go."""
+    return json.loads(json.dumps({"people": _people(fit_people(load_people(path)))}))
+
+
+def test_renamed_training_photographs_are_seen(path: Path, tmp_path: Path) -> None:
+    config = trained_on(f"{path}[0::2]")
+    assert photographs_seen_in_training(config, load_people(f"{path}[1::2]")) == ({"photographs": True}, [])
+    record = json.loads(path.read_text())
+    for image in record["images"]:
+        shutil.copy(path.with_name(image["file_name"]), tmp_path / f"new-{image['file_name']}")
+        image["file_name"] = f"new-{image['file_name']}"
+    (tmp_path / "list.json").write_text(json.dumps(record))
+    seen, warnings = photographs_seen_in_training(config, load_people(tmp_path / "list.json"))
+    assert seen == {"photographs": False}
+    assert "2 of the photographs were in the training set (new-made0.png, new-made2.png)" in warnings[0]
+
+
+def test_photographs_that_look_like_trained_ones_are_not_called_unseen(path: Path, tmp_path: Path) -> None:
+    config = trained_on(f"{path}[0:1]")
+    record = json.loads(path.read_text())
+    record["images"], record["annotations"] = record["images"][:1], record["annotations"][:1]
+    record["images"][0]["file_name"] = "saved.jpg"
+    Image.open(path.with_name("made0.png")).save(tmp_path / "saved.jpg", quality=80)
+    (tmp_path / "list.json").write_text(json.dumps(record))
+    seen, warnings = photographs_seen_in_training(config, load_people(tmp_path / "list.json"))
+    assert seen == {"photographs": None} and "saved.jpg like made0.png" in warnings[0]
+
+
+def test_names_alone_do_not_tell_what_is_unseen(path: Path) -> None:
+    config = {"people": {"photographs": ["elsewhere.jpg"], "licences": [""]}}
+    seen, warnings = photographs_seen_in_training(config, load_people(path))
+    assert seen == {"photographs": None} and "does not record its training photographs" in warnings[0]
+    assert photographs_seen_in_training({"people": None, "format": "cloak run"}, []) == ({"photographs": True}, [])
+    assert photographs_seen_in_training(None, []) == ({"photographs": None}, [])
+
+
+def test_a_renamed_detector_is_a_white_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "tiny.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path / "one")
+    known, copy = load_detector("python:tiny.py:make"), load_detector("python:./tiny.py:make")
+    (tmp_path / "one" / "other.py").write_text(MODULE.replace("manual_seed(0)", "manual_seed(1)"))
+    other = load_detector("python:other.py:make")
+    config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
+    assert trained_against(config, {"copy": copy, "other": other}) == {"copy": True, "other": False}
+
+
+def test_a_copied_onnx_file_is_a_white_box(tmp_path: Path) -> None:
+    from tests.detectors.test_onnx import Made  # skips where there is no onnx
+
+    made = Made()
+    made.body()
+    made.head()
+    path = made.save(tmp_path / "made.onnx")
+    shutil.copy(path, tmp_path / "renamed.onnx")
+    known, copy = load_detector(f"onnx:{path}"), load_detector(f"onnx:{tmp_path / 'renamed.onnx'}@96")
+    config = {"detectors": [{"spec": known.spec} | detector_record(known)]}
+    assert trained_against(config, {copy.spec: copy}) == {copy.spec: True}
+
+
+def test_a_copied_file_without_weights_of_ours_is_a_white_box_at_any_size(tmp_path: Path) -> None:
+    class BlackBox(RedDetector):
+        def __init__(self, digest: str, size: int) -> None:
+            super().__init__()
+            self.source = {"file": digest, "input_size": [size, size], "person": 0}
+
+    config = {"detectors": [{"spec": "onnx:a.onnx"} | detector_record(BlackBox("a", 320))]}
+    judged = {"onnx:copy.onnx": BlackBox("a", 416), "onnx:other.onnx": BlackBox("b", 320)}
+    assert trained_against(config, judged) == {"onnx:copy.onnx": True, "onnx:other.onnx": False}
+
+
+def test_a_run_is_judged_on_people_and_reported(run: Path, path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    spec = write_tiny(run)
+    said = evaluate(run, people=path, detectors=["builtin", spec], **HOW)
+    validate("evaluate", json.dumps(said))
+    folder = run / "evaluation-people"
+    assert said["out"] == str(folder) and said["people"] == said["photographs"] == 3 and said["left_out"] == {}
+    assert said["white_box"] == {"builtin": True, spec: False} and said["unseen"] == {"photographs": True}
+    rates = said["detectors"]["builtin"]
+    assert {name for name, rate in rates.items() if "success" in rate} == CONTROLS
+    assert rates["logo"]["n"] == 3 and sum(side["n"] for side in rates["logo"]["seen_from"].values()) == 3
+    assert said["operating_points"].keys() == said["false_alarms"].keys() == {"builtin", spec}
+    stored = read_evaluation(folder)
+    assert len(stored.pictures["gallery"]) == 3 and stored.summary["inputs"]["detector_hashes"].keys() == {
+        "builtin",
+        spec,
+    }
+    text = make_report(run).read_text("utf-8")
+    assert "not been evaluated" not in text and "On people in photographs" in text
+    assert "unseen photographs" in text and "white box: builtin" in text and "black box: darknet tiny" in text
+    assert text.count("data:image/jpeg") >= 2 * 3 + 5 and ">None<" not in text
+    assert "On photographs: With the trained colours, darknet tiny (black box" in text  # it never saw this one
+    # The same once more is not measured again; other colours are.
+    caplog.clear()
+    assert evaluate(run, people=load_people(path), detectors=["builtin", spec], **HOW) == said
+    assert "nothing is measured again" in caplog.text
+    caplog.clear()
+    write_colors(run / "colors.npy", 1 - read_colors(run / "colors.npy"))
+    again = evaluate(run, people=path, detectors=["builtin", spec], **HOW)
+    assert "which this one replaces" in caplog.text
+    assert again["detectors"]["builtin"]["logo"]["mean_score"] != rates["logo"]["mean_score"]
+
+
+def test_photographs_stand_before_renders_in_the_report(run: Path, path: Path) -> None:
+    evaluate(
+        run, "sample:unseen[0:1]", "procedural:test:2", angles="0", images_per_view=1, bare=1, size=128, resamples=100
+    )
+    evaluate(run, people=path, **HOW)
+    text = make_report(run).read_text("utf-8")
+    assert 0 < text.index("On photographs:") < text.index("On renders:") < text.index("On people in photographs")
+    assert text.index("On people in photographs") < text.index("Clean and cloaked")
+
+
+def test_other_colours_printers_and_snapshots_are_judged_on_people(run: Path, path: Path, tmp_path: Path) -> None:
+    grey = np.full((len(read_colors(run / "colors.npy")), 3), 0.5, np.float32)
+    write_colors(tmp_path / "plain.npy", grey)
+    for step in (20, 10):
+        RunFolder(run).write_snapshot(step, grey)
+    own = evaluate(run, people=path, over_time=True, **HOW)["detectors"]["builtin"]["logo"]["mean_score"]
+    rows = json.loads((run / "curve-people.json").read_text())["rows"]
+    assert [row["step"] for row in rows] == [10, 20] and (run / "curve-people.png").exists()
+    plain = evaluate(run, people=path, colors=tmp_path / "plain.npy", **HOW)
+    assert plain["white_box"] == {"builtin": None} and plain["unseen"] == {"photographs": None}
+    assert plain["out"] == str(run / "evaluation-people-plain")
+    assert plain["detectors"]["builtin"]["logo"]["mean_score"] != own
+    # A printer that knows grey alone.
+    write_profile(tmp_path / "p.npz", Profile(np.full((2, 2, 2, 3), 0.5, np.float32)))
+    printed = evaluate(run, people=path, profile=tmp_path / "p.npz", **HOW)
+    assert printed["detectors"]["builtin"]["logo"]["mean_score"] == plain["detectors"]["builtin"]["logo"]["mean_score"]
+    assert (run / "evaluation-people-printed").exists()
+    cloth = evaluate(run, people=path, colors="zoo:transfer-people", **HOW)
+    assert cloth["unseen"] == {"photographs": None} and "does not record" in cloth["warnings"][0]
+    Image.new("RGB", (8, 8), (128, 128, 128)).save(tmp_path / "grey.png")
+    worn = evaluate(run, people=path, colors=f"{tmp_path / 'grey.png'}@tile=0.5", **HOW)
+    assert worn["detectors"]["builtin"]["logo"]["mean_score"] == pytest.approx(
+        plain["detectors"]["builtin"]["logo"]["mean_score"], abs=0.02
+    )
+
+
+REFUSED = {
+    "--controls: stripes": {"controls": ("stripes",)},
+    "without --scene and --cycles": {"scene": "sample:unseen"},
+    "without --profile and --cycles": {"over_time": True, "profile": "p.npz"},
+    "say how wide it is worn": {"colors": "{picture}"},
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_photographs_do_not_have_is_refused(run: Path, path: Path, words: str) -> None:
+    picture = str(path.with_name("made0.png"))
+    given = {
+        key: value.format(picture=picture) if value == "{picture}" else value for key, value in REFUSED[words].items()
+    }
+    with pytest.raises(InputError, match=words):
+        evaluate(run, people=path, **(HOW | given))
+    assert not (run / "evaluation-people").exists()
+
+
+def test_a_detector_that_changes_is_a_defect_on_photographs_too(run: Path, path: Path) -> None:
+    class Drifting(RedDetector):
+        def __init__(self) -> None:
+            super().__init__()
+            self.register_buffer("calls", torch.zeros(1))
+
+        def forward(self, images: torch.Tensor) -> Detections:
+            self.calls += 1
+            return super().forward(images)
+
+    with pytest.raises(RuntimeError, match="changed while"):
+        evaluate(run, people=path, detectors={"drifting": Drifting()}, **HOW)
+    assert not (run / "evaluation-people").exists()
+
+
+def test_an_evaluation_of_an_earlier_version_is_replaced_and_not_believed(run: Path, path: Path) -> None:
+    folder = run / "evaluation-people"
+    folder.mkdir()
+    (folder / "wear.json").write_text('{"white_box": {"builtin": false}, "unseen": {"photographs": true}}')
+    assert "evaluate --people</span> again" in make_report(run).read_text("utf-8")
+    evaluate(run, people=path, **HOW)
+    assert not (folder / "wear.json").exists() and read_evaluation(folder).summary["white_box"] == {"builtin": True}
+    worn = run / "worn"
+    worn.mkdir()
+    (worn / "wear.json").write_text('{"detectors": {}}')
+    with pytest.raises(InputError, match="left alone"):  # what `cloak wear` wrote is no evaluation
+        evaluate(run, people=path, out=worn, **HOW)
+
+
+def test_the_zoo_copies_what_content_told(run: Path, path: Path, tmp_path: Path) -> None:
+    config = json.loads((run / "config.json").read_text()) | trained_on(path)
+    (run / "config.json").write_text(json.dumps(config))
+    evaluate(
+        run, "sample:unseen[0:1]", "procedural:test:2", angles="0", images_per_view=1, bare=1, size=128, resamples=100
+    )
+    evaluate(run, people=path, **HOW)
+    record = write_entry(tmp_path, "mine", run, about="", licence="CC0-1.0")
+    assert record["people"]["unseen"] == {"photographs": False} and record["people"]["white_box"] == {"builtin": True}
+    assert record["people"]["detectors"]["builtin"].keys() == CONTROLS
+    kept = json.loads(np.load(tmp_path / "mine.npz")["config"].tobytes())["people"]
+    assert kept["pixels"] == config["people"]["pixels"] and not any("." in look for look in kept["looks"])
+
+
+def test_the_command_says_it(run: Path, path: Path, capsys: pytest.CaptureFixture) -> None:
+    from cloak_core.core.evaluation.settings import EvaluateSettings
+
+    settings = replace(EvaluateSettings(), size=128, bare=2, resamples=100)
+    judges = ("builtin", write_tiny(run))
+    command = Evaluate(
+        run_folder=run, people=str(path), backgrounds="procedural:test:2", settings=settings, detector=judges
+    )
+    command.show(command.run())
+    lines = capsys.readouterr().out.splitlines()
+    assert any("builtin" in line and "│ white" in line for line in lines), "a name beside all the controls"
+    assert any("darknet" in line and "│ black" in line for line in lines)
+    said = " ".join(" ".join(lines).split())
+    assert "3 people in 3 photographs; left out: nobody; training saw none of these photographs" in said
+    assert "resampled" in said and "renamed" in said
+
+
+@pytest.mark.long
+def test_a_run_on_photographs_is_trained_and_judged(tmp_path: Path) -> None:
+    path = write_people(tmp_path / "people", 4)
+    given = {"steps": 2, "batch": 2, "size": 64, "translation": 5}
+    train(None, "shirt", [RedDetector()], "procedural:train:4", out=tmp_path / "run", people=f"{path}[0::2]", **given)
+    judge = {"red": RedDetector()}
+    unseen = evaluate(tmp_path / "run", people=f"{path}[1::2]", detectors=judge, **HOW)
+    assert unseen["people"] == 2 and unseen["unseen"] == {"photographs": True} and unseen["white_box"] == {"red": True}
+    seen = evaluate(tmp_path / "run", people=load_people(path), detectors=judge, out=tmp_path / "all", **HOW)
+    assert seen["unseen"] == {"photographs": False} and seen["people"] == 4

@@ -1,0 +1,147 @@
+"""The store of runs and measurements: made once, found by content, continued where they stopped."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cloak_core.core.logo import chest_thighs, make_logo
+from cloak_core.core.run_config import check_same
+from cloak_core.core.settings import make_settings
+from cloak_core.files.errors import InputError, Stopped
+from cloak_core.studies import store as store_module
+from cloak_core.studies import training_store
+from cloak_core.studies.data_split import DataSplit, open_data_split
+from cloak_core.studies.store import RunStore
+from cloak_core.studies.training_store import Training, TrainingStore, content_key
+from cloak_core.studies.trainings.material import TrainingData
+from cloak_core.studies.trainings.training import training_config
+from tests.studies.made_split import Glow, make_options, make_split
+
+RED, BLUE = "red:a.cfg", "blue:b.cfg"
+
+
+@pytest.fixture(scope="module")
+def split() -> DataSplit:
+    return make_split()
+
+
+@pytest.mark.slow
+def test_trainings_and_evaluations_are_made_once(
+    split: DataSplit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    faces = chest_thighs(split.bodies)
+    first = RunStore(split, make_options(tmp_path))
+    trained = first.train_repetitions(faces, [RED])
+    results = first.measure_repetitions(trained, (0.0, 5.0))
+    assert len({t.folder for t in trained}) == 2 == results.trainings  # one per seed
+    for module, name in ((training_store, "train"), (store_module, "measure_frozen")):
+        monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("made again"))
+    evaluated = next((tmp_path / "evaluations").iterdir()).name
+    left = [
+        tmp_path / "runs" / f".{trained[0].folder.name}.ab12_xyz",
+        tmp_path / "evaluations" / f".{evaluated}.ab12_xyz",
+    ]
+    for folder in left:  # of writers that were killed
+        folder.mkdir()
+        (folder / "scores.npz").touch()
+    again = RunStore(split, make_options(tmp_path))
+    found = again.train_repetitions(faces, [RED])
+    assert [t.folder for t in found] == [t.folder for t in trained]
+    assert again.measure_repetitions(found, (0.0, 5.0)).images.equals(results.images)
+    assert not [folder for folder in left if folder.exists()]
+    # Whatever decides the result names another run.
+    for spec, changes in ((BLUE, {}), (RED, {"tv_weight": 1.0})):
+        with pytest.raises(pytest.fail.Exception, match="made again"):
+            again.train_faces(faces, [spec], **changes)
+    monkeypatch.setattr(store_module, "MEASUREMENT_VERSION", 0)
+    assert again.train_repetitions(faces, [RED])  # which a change of measuring does not touch
+    with pytest.raises(pytest.fail.Exception, match="made again"):
+        again.measure_repetitions(found, (0.0, 5.0))
+    monkeypatch.setattr(training_store, "TRAINING_VERSION", 0)
+    with pytest.raises(pytest.fail.Exception, match="made again"):
+        again.train_faces(faces, [RED])
+
+
+def test_packages_and_the_device_are_in_every_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    key = content_key({"settings": 1}, "cpu")
+    assert key == content_key({"settings": 1}, "cpu") != content_key({"settings": 2}, "cpu")
+    monkeypatch.setattr(training_store, "device_kind", lambda device: "another")
+    other = content_key({"settings": 1}, "cpu")
+    monkeypatch.setattr(training_store, "package_versions", lambda *names: {"torch": "1.0"})
+    assert len({key, other, content_key({"settings": 1}, "cpu")}) == 3
+
+
+def test_a_training_is_its_key_where_a_run_folder_goes_on(split: DataSplit, tmp_path: Path) -> None:
+    """Two trainings have one key exactly where one may go on with the other's run folder."""
+    bodies = split.bodies.select_poses([0])
+    logo = make_logo(bodies, chest_thighs(bodies))
+    settings = make_settings(steps=2, batch=2, size=48, translation=4)
+    base = Training(settings, bodies, logo, [split.detectors[RED]], split.backgrounds)
+    palettes = [tmp_path / "a.txt", tmp_path / "b.txt"]
+    for number, palette in enumerate(palettes):
+        palette.write_text(f"0.1 0.1 0.{number}\n")
+    with_palettes = [replace(base, settings=settings.changed(palette=str(p), nps_weight=0.1)) for p in palettes]
+    store = TrainingStore(tmp_path)
+    others = [
+        replace(base, settings=settings.changed(seed=1)),
+        replace(base, bodies=split.bodies),
+        replace(base, detectors=[split.detectors[BLUE]]),
+        replace(base, backgrounds=split.unseen_backgrounds),
+        *with_palettes,
+    ]
+    keys = {store.training_key(training) for training in (base, *others)}
+    assert len(keys) == 1 + len(others)
+    for free in ({"preview_every": 7}, {"max_seconds": 5.0}):
+        again = replace(base, settings=settings.changed(**free))
+        assert store.training_key(again) == store.training_key(base)
+        check_same(_config(base), _config(again), tmp_path)
+    for other in others:
+        with pytest.raises(InputError, match="was started with"):
+            check_same(_config(base), _config(other), tmp_path)
+
+
+def _config(training: Training) -> dict:
+    material = TrainingData(training.bodies, training.backgrounds)
+    return training_config(training.settings, material, training.logo, training.detectors)
+
+
+def test_a_detector_run_by_another_source_is_measured_anew(split: DataSplit, tmp_path: Path) -> None:
+    before = RunStore(split, make_options(tmp_path))._detector_records[RED]
+    other = Glow("red", 0)
+    other.source = {"cfg": "edited"}
+    after = RunStore(replace(split, detectors={RED: other}), make_options(tmp_path))._detector_records[RED]
+    assert after["sha256"] == before["sha256"] and after != before
+
+
+@pytest.mark.slow
+def test_an_interrupted_set_goes_on(split: DataSplit, tmp_path: Path) -> None:
+    faces = chest_thighs(split.bodies)
+    whole = RunStore(split, make_options(tmp_path, steps=(3,))).train_faces(faces, [RED]).colors
+    other = RunStore(split, make_options(tmp_path / "other", steps=(3,)))
+    with pytest.raises(Stopped, match="stopped at step 1"):
+        other.train_faces(faces, [RED], max_seconds=1e-6)
+    assert np.array_equal(other.train_faces(faces, [RED]).colors, whole)
+
+
+@pytest.mark.slow
+def test_each_detector_may_have_its_own_number_of_steps(split: DataSplit, tmp_path: Path) -> None:
+    store = RunStore(split, make_options(tmp_path, steps=(2, 3)))
+    faces = chest_thighs(split.bodies)
+    length = lambda *specs: store.train_faces(faces, specs).settings.run.steps
+    assert (length(RED), length(BLUE), length(RED, BLUE)) == (2, 3, 3)
+    assert store.steps() == 2 and store.options.counts()["steps"] == "2 / 3 by detector"
+    more = store.with_detectors({"green": Glow("green", 1)})
+    assert more.specs == (RED, BLUE, "green") and more.options.out == store.options.out
+    with pytest.raises(InputError, match="--steps: 3 numbers for 2 detectors"):
+        RunStore(split, make_options(tmp_path, steps=(1, 2, 3)))
+
+
+def test_a_split_keeps_every_second_one() -> None:
+    opened = open_data_split({RED: Glow("red", 0)}, backgrounds="procedural:train:5")
+    assert len(opened.backgrounds) == 3 and len(opened.unseen_backgrounds) == 2
+    assert not set(opened.backgrounds.identities()) & set(opened.unseen_backgrounds.identities())
+    assert not set(opened.bodies.names) & set(opened.unseen.names)
+    worn = [{outfit.tobytes() for outfit in bodies.face_colors} for bodies in (opened.bodies, opened.unseen)]
+    assert worn[0] and worn[1] and not worn[0] & worn[1]
