@@ -80,7 +80,7 @@ def test_updates_are_those_of_torch_to_the_bit(kind):
 @pytest.mark.slow
 def test_training_does_not_load_torchs_compiler():
     """It takes longer than all else that a run loads."""
-    code = "import sys; from cloak_core.core.optimizer import ColorOptimizer; from cloak_core.attack import training;"
+    code = "import sys; from cloak_core.core.optimizer import ColorOptimizer; from cloak_core.core import train;"
     code += "from cloak_core.core.settings import make_settings; import torch;"
     code += "settings = make_settings('best').optimization;"
     code += "ColorOptimizer(settings, torch.zeros(4, 3)); sys.exit('torch._dynamo' in sys.modules)"

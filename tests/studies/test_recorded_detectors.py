@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from cloak_core.attack.sweeps import read_grid
+from cloak_core.studies.grids import read_grid
 
 from cloak_core import library
 from cloak_core.cli import main
