@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cloak_core.core import run_config
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
 from cloak_core.detectors.loading import load_detector
@@ -160,7 +159,7 @@ def test_other_code_and_packages_are_said_and_not_refused(
     recorded["detectors"][0]["packages"] = {"onnxruntime": "1.1"}
     (path / "config.json").write_text(json.dumps(recorded))
     detector.packages = ("onnxruntime",)
-    monkeypatch.setattr(run_config, "code_hash", lambda *rooms: "other")
+    monkeypatch.setattr(run_record, "code_hash", lambda *rooms: "other")
     with caplog.at_level(logging.WARNING, "cloak"):
         run(path, detector)
     (line,) = [record.getMessage() for record in caplog.records if "began with" in record.getMessage()]

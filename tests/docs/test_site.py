@@ -68,7 +68,7 @@ def test_a_dead_link_and_an_unknown_name_fail(tmp_path: Path) -> None:
 
 
 def test_files_that_the_guide_names_are_there() -> None:
-    places = (ROOT, ROOT / "cloak_core", ROOT / "cloak_core" / "evaluation", ROOT / "blender_addon")
+    places = (ROOT, ROOT / "cloak_core", ROOT / "cloak_core" / "studies", ROOT / "blender_addon")
     named = re.findall(r"`((?:[\w.-]+/)+[\w-]+\.\w+)`", (ROOT / "CONTRIBUTING.md").read_text("utf-8"))
     assert named
     assert not [name for name in named if not any((place / name).exists() for place in places)]

@@ -14,6 +14,7 @@ from cloak_core.core.sampling import Sampler
 from cloak_core.core.technique import Distortions
 from cloak_core.core.visibility.settings import RenderSettings
 from cloak_core.core.worn import Worn
+from cloak_core.sources.bodies.source import BodySource
 from cloak_core.sources.bodies.view_cache import ViewCache
 from cloak_core.techniques.window import Windows, draw_window
 from tests.core.fakes import box_bodies, front_logo, noise_backgrounds, techniques_of, tiny_settings

@@ -1,6 +1,7 @@
 """The loops that the CPU runs against the torch operations that other devices run: the same views."""
 
 import contextlib
+import importlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 from bodies_made import sphere
 
+import cloak_core
 from cloak_core.bench.oracle import screen_of
 from cloak_core.core.baking import on_cloth
 from cloak_core.core.cameras import Camera
@@ -145,7 +147,7 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
 
 def test_a_device_chooses_in_one_place() -> None:
     """Beside the backend only the names of stored views ask who builds them."""
-    room = Path(backend.__file__).parent
+    room = Path(cloak_core.__file__).parent
     asking = {path.name for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
     assert asking == {"compiled.py", "backend.py", "view_files.py"}
 
@@ -156,7 +158,8 @@ ONLY_CPU = {"workspace.py", "edge_hash.py", "signed_area.py", "front.py"}
 
 def test_both_backends_have_the_same_files_and_stages() -> None:
     room = Path(backend.__file__).parent
-    cpu, plain = ({path.name for path in (room / name).glob("*.py")} for name in ("cpu", "torch"))
-    assert cpu == plain | ONLY_CPU
+    files_of = {name: {path.name for path in (room / name).glob("*.py")} for name in ("cpu", "torch")}
+    assert files_of["cpu"] == files_of["torch"] | ONLY_CPU
+    cpu, plain = (importlib.import_module(f"cloak_core.core.visibility.{name}") for name in ("cpu", "torch"))
     stages = {name for name in vars(backend.Backend) if not name.startswith("_")}
-    assert stages == set(backend.cpu_stages.__all__) == set(backend.torch_stages.__all__)
+    assert stages == set(cpu.__all__) == set(plain.__all__)
