@@ -23,7 +23,7 @@ from cloak_core.evaluation.wearing.renderer import PeopleRenderer
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, write_json, write_text
-from cloak_core.render.photographs.fits import fit_people
+from cloak_core.render.photographs.fits import fit_people, those_who_fit
 from cloak_core.scene.backdrops.backgrounds import Backgrounds
 from cloak_core.scene.cameras import Number
 from cloak_core.scene.photographs.people import People
@@ -105,6 +105,7 @@ def _judged(
 ) -> dict:
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
     fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
+    people = those_who_fit(people, fits)
     renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
     pages: list[Album | Rating] = []
     if folder is not None:
