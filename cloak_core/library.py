@@ -19,6 +19,7 @@ from cloak_core.attack.settings import TrainSettings, make_settings
 from cloak_core.attack.settings.values import Angles, from_plain
 from cloak_core.attack.training import train as train_logo
 from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.naming import full_spec
 from cloak_core.detectors.protocol import Detector
 from cloak_core.evaluation.settings import EvaluateSettings
 from cloak_core.evaluation.trained_run import read_run, trained_specs
@@ -288,4 +289,5 @@ def _by_name(
 ) -> dict[str, Detector]:
     if isinstance(detectors, Mapping):
         return dict(detectors)
-    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in _several(detectors)}
+    named = [full_spec(given) if isinstance(given, str) else given for given in _several(detectors)]
+    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in named}

@@ -60,12 +60,14 @@ class Harden(Computing):
     def run(self) -> dict:
         from cloak_core.defend.hardening import harden
         from cloak_core.defend.students import open_student
+        from cloak_core.detectors.naming import full_spec
         from cloak_core.scene.backdrops.backgrounds import load_backgrounds
         from cloak_core.scene.photographs.people import load_people
 
         self.prepare()
         if self.out.exists() and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
+        self.spec = full_spec(self.spec)
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)
         with TrainingProgress() as progress:
             result = harden(

@@ -106,8 +106,10 @@ class Detecting(Computing):
         return self.load_all([spec])[0]
 
     def by_spec(self, specs: Iterable[str]) -> dict[str, Detector]:
-        """Load each of the detectors once, by its spec."""
-        specs = tuple(dict.fromkeys(specs))
+        """Load each of the detectors once, by its full spec."""
+        from cloak_core.detectors.naming import full_spec
+
+        specs = tuple(dict.fromkeys(map(full_spec, specs)))
         return dict(zip(specs, self.load_all(specs), strict=True))
 
 

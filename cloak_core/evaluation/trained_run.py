@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.attack.events import read_events
-from cloak_core.detectors.loading import check_recorded, missing_file
+from cloak_core.detectors.loading import check_recorded
+from cloak_core.detectors.naming import BY_SUFFIX, missing_file
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -30,6 +31,8 @@ KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
 def read_run(folder: Path) -> dict:
     """Read a run's config.json; InputError when this is no finished run."""
     if not folder.is_dir():
+        if folder.suffix.lower() in BY_SUFFIX:
+            raise InputError(f"{folder}: a detector, not a run folder: name the run, and --detector {folder}")
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
     if not (folder / "config.json").exists():
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
