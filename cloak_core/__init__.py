@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from cloak_core.attack.loop import RunResult
     from cloak_core.attack.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
+    from cloak_core.detectors.objects import as_detector
     from cloak_core.detectors.protocol import Detections, Detector
     from cloak_core.evaluation.report.run_report import make_report
     from cloak_core.evaluation.settings import EvaluateSettings, FilmSettings
@@ -38,6 +39,7 @@ __all__ = [
     "People",
     "RunResult",
     "TrainSettings",
+    "as_detector",
     "evaluate",
     "film",
     "load_backgrounds",
@@ -65,6 +67,7 @@ _PLACES = {
     "People": "scene.photographs.people:People",
     "RunResult": "attack.loop:RunResult",
     "TrainSettings": "attack.settings:TrainSettings",
+    "as_detector": "detectors.objects:as_detector",
     "evaluate": "library:evaluate",
     "film": "library:film",
     "load_backgrounds": "scene.backdrops.backgrounds:load_backgrounds",

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from cloak_core.attack.events import read_events
+from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.loading import check_recorded
-from cloak_core.detectors.naming import BY_SUFFIX, missing_file
+from cloak_core.detectors.naming import BY_SUFFIX, behind_defences, missing_file
 from cloak_core.detectors.protocol import Detector, detector_record
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
@@ -56,6 +57,8 @@ def trained_specs(folder: Path, config: dict) -> list[str]:
     """
     specs = [check_recorded(record["spec"], folder) for record in config["detectors"]]
     for spec in specs:
+        if behind_defences(spec).family not in FAMILIES:
+            raise InputError(f"{folder}: trained against {spec}, an object of a program: give it again (detectors=...)")
         if (file := missing_file(spec)) is not None:
             raise InputError(
                 f"{folder}: trained against {spec}, and {file} is not here: name your copy of it, --detector SPEC"
