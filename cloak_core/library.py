@@ -133,8 +133,8 @@ def evaluate(
     `on_progress` hears (images done, images in all), in the calling thread.
 
     Returns what `cloak evaluate --json` prints, as a dict with a `to_frame()`: success under the logo and each control,
-    in [0, 1], per detector and by angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false
-    alarms. InputError: no finished run, a scene of another topology, nothing to evaluate on.
+    in [0, 1], per detector and by angle and body, with 95 % intervals; whether bodies and backgrounds were unseen;
+    false alarms. InputError: no finished run, a scene of another topology, nothing to evaluate on.
     """
     from cloak_core.evaluation.cloaked import open_cloaked
     from cloak_core.evaluation.evaluate import FOLDER

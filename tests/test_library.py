@@ -198,7 +198,7 @@ def test_modules_and_functions_are_detectors(tmp_path: Path) -> None:
     json.dumps(figures)
     with pytest.raises(cloak_core.InputError, match="trained against Mine, an object of a program: give it again"):
         cloak_core.evaluate(trained, bodies, noise_backgrounds(3))
-    with pytest.raises(cloak_core.InputError, match=r"detectors: int 3 is no detector: give a module, a function"):
+    with pytest.raises(cloak_core.InputError, match=r"detectors: int '3' is no detector: give a module, a function"):
         cloak_core.evaluate(trained, bodies, noise_backgrounds(3), [3])
     with pytest.raises(cloak_core.InputError, match="brightness: gives no gradients"):
         cloak_core.train(bodies, front_logo(bodies), brightness, noise_backgrounds(), **how | {"out": tmp_path / "x"})
