@@ -58,7 +58,7 @@ class SharingOptions:
         executor = self.executor()
         if executor is None:
             return
-        each = {"cores": compute.threads or 1, "gpus": 0.0 if compute.device == "cpu" else self.gpus_per_run}
+        each = {"cores": compute.threads or 1, "gpus": 0.0 if compute.device in ("cpu", "auto") else self.gpus_per_run}
         jobs = [Job(name, do, {"part": part}, **each) for name, part in parts]
         failed = []
         with contextlib.closing(hand_out(executor, jobs, err.print, "part")) as outcomes:

@@ -21,7 +21,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.report.pictures import to_pil
 from cloak_core.studies.wearing.clothes import CONTROLS, Clothes, read_clothes
@@ -105,6 +105,7 @@ def _judged(
 ) -> dict:
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
     fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
+    people = those_who_fit(people, fits)
     renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
     pages: list[Album | Rating] = []
     if folder is not None:
