@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cloak_core.core.loop import RunResult
     from cloak_core.core.settings import TrainSettings, make_settings
     from cloak_core.detectors.loading import load_detector
+    from cloak_core.detectors.objects import as_detector
     from cloak_core.exchange.bodies import Bodies
     from cloak_core.files.errors import InputError
     from cloak_core.library import evaluate, film, train, wear
@@ -38,6 +39,7 @@ __all__ = [
     "People",
     "RunResult",
     "TrainSettings",
+    "as_detector",
     "evaluate",
     "film",
     "load_backgrounds",
@@ -65,6 +67,7 @@ _PLACES = {
     "People": "scene.photographs.people:People",
     "RunResult": "attack.loop:RunResult",
     "TrainSettings": "attack.settings:TrainSettings",
+    "as_detector": "detectors.objects:as_detector",
     "evaluate": "library:evaluate",
     "film": "library:film",
     "load_backgrounds": "scene.backdrops.backgrounds:load_backgrounds",

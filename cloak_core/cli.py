@@ -5,11 +5,13 @@ Exit codes: 0 done, 1 a defect (with its traceback), 2 bad input (one line that 
 
 from __future__ import annotations
 
+import difflib
 import errno
 import importlib
 import json
 import os
 import sys
+from collections.abc import Iterable
 
 from cloak_core import __version__
 from cloak_core.commands.base import RANK, Command, Stopped, err, out, warn
@@ -25,6 +27,8 @@ GROUPS: dict[str, dict[str, str]] = {
         "zoo list": "zoo:List",
         "zoo show": "zoo:Show",
         "zoo export": "zoo:Export",
+        "version": "about:Version",
+        "completion": "about:Completion",
     },
     "Bodies and logos": {
         "scene sample": "scene:Sample",
@@ -160,6 +164,8 @@ def find(arguments: list[str]) -> tuple[str, list[str]]:
     """Split the arguments into a known command's words and its options; print help where no command is complete."""
     if arguments[:1] == ["--json"]:
         arguments = [*arguments[1:], "--json"]
+    if arguments[:1] == ["help"]:
+        arguments = [*arguments[1:], "--help"]
     if arguments[:1] == ["--version"]:
         print(json.dumps({"version": __version__}) if "--json" in arguments else __version__)
         sys.exit(0)
@@ -171,11 +177,17 @@ def find(arguments: list[str]) -> tuple[str, list[str]]:
     group = {name: place for name, place in COMMANDS.items() if given and name.startswith(given[0] + " ")}
     if given and not group:
         known = dict.fromkeys(name.split()[0] for name in COMMANDS)
-        raise InputError(f"unknown command '{given[0]}' (known: {', '.join(known)})")
+        raise InputError(f"unknown command '{given[0]}'{_near(given[0], known)}")
     if len(given) > 1:
-        raise InputError(f"unknown command '{words}' (known: {', '.join(group)})")
+        raise InputError(f"unknown command '{words}'{_near(words, group)}")
     print_help(group or COMMANDS)
     sys.exit(0 if {"-h", "--help", "--help-all"} & set(arguments) else 2)
+
+
+def _near(typed: str, known: Iterable[str]) -> str:
+    """Say which command may be meant, or which there are."""
+    near = difflib.get_close_matches(typed, list(known), 1, 0.7)
+    return f"; did you mean {near[0]}?" if near else f" (known: {', '.join(known)})"
 
 
 def load(name: str) -> type[Command]:

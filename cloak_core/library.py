@@ -19,13 +19,15 @@ from cloak_core.core.logo import Logo, load_logo
 from cloak_core.core.loop import RunResult
 from cloak_core.core.settings import TrainSettings, make_settings
 from cloak_core.core.settings.values import Angles, from_plain
-from cloak_core.detectors.loading import load_detector
+from cloak_core.detectors.naming import full_spec
+from cloak_core.detectors.objects import Given, as_detector, as_detectors
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.exchange.profiles import read_profile
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
 from cloak_core.sources.bodies.opening import load_scene
 from cloak_core.sources.photographs.people import People, load_people
+from cloak_core.studies.figures import Figures
 from cloak_core.studies.trained_run import read_run, trained_specs
 from cloak_core.studies.trainings.training import train as train_logo
 from cloak_core.zoo.entry import run_path
@@ -43,7 +45,7 @@ Named = str | os.PathLike
 def train(
     scene: Bodies | Named | None,
     logo: Logo | Named,
-    detectors: Detector | str | Sequence[Detector | str] = ("builtin",),
+    detectors: Given | Sequence[Given] = ("builtin",),
     backgrounds: Backgrounds | Named = "procedural:train",
     *,
     out: Named,
@@ -51,20 +53,21 @@ def train(
     resume: bool = False,
     on_event: OnEvent | None = None,
     inputs: Mapping[str, str] | None = None,
-    query_prior: Detector | str | Sequence[Detector | str] = (),
+    query_prior: Given | Sequence[Given] = (),
     people: People | Named | None = None,
     **changes: object,
 ) -> RunResult:
     """Train the logo's colours against the detectors, into the run folder `out`.
 
-    scene, logo, detectors and backgrounds are given as they are or by name (one detector may stand for a list of one);
+    scene, logo, detectors and backgrounds are given as they are or by name (one detector may stand for a list of one;
+    a module of your own, a torchvision model or a function on pictures is one, see `as_detector`);
     names are recorded in the run's config.json, and `inputs` beside them. people: in photographs (`load_people`, or a
     COCO file), shown beside the scene's renders, or alone where `scene` is None (the logo is then one of the sample
     bodies). How to train: `settings`, or `changes` of a preset by the names of `cloak train`'s options
     (`preset="best", steps=100, angles="-10:10:5"`). `query_prior`: detectors whose gradients lead a search by
-    questions. `on_event` hears every event that goes to events.jsonl, in the calling thread. SIGINT (in the main
-    thread), a file `cancel` in `out` or the time budget end it after the current step with a checkpoint; `resume` goes
-    on from there to the bit-identical result.
+    questions. `on_event` hears every event that goes to events.jsonl, in the calling thread; where it returns True, the
+    run ends after the step. So do SIGINT (in the main thread), a file `cancel` in `out` and the time budget, with a
+    checkpoint; `resume` goes on from there to the bit-identical result.
 
     Returns how the run ended; its `colors` [L, 3] are sRGB in [0, 1], in the order of `logo.face_ids`. Raises
     InputError, naming it, for whatever cannot be read, does not fit together, or cannot be trained against; a run
@@ -84,13 +87,13 @@ def train(
         settings,
         bodies,
         logo if isinstance(logo, Logo) else load_logo(bodies, logo),
-        [_detector(detector, settings.compute.device) for detector in _several(detectors)],
+        as_detectors(detectors, settings.compute.device),
         backgrounds if isinstance(backgrounds, Backgrounds) else load_backgrounds(backgrounds),
         out,
         resume=resume,
-        on_event=on_event,
+        on_event=None if on_event is None else _stopping(on_event, Path(out)),
         inputs={key: str(value) for key, value in named.items() if isinstance(value, Named)} | dict(inputs or {}),
-        query_prior=[_detector(detector, settings.compute.device) for detector in _several(query_prior)],
+        query_prior=as_detectors(query_prior, settings.compute.device),
         people=fits,
     )
 
@@ -99,7 +102,7 @@ def evaluate(
     run: RunResult | Named,
     scene: Bodies | Named | None = None,
     backgrounds: Backgrounds | Named | None = None,
-    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str] | None = None,
+    detectors: Mapping[str, Given] | Given | Sequence[Given] | None = None,
     *,
     colors: Named | None = None,
     profile: Named | None = None,
@@ -111,7 +114,7 @@ def evaluate(
     device: str = "cpu",
     on_progress: OnProgress | None = None,
     **changes: object,
-) -> dict:
+) -> Figures:
     """Measure what a run's colours are worth, beside controls on the same images, into RUN/evaluation or `out`.
 
     run: a run folder, what `train` returned, or zoo:NAME. colors: judge these on the run's logo instead: a .npy of
@@ -130,9 +133,9 @@ def evaluate(
     `settings`, or `changes` of the defaults by the names of `cloak evaluate`'s options (`images_per_view=2`).
     `on_progress` hears (images done, images in all), in the calling thread.
 
-    Returns what `cloak evaluate --json` prints: success under the logo and each control, in [0, 1], per detector and by
-    angle and body, with 95 % intervals; whether bodies and backgrounds were unseen; false alarms. InputError: no
-    finished run, a scene of another topology, nothing to evaluate on.
+    Returns what `cloak evaluate --json` prints, as a dict with a `to_frame()`: success under the logo and each control,
+    in [0, 1], per detector and by angle and body, with 95 % intervals; whether bodies and backgrounds were unseen;
+    false alarms. InputError: no finished run, a scene of another topology, nothing to evaluate on.
     """
     # They bring matplotlib, which training needs not.
     from cloak_core.studies import evaluate as on_bodies
@@ -174,7 +177,7 @@ def evaluate(
             return measure(shown.in_colors(path), settings=bare)
 
         summary["over_time"] = on_bodies.over_time(folder, judge, settings, curve)
-    return summary
+    return Figures(summary)
 
 
 def film(
@@ -182,7 +185,7 @@ def film(
     out: Named,
     scene: Bodies | Named | None = None,
     backgrounds: Backgrounds | Named | None = None,
-    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str] | None = None,
+    detectors: Mapping[str, Given] | Given | Sequence[Given] | None = None,
     *,
     colors: Named | None = None,
     settings: FilmSettings | None = None,
@@ -208,7 +211,7 @@ def film(
 def wear(
     colors: Named | Sequence[Named],
     people: People | Named,
-    detectors: Mapping[str, Detector] | Sequence[Detector | str],
+    detectors: Mapping[str, Given] | Given | Sequence[Given],
     backgrounds: Backgrounds | Named = "procedural:test",
     *,
     images: Named | None = None,
@@ -219,7 +222,7 @@ def wear(
     width_people: People | Named | None = None,
     width_detectors: Mapping[str, Detector] | Sequence[Detector | str] = (),
     **changes: object,
-) -> dict:
+) -> Figures:
     """Dress people in photographs in trained colours or pictures, and judge them beside controls.
 
     colors: each a run folder, zoo:NAME, PICTURE@tile=METRES or PICTURE@patch=METRES; PICTURE: a file, print:NAME, or a
@@ -245,7 +248,18 @@ def wear(
     choosers = _by_name(width_detectors, device) if len(width_detectors) else {}
     colors, widths = choose_widths(given, choosing, choosers, judging, scenes, settings, on_progress)
     more = {"widths": widths} if widths else None
-    return wear_and_judge(colors, *judging, scenes, None if out is None else Path(out), settings, on_progress, more)
+    folder = None if out is None else Path(out)
+    return Figures(wear_and_judge(colors, *judging, scenes, folder, settings, on_progress, more))
+
+
+def _stopping(on_event: OnEvent, out: Path) -> OnEvent:
+    """Have a listener that returns True end the run, as a file named `cancel` in its folder does."""
+
+    def listener(event: dict) -> None:
+        if on_event(event) is True:
+            (out / "cancel").touch()
+
+    return listener
 
 
 def _fitted(people: People | Named | None) -> list[Fit]:
@@ -264,18 +278,10 @@ def _either(settings: T | None, changes: dict, make: Callable[..., T]) -> T:
     return make(**changes) if settings is None else settings
 
 
-def _detector(detector: Detector | str, device: str) -> Detector:
-    return load_detector(detector, device=device) if isinstance(detector, str) else detector
-
-
-def _several(detectors: Detector | str | Sequence[Detector | str]) -> Sequence[Detector | str]:
-    """Make one detector, or one spec, a list of one."""
-    return [detectors] if isinstance(detectors, (Detector, str)) else detectors
-
-
-def _by_name(
-    detectors: Mapping[str, Detector] | Detector | str | Sequence[Detector | str], device: str
-) -> dict[str, Detector]:
+def _by_name(detectors: Mapping[str, Given] | Given | Sequence[Given], device: str) -> dict[str, Detector]:
+    """Make detectors of what is given, by the names in a mapping, else by their specs."""
     if isinstance(detectors, Mapping):
-        return dict(detectors)
-    return {given if isinstance(given, str) else given.spec: _detector(given, device) for given in _several(detectors)}
+        return {name: as_detector(given, device) for name, given in detectors.items()}
+    given = detectors if isinstance(detectors, (list, tuple)) else [detectors]
+    made = as_detectors(given, device)
+    return {full_spec(one) if isinstance(one, str) else d.spec: d for one, d in zip(given, made, strict=True)}

@@ -159,3 +159,75 @@ def test_bad_input_is_said_in_one_line(run, tmp_path: Path) -> None:
         cloak_core.evaluate(tmp_path, box_bodies(), noise_backgrounds(1))
     with pytest.raises(cloak_core.InputError, match="--scene: say what to evaluate on"):
         cloak_core.evaluate(run, detectors=[TinyDetector()])
+
+
+class Mine(torch.nn.Module):
+    """A researcher's module: it takes images and returns boxes and scores."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weights = torch.nn.Parameter(torch.tensor([3.0, -2.0, 1.0]))
+
+    def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        height, width = images.shape[2:]
+        boxes = images.new_tensor([0.0, 0.0, width, height]).expand(len(images), 1, 4)
+        return boxes, torch.sigmoid(images.mean(dim=(2, 3)) @ self.weights)[:, None]
+
+
+def brightness(picture: np.ndarray) -> tuple[list, list]:
+    """A black box on pictures, as somebody's service is one."""
+    assert picture.dtype == np.uint8 and picture.shape[2] == 3
+    return [[0, 0, picture.shape[1], picture.shape[0]]], [float(picture.mean()) / 255]
+
+
+@pytest.mark.slow
+def test_modules_and_functions_are_detectors(tmp_path: Path) -> None:
+    module, bodies = Mine().train(), box_bodies()
+    how = {"out": tmp_path / "run", **HOW}
+    trained = cloak_core.train(bodies, front_logo(bodies), [module, Mine()], noise_backgrounds(), **how)
+    assert trained.step == 4
+    assert module.training and module.weights.requires_grad, "the caller's module stays as it was"
+    recorded = json.loads((tmp_path / "run" / "config.json").read_text())["detectors"]
+    assert [record["spec"] for record in recorded] == ["Mine", "Mine-2"]
+    judges = [module, brightness]
+    figures = cloak_core.evaluate(trained, bodies, noise_backgrounds(3), judges, **LOOK)
+    assert figures["white_box"] == {"Mine": True, "brightness": False}
+    frame = figures.to_frame()
+    assert set(frame["detector"]) == {"Mine", "brightness"} and {"logo", "clothing"} <= set(frame["worn"])
+    assert frame["success"].between(0, 1).all() and (frame["low"] <= frame["high"]).all()
+    json.dumps(figures)
+    with pytest.raises(cloak_core.InputError, match="trained against Mine, an object of a program: give it again"):
+        cloak_core.evaluate(trained, bodies, noise_backgrounds(3))
+    with pytest.raises(cloak_core.InputError, match=r"detectors: int '3' is no detector: give a module, a function"):
+        cloak_core.evaluate(trained, bodies, noise_backgrounds(3), [3])
+    with pytest.raises(cloak_core.InputError, match="brightness: gives no gradients"):
+        cloak_core.train(bodies, front_logo(bodies), brightness, noise_backgrounds(), **how | {"out": tmp_path / "x"})
+
+
+def test_a_torchvision_model_is_a_detector_as_its_spec_is() -> None:
+    from torchvision.models import detection
+
+    torch.manual_seed(0)
+    model = detection.ssdlite320_mobilenet_v3_large(weights=None, weights_backbone=None).train()
+    detector = cloak_core.as_detector(model)
+    assert type(detector).__name__ == "DenseDetector" and detector.person == 1 and model.training
+    found = detector(torch.rand(2, 3, 96, 96))
+    assert found.scores.shape[0] == 2 and 0 <= float(found.scores.min()) <= float(found.scores.max()) <= 1
+
+
+def test_a_module_that_returns_something_else_is_named() -> None:
+    with pytest.raises(cloak_core.InputError, match=r"Linear: .*must return \(boxes, scores\)"):
+        cloak_core.as_detector(torch.nn.Linear(3, 3))(torch.rand(1, 3, 3, 3))
+
+
+@pytest.mark.slow
+def test_a_listener_that_returns_true_ends_the_run(tmp_path: Path) -> None:
+    heard = []
+
+    def listener(event: dict) -> bool:
+        heard.append(event["type"])
+        return event["type"] == "step" and event["step"] == 2
+
+    result = train(tmp_path / "run", on_event=listener)
+    assert result.step == 2 and result.stopped and "step" in heard
+    assert train(tmp_path / "run", resume=True).step == 4

@@ -61,6 +61,9 @@ class Assess(Splitting, Detecting, Sharing):
     """JUnit XML file of the bounds in --gate, for CI."""
 
     def run(self) -> dict:
+        from cloak_core.detectors.naming import full_spec
+
+        self.specs = tuple(map(full_spec, self.specs))
         self._budget()
         bounds = self._bounds()
         self.sharing.spread(self._parts(), self.compute)

@@ -58,6 +58,7 @@ class Harden(Computing):
     settings: Annotated[OmitArgPrefixes[HardenSettings], arg(name="hardening")] = field(default_factory=HardenSettings)
 
     def run(self) -> dict:
+        from cloak_core.detectors.naming import full_spec
         from cloak_core.sources.backdrops.backgrounds import load_backgrounds
         from cloak_core.sources.photographs.people import load_people
         from cloak_core.studies.hardening.hardening import harden
@@ -66,6 +67,7 @@ class Harden(Computing):
         self.prepare()
         if self.out.exists() and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
+        self.spec = full_spec(self.spec)
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)
         with TrainingProgress() as progress:
             result = harden(

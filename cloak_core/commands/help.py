@@ -69,6 +69,12 @@ def one_command(cls: type[Command], name: str, default: Command | None, everythi
     return "\n".join(lines) + "\n"
 
 
+def flags(cls: type[Command]) -> dict[str, str]:
+    """List a command's options as they are typed, --steps, each with the first sentence of what it means."""
+    options = (option for _, _, options in _groups(cls, None) for option in options if not option.positional)
+    return {option.name.split()[0]: summary(option.words) for option in options}
+
+
 def summary(words: str) -> str:
     """Take a docstring's first sentence: up to a full stop that a capital follows."""
     paragraph = " ".join(words.strip().partition("\n\n")[0].split())

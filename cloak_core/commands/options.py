@@ -9,15 +9,16 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from cloak_core.commands.base import Command
+from cloak_core.commands.base import Command, err, warn
 from cloak_core.core.settings import check_settings
 from cloak_core.core.settings.components import ComputeSettings
+from cloak_core.files.errors import first_line
 
 if TYPE_CHECKING:
     from cloak_core.core.detector.protocol import Detector
@@ -39,6 +40,23 @@ def prepare_process(settings: ComputeSettings) -> None:
         import torch
 
         torch.set_num_threads(settings.threads)
+
+
+def chosen_device(device: str) -> str:
+    """Choose what "auto" stands for: CUDA where it works, and say so, else the CPU. Other names stay."""
+    if device != "auto":
+        return device
+    import torch
+
+    if not torch.cuda.is_available():
+        return "cpu"
+    try:
+        torch.zeros(1, device="cuda").add_(1).item()
+    except RuntimeError as error:
+        warn(f"CUDA is there and does not work ({first_line(error)}): computing on the CPU")
+        return "cpu"
+    err.print(f"computing on {torch.cuda.get_device_name()} (--device cpu for the CPU)")
+    return "cuda"
 
 
 def keep_freed_memory() -> bool:
@@ -82,10 +100,13 @@ class DetectorOptions:
 class Computing(Command):
     """A command that computes."""
 
-    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(default_factory=ComputeSettings)
+    compute: Annotated[OmitArgPrefixes[ComputeSettings], arg(name="computing")] = field(
+        default_factory=lambda: ComputeSettings(device="auto")
+    )
 
     def prepare(self) -> None:
-        """Ready the process for computing. InputError: no such device, or number of threads."""
+        """Ready the process for computing, and choose the device. InputError: no such one, or number of threads."""
+        self.compute = replace(self.compute, device=chosen_device(self.compute.device))
         prepare_process(self.compute)
 
 
@@ -106,8 +127,10 @@ class Detecting(Computing):
         return self.load_all([spec])[0]
 
     def by_spec(self, specs: Iterable[str]) -> dict[str, Detector]:
-        """Load each of the detectors once, by its spec."""
-        specs = tuple(dict.fromkeys(specs))
+        """Load each of the detectors once, by its full spec."""
+        from cloak_core.detectors.naming import full_spec
+
+        specs = tuple(dict.fromkeys(map(full_spec, specs)))
         return dict(zip(specs, self.load_all(specs), strict=True))
 
 

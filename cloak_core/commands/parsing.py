@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import io
 import re
 import types
 import typing
+from collections.abc import Iterable
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from cloak_core.commands.base import Command
-from cloak_core.commands.help import FOUR_DEEP, missing, one_command, usage
+from cloak_core.commands.help import FOUR_DEEP, flags, missing, one_command, usage
 from cloak_core.core.settings.values import Parsable
 from cloak_core.files.errors import InputError
 
@@ -60,6 +62,10 @@ def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) ->
     """Say why tyro refused, on one line; with the usage where something is missing."""
     needs = missing(cls, boxed)
     _, _, unknown = boxed.partition("Unrecognized options:")
+    known = flags(cls)
+    strange_flags = [word for word in map(_flag, arguments) if word.startswith("--") and word not in known]
+    if strange_flags and unknown:
+        return _unknown_flag(strange_flags[0], known)
     words = [word for word in FOUR_DEEP.findall(unknown) if not word.startswith("cloak ")]
     if value := re.search(r"Missing value for argument '(\w+)'", boxed):
         # tyro says this of what stands without a name when the first word is an option it does not know.
@@ -68,6 +74,16 @@ def _refusal(cls: type[Command], name: str, boxed: str, arguments: list[str]) ->
         return _one_line(boxed)
     strange = f"unknown: {' '.join(words)}; " if words else ""
     return f"{strange}needs {', '.join(needs)}; usage: {usage(cls, name)}"
+
+
+def _flag(argument: str) -> str:
+    """Give the option that an argument names, as help writes it: --tv_weight=3 is --tv-weight."""
+    return argument.partition("=")[0].replace("_", "-")
+
+
+def _unknown_flag(flag: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(flag, list(known), 1, 0.6)
+    return f"unknown option {flag}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def _one_line(boxed: str) -> str:
@@ -80,7 +96,21 @@ def _one_line(boxed: str) -> str:
             break
         if line.strip("─-"):
             kept.append(line)
-    return re.sub(_CHOICE, _choice_words, " ".join(kept)).removeprefix("Error parsing ") or "not understood"
+    words = " ".join(kept).removeprefix("Value error ").removeprefix("Error parsing ")
+    for form, worded in ((_CHOICE, _choice_words), *_PYTHON.items()):
+        words = re.sub(form, worded, words)
+    return words or "not understood"
+
+
+_PYTHON = {
+    r"no type matching \S*INT could be instantiated from \[('.*?')\].*": r"\1 is not a whole number",
+    r"no type matching \S*FLOAT could be instantiated from \[('.*?')\].*": r"\1 is not a number",
+    r"invalid literal for int\(\) with base 10: ('.*')": r"\1 is not a whole number",
+    r"could not convert string to float: ('.*')": r"\1 is not a number",
+    r"^settings: (?=--)": "",
+    r"Unrecognized options: ": "not understood: ",
+}
+"""What Python and tyro say of a value -> what it means to people."""
 
 
 _CHOICE = r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\."

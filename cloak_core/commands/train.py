@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -45,7 +45,7 @@ class Train(Detecting):
     )
 
     scene: str | None = None
-    """Bodies to train on: scene folder, .npz, or sample:train. Not needed with --people."""
+    """Bodies to train on: scene folder, .npz, or sample:train (the default without --people)."""
     people: str | None = None
     """People in photographs to train on, beside or instead of --scene: a COCO file with masks and landmarks;
     PEOPLE.json[0::2] takes every second photograph."""
@@ -98,7 +98,9 @@ class Train(Detecting):
         in_file = {} if config is None else read_toml(Path(config))
         begun = _as_begun(arguments, str(given.get("preset", in_file.get("preset", "best"))))
         try:
-            settings = components_from_record(merge(begun, {k.replace("-", "_"): v for k, v in in_file.items()}, given))
+            settings = components_from_record(
+                merge({"device": "auto"}, begun, {k.replace("-", "_"): v for k, v in in_file.items()}, given)
+            )
         except InputError as error:
             raise InputError(f"{config or 'the run'}: {error}") from None
         settings["length"] = settings.pop("run")
@@ -120,8 +122,12 @@ class Train(Detecting):
         from cloak_core.library import train
         from cloak_core.sources.photographs.people import load_people
 
-        settings = self.settings
+        settings = self.settings  # checked before anything is done
+        if self.resume and self.compute.device == "auto" and _begun_on_the_cpu(self.out):
+            self.compute = replace(self.compute, device="cpu")
         self.prepare()
+        settings = self.settings
+        scene = self.scene or (None if self.people else "sample:train")
         listeners = [TrainingProgress(silent=bool(RANK))]
         if self.tensorboard and not RANK:
             listeners.append(TensorBoardEvents(self.out))
@@ -140,7 +146,7 @@ class Train(Detecting):
             for listener in listeners:
                 stack.enter_context(listener)
             result = train(
-                self.scene,
+                scene,
                 self.logo,
                 detectors,
                 self.backgrounds,
@@ -166,6 +172,13 @@ class Train(Detecting):
             out.print(f"{result['queries']} images asked; success on each round's new images: {shares}")
         if result.get("stopped"):
             raise Stopped(result["stopped"])
+
+
+def _begun_on_the_cpu(run: Path) -> bool:
+    """Tell whether a run was begun on the CPU: it goes on there, also where there is a GPU by now."""
+    recorded = run / "config.json"
+    environment = read_json(recorded).get("environment") if recorded.is_file() else None
+    return isinstance(environment, dict) and environment.get("device") == "cpu"
 
 
 def _as_begun(arguments: list[str], preset: str) -> dict[str, object]:

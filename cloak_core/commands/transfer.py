@@ -120,6 +120,9 @@ class Transfer(Splitting, Detecting, Sharing):
             raise InputError("--circle: of renders; photographs are seen from where they were taken")
         if not self.detector:
             raise InputError("--detector: none given; name several, for each is judged on the training without it")
+        from cloak_core.detectors.naming import full_spec
+
+        self.detector, self.judge = (tuple(map(full_spec, specs)) for specs in (self.detector, self.judge))
         specs = tuple(dict.fromkeys((*self.detector, *self.judge)))
         split = self.split(self.by_spec(specs))
         options = StoreOptions(

@@ -51,18 +51,17 @@ class Family:
     needs: str | None = None
     """The package beyond the project's own dependencies, None for none."""
 
-    def load(self, request: Request) -> Detector:
-        """Load the detector, frozen, on the CPU.
-
-        InputError: a spec of another form, an option that means nothing here, and whatever the loader cannot find, read
-        or understand.
-        """
+    def check(self, request: Request) -> None:
+        """Check a spec before any file is read. InputError: another form, an option that means nothing here."""
         (least, most), parts = self.parts, request.parts
         if not least <= len(parts) <= (len(parts) if most is None else most) or not all(parts):
             raise InputError(f"detector {request.spec!r}: expected {self.spec}, @OPTIONS at the end if wanted")
         for name, why in self.refuses.items():
             if getattr(request, name) not in (None, False, PERSON):
                 raise InputError(f"detector {request.spec!r}: {why}")
+
+    def load(self, request: Request) -> Detector:
+        """Load the detector, frozen, on the CPU. InputError: whatever the loader cannot find, read or understand."""
         module, _, function = self.loader.partition(":")
         return getattr(importlib.import_module(f"cloak_core.detectors.{module}"), function)(request)
 

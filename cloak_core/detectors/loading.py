@@ -8,23 +8,12 @@ import torch
 
 from cloak_core.core.detector.devices import usable_device
 from cloak_core.core.detector.protocol import Detections, Detector
-from cloak_core.detectors.defended.table import list_defences, read_head, split_defence
+from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
+from cloak_core.detectors.naming import behind_defences, full_spec, require_files
 from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError
 
-FILES = {
-    ".pt": "ultralytics:{}",
-    ".yaml": "ultralytics:{}",
-    ".onnx": "onnx:{}",
-    ".xml": "openvino:{}",
-    ".tflite": "tflite:{}",
-    ".cfg": "darknet:{}:WEIGHTS",
-    ".weights": "darknet:CFG:{}",
-    ".pth": "torchvision:NAME:{}",
-    ".py": "python:{}:FUNCTION",
-}
-"""Specs of files by their suffix."""
 PRECISIONS = ("float32", "bfloat16", "auto")
 
 
@@ -43,11 +32,12 @@ def load_detector(
 ) -> Detector:
     """Load the detector that `spec` names, frozen, on `device`.
 
-    `families.FAMILIES` has the forms of specs. At the end of any, options after an @ and joined by commas: `224` or
-    `HEIGHTxWIDTH` sets the network's input size, `letterbox` keeps the aspect ratio instead of stretching,
-    `person=CLASS` says which class to look for, by name or index ("person" unless told). The arguments `input_size` (a
-    side, or (height, width)), `letterbox` and `person_class` do the same and win, and `layout` is that of an ONNX
-    model's outputs. The detector's own `spec` always says which class it looks for.
+    `families.FAMILIES` has the forms of specs; a file alone is taken by its suffix (`naming.full_spec`). At the end of
+    any, options after an @ and joined by commas: `224` or `HEIGHTxWIDTH` sets the network's input size, `letterbox`
+    keeps the aspect ratio instead of stretching, `person=CLASS` says which class to look for, by name or index
+    ("person" unless told). The arguments `input_size` (a side, or (height, width)), `letterbox` and `person_class` do
+    the same and win, and `layout` is that of an ONNX model's outputs. The detector's own `spec` always says which class
+    it looks for.
 
     `precision`: "float32"; "bfloat16" (see `Detector`); "auto", bfloat16 where the device gains. `compiled` runs it
     through torch.compile. `download` allows official weights to be fetched where they are missing; without it nothing
@@ -55,6 +45,7 @@ def load_detector(
     Before any spec may stand defences, `jpeg=75:SPEC` (`defended.table.DEFENCES`); all else is said of the detector
     behind them. InputError names whatever cannot be found, read or understood.
     """
+    spec = full_spec(spec)
     if (defended := split_defence(spec)) is not None:
         from cloak_core.detectors.defended.detector import defend
 
@@ -67,18 +58,12 @@ def load_detector(
         return detector
     request = replace(parse_spec(spec), layout=layout, download=download, fold=fold)
     request = _told(request, input_size, letterbox, person_class)
-    if request.family not in FAMILIES:
-        if (meant := _meant(spec)) is not None:
-            raise InputError(f"detector {spec!r}: names no family; {meant}?")
-        forms = " | ".join(family.spec for family in FAMILIES.values())
-        before = " | ".join(defence["spec"] for defence in list_defences())
-        raise InputError(
-            f"detector {spec!r}: unknown family {request.family!r}; expected {forms}, then @OPTIONS; "
-            f"or a defence before one: {before}"
-        )
+    family = FAMILIES[request.family]
+    family.check(request)
+    require_files(request.spec)
     place = usable_device(device)
     chosen = _precision(precision, place)
-    detector = FAMILIES[request.family].load(request).to(place)
+    detector = family.load(request).to(place)
     detector.precision = chosen
     if request.confidence is not None:
         detector.operating_point, detector.operating_point_assumed = request.confidence, False
@@ -91,31 +76,12 @@ def check_recorded(spec: str, whose: str | Path) -> str:
     Every spec that the caller did not name goes through here: records come with other people's files, and code runs
     only where the caller names it. `whose`: the record, for the message.
     """
-    family = FAMILIES.get(_behind_defences(spec).family)
+    family = FAMILIES.get(behind_defences(spec).family)
     if family is not None and family.runs_code:
         raise InputError(
             f"{whose}: names the detector {spec}, which runs code; only code that you name is run: --detector {spec}"
         )
     return spec
-
-
-def missing_file(spec: str) -> Path | None:
-    """Find the first file of a spec that is not there; None where all are, or it names none."""
-    parts = map(Path, _behind_defences(spec).parts)
-    files = (part for part in parts if part.suffix in FILES and part.suffix != ".yaml")  # ultralytics ships such names
-    return next((file for file in files if not file.expanduser().exists()), None)
-
-
-def _behind_defences(spec: str) -> Request:
-    while (defended := split_defence(spec)) is not None:
-        spec = defended[1]
-    return parse_spec(spec)
-
-
-def _meant(spec: str) -> str | None:
-    """Guess the spec that was meant by a file without its family; None where there is no guess."""
-    suffix = Path(parse_spec(spec).family).suffix.lower()
-    return FILES[suffix].format(spec) if suffix in FILES else None
 
 
 def _told(request: Request, size: int | tuple[int, int] | None, letterbox: bool, person_class: str | None) -> Request:

@@ -13,7 +13,9 @@ import numpy as np
 
 from cloak_core.core.detector.protocol import Detector, detector_record
 from cloak_core.core.events import read_events
-from cloak_core.detectors.loading import check_recorded, missing_file
+from cloak_core.detectors.families import FAMILIES
+from cloak_core.detectors.loading import check_recorded
+from cloak_core.detectors.naming import BY_SUFFIX, behind_defences, missing_file
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.files.likeness import pose_shape, similar_looks, similar_poses
@@ -31,6 +33,8 @@ KEPT_BACK = {"scene": ":unseen", "backgrounds": ":test"}
 def read_run(folder: Path) -> dict:
     """Read a run's config.json; InputError when this is no finished run."""
     if not folder.is_dir():
+        if folder.suffix.lower() in BY_SUFFIX:
+            raise InputError(f"{folder}: a detector, not a run folder: name the run, and --detector {folder}")
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
     if not (folder / "config.json").exists():
         raise InputError(f"{folder}: not a run folder (no config.json in it)")
@@ -54,6 +58,8 @@ def trained_specs(folder: Path, config: dict) -> list[str]:
     """
     specs = [check_recorded(record["spec"], folder) for record in config["detectors"]]
     for spec in specs:
+        if behind_defences(spec).family not in FAMILIES:
+            raise InputError(f"{folder}: trained against {spec}, an object of a program: give it again (detectors=...)")
         if (file := missing_file(spec)) is not None:
             raise InputError(
                 f"{folder}: trained against {spec}, and {file} is not here: name your copy of it, --detector SPEC"

@@ -63,7 +63,7 @@ def test_bad_input_is_one_line_and_exit_code_2(arguments, words):
 
 
 DO_SOMETHING_BARE = {
-    "demo", "zoo list", "zoo reproduce", "detectors list", "bench growth", "bench stability", "bench step",
+    "demo", "version", "zoo list", "zoo reproduce", "detectors list", "bench growth", "bench stability", "bench step",
     "bench detectors", "bench intervals",
 }  # fmt: skip
 
@@ -89,7 +89,7 @@ def test_a_part_of_what_is_needed(capsys):
     for line, needs in (
         ("train --scene sample", "needs --logo, --out"),
         ("print --out x", "needs RUN_FOLDER"),
-        ("train --scen x", "unknown: --scen x; needs --logo, --out"),
+        ("train --scen x", "unknown option --scen; did you mean --scene?"),
         ("logo transfer --to x", "needs --from, --logo, --out"),
         ("detectors check --detector x", "unknown: --detector; needs SPEC"),
     ):

@@ -6,9 +6,10 @@ import json
 import pytest
 import torch
 
+from cloak_core.cli import parse
 from cloak_core.commands.demo import Demo
 from cloak_core.commands.evaluate import Evaluate
-from cloak_core.commands.options import prepare_process
+from cloak_core.commands.options import chosen_device, prepare_process
 from cloak_core.commands.train import Train
 from cloak_core.core.settings.components import ComputeSettings
 from cloak_core.exchange.scenes import write_scene
@@ -114,3 +115,58 @@ def test_a_run_on_an_exported_sample_is_evaluated_without_being_told_on_what(tmp
     monkeypatch.setattr("cloak_core.studies.cloaked.load_scene", load_scene)
     with pytest.raises(Opened, match="sample:unseen"):
         Evaluate(run_folder=run).run()
+
+
+class FakeCuda:
+    """A torch.cuda that is there, or not, and works, or not."""
+
+    def __init__(self, monkeypatch, there, works):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda: there)
+        monkeypatch.setattr(torch.cuda, "get_device_name", lambda device=None: "NVIDIA Fake")
+        zeros = torch.zeros
+
+        def made(*size, device=None, **options):
+            if device == "cuda" and not works:
+                raise RuntimeError("CUDA error: no kernel image is available")
+            return zeros(*size, **options)
+
+        monkeypatch.setattr(torch, "zeros", made)
+
+
+@pytest.mark.parametrize(
+    ("there", "works", "chosen", "words"),
+    [
+        (False, False, "cpu", ""),
+        (True, False, "cpu", "CUDA is there and does not work (CUDA error: no kernel image is available)"),
+        (True, True, "cuda", "computing on NVIDIA Fake"),
+    ],
+)
+def test_auto_is_cuda_where_it_works(there, works, chosen, words, monkeypatch, capsys):
+    FakeCuda(monkeypatch, there, works)
+    assert chosen_device("auto") == chosen
+    said = capsys.readouterr().err
+    assert words in said and bool(said) == bool(words)
+    assert chosen_device("cuda:1") == "cuda:1"
+
+
+def test_auto_is_the_default_and_a_run_goes_on_where_it_began(tmp_path, monkeypatch):
+    FakeCuda(monkeypatch, True, True)
+    asked = []
+    monkeypatch.setattr("cloak_core.commands.options.prepare_process", lambda compute: asked.append(compute.device))
+    monkeypatch.setattr("cloak_core.library.train", lambda *given, **more: pytest.fail("far enough"))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text(json.dumps({"environment": {"device": "cpu"}}))
+    words = ["--logo", "chest", "--detector", "none.onnx", "--out"]
+    for more in ([str(tmp_path / "new")], [str(tmp_path / "run"), "--resume"]):
+        with pytest.raises(InputError, match=r"none\.onnx: no such file"):
+            parse("train", [*words, *more]).run()
+    assert asked == ["cuda", "cpu"]
+
+
+def test_training_needs_no_scene(tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr("cloak_core.library.train", lambda scene, *others, **more: given.append(scene) or None)
+    for more in ([], ["--scene", "sample:unseen"]):
+        with pytest.raises(AttributeError):  # of the result, which the fake has not
+            parse("train", ["--logo", "chest", "--out", str(tmp_path / "new"), *more]).run()
+    assert given == ["sample:train", "sample:unseen"]

@@ -214,6 +214,8 @@ PRINTED = [
     "zoo show builtin-sample",
     "zoo reproduce builtin-sample",
     "zoo export builtin-sample --out ENTRY",
+    "version",
+    "completion bash",
     "film RUN --scene UNSEEN --out film.gif",
     "judge PHOTOS --detector builtin",
 ]

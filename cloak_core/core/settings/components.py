@@ -23,7 +23,7 @@ class ComputeSettings:
     # A command prepares its process by them (`commands.options`); functions leave the process as it is.
 
     device: str = "cpu"
-    """Torch device: cpu, cuda, cuda:1."""
+    """Torch device: auto (CUDA where it works, else the CPU), cpu, cuda, cuda:1."""
     threads: Annotated[int | None, Bounds(1, 4096)] = None
     """CPU threads of torch; None leaves them as they are. Bit-identical results need equal numbers."""
 

@@ -66,11 +66,18 @@ def load_torchvision(request: Request) -> Detector:
     model.eval()
     if request.fold:
         fold_batch_norm(model)
+    return wrapped(model, person, name, request.spec, known, channels_last=request.fold)
+
+
+def wrapped(
+    model: nn.Module, person: int, name: str, spec: str, names: tuple[str, ...] | None, channels_last: bool
+) -> Detector:
+    """Make a frozen detector of a torchvision detection model; names: of its classes, None where nobody said."""
     kind = TwoStageDetector if isinstance(model, detection.generalized_rcnn.GeneralizedRCNN) else DenseDetector
-    detector = kind(model, person, name, request.spec, channels_last=request.fold)
-    detector.class_names = known
+    detector = kind(model, person, name, spec, channels_last=channels_last)
+    detector.class_names = names
     scored_apart = isinstance(model, detection.RetinaNet | detection.FCOS)
-    if scored_apart and (known is None or known[0] != BACKGROUND):
+    if scored_apart and (names is None or names[0] != BACKGROUND):
         detector.first_class = 0
     sizes = (model.transform.min_size, model.transform.max_size, model.transform.fixed_size)
     detector.source = {"model": name, "transform": str(sizes), "person": person}

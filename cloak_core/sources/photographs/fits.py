@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 from safetensors.numpy import load, save
 
 from cloak_core.files.caching import DiskCache, cache_folder
+from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_record
 from cloak_core.sources.photographs.fitting import Fit, Fitter
 from cloak_core.sources.photographs.people import People, Person
@@ -16,11 +17,16 @@ from cloak_core.sources.photographs.people import People, Person
 VERSION = 1
 """Raised by hand whenever fits of the same person come out differently."""
 LIMIT = 2 << 30
+LEAST_COVERED, MOST_SPILLED = 0.4, 0.6
+"""Shares of the mask and of the body. Of 171 people in photographs, fits cover 0.61 to 0.92 and spill 0.01 to 0.44."""
 _STORED = tuple(field.name for field in fields(Fit) if field.name not in ("person", "quality", "scale"))
 
 
 def fit_people(people: People, on_progress: Callable[[int, int], None] | None = None) -> list[Fit]:
-    """Fit every person; those fitted before come from the cache. `on_progress` hears (people done, people in all)."""
+    """Fit every person; those fitted before come from the cache. `on_progress` hears (people done, people in all).
+
+    People whom the body does not fit (`fits_well`) are missing; `those_who_fit` counts them. InputError: it fits none.
+    """
     files = DiskCache(cache_folder("fits"), ".safetensors", LIMIT, "fits of people")
     fitter: Fitter | None = None
     found = []
@@ -32,9 +38,12 @@ def fit_people(people: People, on_progress: Callable[[int, int], None] | None = 
             packed = _packed(fitter.fit(person))
             files.put(name, packed)
         # Read back either way: a fit has the same bits the first time and later.
-        found.append(_unpacked(packed if data is None else data.tobytes(), person))
+        fit = _unpacked(packed if data is None else data.tobytes(), person)
+        found += [fit] if fits_well(fit) else []
         if on_progress is not None:
             on_progress(number + 1, len(people))
+    if not found and len(people):
+        raise InputError(f"{people.name}: the body fits none of its {len(people)} people (landmarks of other people?)")
     return found
 
 
@@ -46,6 +55,18 @@ def person_identity(person: Person) -> str:
 def people_identity(people: Iterable[Person]) -> str:
     """SHA-256 (hex) of people in their order, as they are dressed; names of files and photographs decide nothing."""
     return sha256_record([person_identity(person) for person in people])
+
+
+def fits_well(fit: Fit) -> bool:
+    """Tell whether the body covers a person's mask well enough to lay colours onto it."""
+    return fit.quality["covered"] >= LEAST_COVERED and fit.quality["spilled"] <= MOST_SPILLED
+
+
+def those_who_fit(people: People, fits: Sequence[Fit]) -> People:
+    """Select the people of these fits, in their order; the others are left out, "does not fit"."""
+    missing = len(people) - len(fits)
+    left_out = people.left_out | ({"does not fit": missing} if missing else {})
+    return replace(people, people=tuple(fit.person for fit in fits), left_out=left_out)
 
 
 def _packed(fit: Fit) -> bytes:

@@ -133,7 +133,8 @@ class Fitter:
         row[pixels[coverage > 0.5]] = np.flatnonzero(coverage > 0.5)
         row = row.reshape(person.mask.shape)
         most = _largest(crow, share)
-        main = np.where(row >= 0, triangle[most[row]], -1)
+        main = np.full(row.shape, -1)
+        main[row >= 0] = triangle[most[row[row >= 0]]]
         chosen, source = self._drawn_out(row, main, person)
         counts = np.diff(crow)[source]
         entry = np.repeat(crow[source] - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())

@@ -21,7 +21,7 @@ from cloak_core.exchange.profiles import Profile
 from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays, sha256_record
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
-from cloak_core.sources.photographs.fits import fit_people, people_identity
+from cloak_core.sources.photographs.fits import fit_people, people_identity, those_who_fit
 from cloak_core.sources.photographs.people import People, load_people
 from cloak_core.sources.photographs.views import logo_positions
 from cloak_core.studies.evaluate import check_folder, evaluate_renderer
@@ -134,9 +134,10 @@ def evaluate_dressed(
     fits, framing = fit_people(dressed.people), WearSettings(size=settings.size)
     device = next(iter(detectors.values())).device
     renderer = PeopleRenderer(fits, [dressed.worn], dressed.backgrounds, framing, device)
-    people = {"people": len(dressed.people), "photographs": len(dressed.people.photographs)}
+    shown = those_who_fit(dressed.people, fits)
+    people = {"people": len(shown), "photographs": len(shown.photographs)}
     circumstances = people | {
-        "left_out": dressed.people.left_out,
+        "left_out": shown.left_out,
         "fit": mean_quality(fits),
         "settings": {key: getattr(settings, key) for key in SETTINGS} | {"context": framing.context},
         "inputs": people | {"backgrounds": len(dressed.backgrounds), "identity": dressed.identity},

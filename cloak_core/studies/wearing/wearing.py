@@ -20,7 +20,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
 from cloak_core.files.writing import new_folder, write_json, write_text
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
-from cloak_core.sources.photographs.fits import fit_people
+from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
 from cloak_core.sources.photographs.people import People
 from cloak_core.studies.report.pictures import to_pil
@@ -37,13 +37,14 @@ def wear_and_judge(
     out: Path | None = None,
     settings: WearSettings | None = None,
     on_progress: OnProgress | None = None,
+    more: Mapping[str, object] | None = None,
 ) -> dict:
     """Dress people in each of `colors` and in the controls, and judge them.
 
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
     ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
-    Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
+    more: what the result says besides. Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
     clothes = [read_clothes(color) if isinstance(color, str) else color for color in colors]
@@ -56,11 +57,11 @@ def wear_and_judge(
     if out is None:
         if settings.pairs:
             raise InputError("--pairs: needs --out, the folder that the page is written to")
-        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None)
+        return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
     if out.exists():
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
+        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder) | dict(more or {})
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
 
@@ -76,6 +77,7 @@ def _judged(
 ) -> dict:
     """Dress every fitted person in everything and ask every detector; also about backgrounds without people."""
     fits, points = fit_people(people), {spec: detector.operating_point for spec, detector in detectors.items()}
+    people = those_who_fit(people, fits)
     renderer = PeopleRenderer(fits, clothes, backgrounds, settings, next(iter(detectors.values())).device)
     pages: list[Album | Rating] = []
     if folder is not None:

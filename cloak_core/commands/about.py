@@ -1,0 +1,118 @@
+"""`cloak version` and `cloak completion`: what this is, and how a shell completes it."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from tyro.conf import Positional
+
+from cloak_core import __version__
+from cloak_core.commands.base import Command, out
+
+
+@dataclass(kw_only=True)
+class Version(Command):
+    """Say which version this is, and of what it is made: what a report of a defect begins with."""
+
+    def run(self) -> dict:
+        from cloak_core.files.identity import package_versions
+
+        packages = package_versions("torch", "torchvision", "numba", "numpy")
+        return {"version": __version__, "python": platform.python_version(), "system": platform.platform()} | packages
+
+    def show(self, result: dict) -> None:
+        out.print(f"cloak {result['version']}")
+        out.print(", ".join(f"{name} {value}" for name, value in result.items() if name != "version"))
+
+
+@dataclass(kw_only=True)
+class Completion(Command):
+    """Print a script with which a shell completes commands and options.
+
+    bash: eval "$(cloak completion bash)" in ~/.bashrc. zsh: the same in ~/.zshrc. fish: cloak completion fish >
+    ~/.config/fish/completions/cloak.fish
+    """
+
+    example = "bash"
+
+    shell: Positional[Literal["bash", "zsh", "fish"]]
+    """The shell: bash, zsh or fish."""
+
+    def run(self) -> dict:
+        from cloak_core.cli import COMMANDS, load
+        from cloak_core.commands.help import flags, summary
+
+        known = {name: (summary(cls.__doc__ or ""), flags(cls)) for name in COMMANDS for cls in [load(name)]}
+        lines = _fish(known) if self.shell == "fish" else _bash(known, self.shell)
+        return {"shell": self.shell, "script": "\n".join(lines) + "\n"}
+
+    def show(self, result: dict) -> None:
+        print(result["script"], end="")
+
+
+Known = dict[str, tuple[str, dict[str, str]]]
+"""Command -> what it does, and its options with what they mean."""
+
+
+def _bash(known: Known, shell: str) -> Iterator[str]:
+    """Yield the lines of a completion function; zsh runs it through its bashcompinit."""
+    if shell == "zsh":
+        yield "autoload -U +X compinit && compinit; autoload -U +X bashcompinit && bashcompinit"
+    yield "_cloak() {"
+    yield '  local current="${COMP_WORDS[COMP_CWORD]}" first="${COMP_WORDS[1]}" second="${COMP_WORDS[2]}" words=""'
+    yield '  if [ "$COMP_CWORD" -eq 1 ]; then'
+    yield f'    words="{" ".join(_first_words(known))}"'
+    yield '  elif [ "$COMP_CWORD" -eq 2 ] && [[ "$current" != -* ]]; then'
+    yield '    case "$first" in'
+    for group, inner in _groups(known).items():
+        yield f'      {group}) words="{" ".join(inner)}" ;;'
+    yield "    esac"
+    yield "  fi"
+    yield '  if [[ "$current" == -* ]]; then'
+    yield '    case "$first $second" in'
+    # Commands of two words stand before those of one, which would match them, too.
+    for name in sorted(known, key=lambda name: -name.count(" ")):
+        yield f'      "{name}"*) words="{" ".join(known[name][1])}" ;;'
+    yield "    esac"
+    yield "  fi"
+    yield '  COMPREPLY=( $(compgen -W "$words" -- "$current") )'
+    yield "}"
+    yield "complete -o default -F _cloak cloak"
+
+
+def _fish(known: Known) -> Iterator[str]:
+    for word, about in _first_words(known).items():
+        yield f"complete -c cloak -n __fish_use_subcommand -f -a {word} -d {_quoted(about)}"
+    for group, inner in _groups(known).items():
+        there = f"__fish_seen_subcommand_from {group}; and not __fish_seen_subcommand_from {' '.join(inner)}"
+        for word, about in inner.items():
+            yield f"complete -c cloak -n '{there}' -f -a {word} -d {_quoted(about)}"
+    for name, (_, options) in known.items():
+        there = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
+        for flag, about in options.items():
+            yield f"complete -c cloak -n '{there}' -l {flag.removeprefix('--')} -d {_quoted(about)}"
+
+
+def _first_words(known: Known) -> dict[str, str]:
+    words = {"help": "Show what a command does and takes"}
+    for name, (about, _) in known.items():
+        first, _, second = name.partition(" ")
+        words.setdefault(first, f"{first} ..." if second else about)
+    return words
+
+
+def _groups(known: Known) -> dict[str, dict[str, str]]:
+    groups: dict[str, dict[str, str]] = {}
+    for name, (about, _) in known.items():
+        first, _, second = name.partition(" ")
+        if second:
+            groups.setdefault(first, {})[second] = about
+    return groups
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"

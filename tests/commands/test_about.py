@@ -1,0 +1,86 @@
+"""Version, help and completion; what a typing error of a command or an option gets."""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from cloak_core import __version__, cli
+
+
+def said(line: str, capsys: pytest.CaptureFixture) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as end:
+        cli.main(line.split())
+    return end.value.code or 0, *capsys.readouterr()
+
+
+def test_version_says_what_it_is_made_of(capsys) -> None:
+    code, out, _ = said("version", capsys)
+    assert code == 0 and out.startswith(f"cloak {__version__}\n") and "torch " in out
+    record = json.loads(said("version --json", capsys)[1])
+    assert record["version"] == __version__ and {"python", "system", "torch", "numba"} <= set(record)
+
+
+@pytest.mark.parametrize(
+    ("line", "same"), [("help", "--help"), ("help zoo", "zoo --help"), ("help train", "train --help")]
+)
+def test_help_is_a_command_too(line, same, capsys) -> None:
+    assert said(line, capsys) == said(same, capsys)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("trian", "unknown command 'trian'; did you mean train?"),
+        ("scene inof", "unknown command 'scene inof'; did you mean scene info?"),
+        ("train --stpes 3 --logo chest --out x", "train: unknown option --stpes; did you mean --steps? (cloak train"),
+        ("train --tv_wieght=3 --logo chest --out x", "unknown option --tv-wieght; did you mean --tv-weight?"),
+        ("train --zzzz --logo chest --out x", "train: unknown option --zzzz (cloak train --help)"),
+        ("train --steps abc --logo chest --out x", "train: --steps: 'abc' is not a whole number (cloak train --help)"),
+        ("train --seed None --logo chest --out x", "--seed: 'None' is not a whole number"),
+        ("train --lr x --logo chest --out x", "--lr: 'x' is not a number"),
+        ("evaluate runs --size 64", "evaluate: --shift: 50 px would move the body out of 64 px images"),
+        ("evaluate net.onnx", "net.onnx: a detector, not a run folder: name the run, and --detector net.onnx"),
+        ("harden net.onnx --out x", "net.onnx"),
+    ],
+)  # fmt: skip
+def test_typing_errors_get_one_line_that_helps(line, words, capsys, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = said(line, capsys)
+    assert code == 2 and not out and len(err.splitlines()) == 1 and words in err
+    assert not any(
+        leaked in err for leaked in ("{None}", "INT", "literal", "NoneType", "instantiated", "Error parsing")
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("tr", {"train", "transfer"}),
+        ("scene im", {"import", "import-smpl", "import-anny"}),
+        ("train --st", {"--steps"}),
+        ("zoo list --js", {"--json"}),
+        ("wear x --detec", {"--detector"}),
+    ],
+)
+def test_bash_completes_commands_and_options(typed, offered, capsys, tmp_path) -> None:
+    (tmp_path / "cloak.bash").write_text(said("completion bash", capsys)[1])
+    words = ["cloak", *typed.split()]
+    lines = f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; _cloak; echo ${{COMPREPLY[@]}}"
+    done = subprocess.run(
+        [shutil.which("bash"), "-c", f"source {tmp_path / 'cloak.bash'}; {lines}"], capture_output=True, text=True
+    )
+    assert set(done.stdout.split()) == offered, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_every_command_and_option_is_completed(shell, capsys) -> None:
+    script = said(f"completion {shell}", capsys)[1]
+    for name in cli.COMMANDS:
+        assert all(word in script for word in name.split())
+    assert ("-l black-box-queries " in script) if shell == "fish" else ("--black-box-queries " in script)
+    if shutil.which(shell):
+        subprocess.run([shutil.which(shell), "-n"], input=script, text=True, check=True)
