@@ -61,7 +61,8 @@ def wear_and_judge(
     if out.exists():
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
-        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder) | dict(more or {})
+        result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)
+        result |= dict(more or {})
         write_json(folder / "wear.json", result)
     return result | {"out": str(out)}
 
