@@ -22,7 +22,7 @@ from pathlib import Path
 from draw_rooms import rooms_svg
 
 ROOT = Path(__file__).resolve().parents[1]
-TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "docs", "examples", "benchmarks", "LICENSES")
+TAKEN = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs", "examples", "benchmarks", "LICENSES")
 WIDTH = "80"
 """Columns of the commands' help: what a page shows without scrolling on a desk."""
 CODE = re.compile(r"(^```.*?^```$|^    [^\n]*$|`[^`\n]*`)", re.MULTILINE | re.DOTALL)

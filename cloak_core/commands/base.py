@@ -14,7 +14,19 @@ from rich.console import Console
 from cloak_core.files.errors import InputError, Stopped, one_line
 from cloak_core.sources.bodies.opening import load_scene
 
-__all__ = ["RANK", "Command", "Stopped", "command_line", "err", "load_scene", "out", "require_new", "share", "warn"]
+__all__ = [
+    "RANK",
+    "Command",
+    "Stopped",
+    "command_line",
+    "err",
+    "load_scene",
+    "next_command",
+    "out",
+    "require_new",
+    "share",
+    "warn",
+]
 
 RANK = int(os.environ.get("RANK", 0))
 """Which of torchrun's processes this is; one alone is 0. Only 0 writes on standard output."""
@@ -71,6 +83,11 @@ def command_line() -> str:
 def warn(message: str) -> None:
     """Write one line on standard error."""
     err.print(f"cloak: {one_line(message)}", style="yellow")
+
+
+def next_command(command: str, why: str = "") -> None:
+    """End a long command with the one that people usually type then."""
+    out.print(f"Next: cloak {command}" + (f"  ({why})" if why else ""))
 
 
 def require_new(path: Path) -> None:

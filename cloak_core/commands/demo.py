@@ -6,6 +6,7 @@ Where there is a Blender it trains the add-on's own way, without a window: from 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -14,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cloak_core.commands.base import Stopped, err, load_scene, out, warn
+from cloak_core.commands.base import Stopped, err, load_scene, next_command, out, warn
 from cloak_core.commands.evaluate import Evaluate, Report, show_success
 from cloak_core.commands.logo import write_logo
 from cloak_core.commands.options import Computing
@@ -144,4 +145,7 @@ class Demo(Computing):
 
     def show(self, result: dict) -> None:
         show_success(result)
-        out.print(f"wrote {result['report']}")
+        out.print(f"wrote {result['report']}: open it in a browser")
+        if shutil.which("cloak") is None:  # make ran the environment's Python; a terminal does not know it yet
+            out.print(f"Next: . {Path(sys.executable).parent / 'activate'}, which makes `cloak` a command of yours")
+        next_command("zoo list", "what was trained for longer; docs/tutorial.md begins at the beginning")

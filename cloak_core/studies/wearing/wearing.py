@@ -44,7 +44,8 @@ def wear_and_judge(
     backgrounds: without people, for false alarms. out: a new folder for pictures/PERSON/before.jpg and after
     CLOTHES.jpg, sheet.jpg, scores.csv (a row for each detector, clothes and person), wear.json and, where the settings
     ask for pairs, rate.html and rate-key.csv; nothing is left of it where this fails.
-    more: what the result says besides. Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
+    more: what the result says besides.
+    Returns what `cloak wear --json` prints (contract C8). `InputError`: names COLORS, file or option.
     """
     settings = settings or WearSettings()
     clothes = [read_clothes(color) if isinstance(color, str) else color for color in colors]
