@@ -10,7 +10,7 @@ from cloak_core.core.detector.devices import usable_device
 from cloak_core.core.detector.protocol import Detections, Detector
 from cloak_core.detectors.defended.table import read_head, split_defence
 from cloak_core.detectors.families import FAMILIES
-from cloak_core.detectors.naming import behind_defences, full_spec, require_files
+from cloak_core.detectors.naming import behind_defences, full_spec, refuse_typing_errors
 from cloak_core.detectors.specs import Request, check_size, parse_spec, with_person_class
 from cloak_core.files.errors import InputError
 
@@ -60,7 +60,7 @@ def load_detector(
     request = _told(request, input_size, letterbox, person_class)
     family = FAMILIES[request.family]
     family.check(request)
-    require_files(request.spec)
+    refuse_typing_errors(request.spec)
     place = usable_device(device)
     chosen = _precision(precision, place)
     detector = family.load(request).to(place)

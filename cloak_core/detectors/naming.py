@@ -96,13 +96,18 @@ def missing_file(spec: str) -> Path | None:
     return next((file for file in files if not file.expanduser().exists()), None)
 
 
-def require_files(spec: str) -> None:
-    """Require that a spec's files exist. InputError: one does not, with names in its folder that may be meant."""
+def refuse_typing_errors(spec: str) -> None:
+    """Refuse a spec whose file does not exist where one of nearly this name does (InputError).
+
+    Where nothing is near, the family says what it lacks: it knows more.
+    """
     file = missing_file(spec)
-    if file is not None:
-        folder = file.expanduser().parent
-        names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
-        raise InputError(f"{file}: no such file{suggestion(file.name, names)}")
+    if file is None:
+        return
+    folder = file.expanduser().parent
+    meant = suggestion(file.name, [path.name for path in folder.iterdir()] if folder.is_dir() else [])
+    if meant:
+        raise InputError(f"{file}: no such file{meant}")
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -15,6 +15,7 @@ from cloak_core.detectors.loading import load_detector
 from cloak_core.exchange.bodies import Bodies
 from cloak_core.files.errors import InputError
 from cloak_core.sources.backdrops.backgrounds import Backgrounds, load_backgrounds
+from cloak_core.studies.trainings import run_record
 from cloak_core.studies.trainings.training import train
 from tests.core.fakes import TinyDetector, box_bodies, front_logo, noise_backgrounds, tiny_settings
 from tests.detectors.helpers import TINY_CFG, write_tiny

@@ -146,10 +146,10 @@ def test_keys_are_the_same_bits(extent: int, grid: int) -> None:
 
 
 def test_a_device_chooses_in_one_place() -> None:
-    """Beside the backend only the names of stored views ask who builds them."""
+    """Beside the backend only the names of stored views and total variation ask."""
     room = Path(cloak_core.__file__).parent
     asking = {path.name for path in room.rglob("*.py") if "use_loops(" in path.read_text(encoding="utf-8")}
-    assert asking == {"compiled.py", "backend.py", "view_files.py"}
+    assert asking == {"compiled.py", "backend.py", "view_files.py", "losses.py"}
 
 
 ONLY_CPU = {"workspace.py", "edge_hash.py", "signed_area.py", "front.py"}
