@@ -103,7 +103,9 @@ class Transfer(Splitting, Detecting, Sharing):
         if self.sharing.ray is None:
             return []
         alone = self.part_of(publish=None)
-        groups = self._matrix().groups()
+        # Who computes a part chooses its device; here detectors are only asked who they are.
+        local = replace(self, compute=replace(self.compute, device="cpu")) if self.compute.device == "auto" else self
+        groups = local._matrix().groups()
         return [
             (f"{name}, judged by {', '.join(map(short_name, group))}", replace(alone, rungs=(name,), judge=group))
             for name in asked

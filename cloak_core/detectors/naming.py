@@ -7,7 +7,7 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-from cloak_core.detectors.defended.table import DEFENCES, split_defence
+from cloak_core.detectors.defended.table import DEFENCES, list_defences, split_defence
 from cloak_core.detectors.extras import COPYLEFT
 from cloak_core.detectors.families import FAMILIES
 from cloak_core.detectors.specs import Request, parse_spec
@@ -76,8 +76,10 @@ def _unknown(spec: str, family: str) -> str:
     meant = suggestion(family, known)
     if meant:
         return f"detector {spec!r}: unknown family {family!r}{meant} (cloak detectors list)"
+    before = " | ".join(defence["spec"] for defence in list_defences())
     return (
-        f"detector {spec!r}: unknown family {family!r}; expected a file, or {forms}, then @OPTIONS; or a defence before"
+        f"detector {spec!r}: unknown family {family!r}; expected a file, or {forms}, then @OPTIONS; "
+        f"or a defence before one: {before}"
     )
 
 

@@ -185,9 +185,10 @@ def load_python(request: Request) -> PythonDetector:
     Told not to fold, the memory layout is left alone; the module itself is never changed.
     """
     name, function = request.parts
-    file = Path(name).expanduser().absolute()
+    file = Path(name).expanduser()
     if not file.is_file():
         raise InputError(f"{file}: no such file")
+    file = file.absolute()
     with excused(request.spec, file), set_back():
         with watched(file):
             made = _function(file, function)()

@@ -230,7 +230,7 @@ def test_the_person_class_and_the_precision_reach_the_right_place(tiny: str) -> 
         ("median=4:builtin", "an odd number in 3..9"),
         ("jpeg=75", "names no detector behind it; expected jpeg=QUALITY:SPEC"),
         ("blur=1:jpeg=75:", "names no detector behind it"),
-        ("jpg=75:builtin", r"unknown family 'jpg=75'.*or a defence before one"),
+        ("jpg=75:builtin", "unknown family 'jpg=75'.*or a defence before one: jpeg=QUALITY:SPEC"),
         ("blur=1:nothing", "unknown family 'nothing'"),
     ],
 )

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cloak_core.core.run_config import check_same
-from cloak_core.studies.trainings.run_record import _people
 from cloak_core.files.errors import InputError
 from cloak_core.sources.photographs.fits import fit_people, people_identity
 from cloak_core.sources.photographs.people import Person, load_people
+from cloak_core.studies.trainings.run_record import _people
 from tests.sources.photographs.made_people import write_people
 
 pytestmark = pytest.mark.slow
