@@ -14,6 +14,7 @@ from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.defend.settings import HardenSettings
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import is_taken
 
 if TYPE_CHECKING:
     from cloak_core.defend.pool import Given
@@ -65,7 +66,7 @@ class Harden(Computing):
         from cloak_core.scene.photographs.people import load_people
 
         self.prepare()
-        if self.out.exists() and not self.resume:
+        if is_taken(self.out) and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
         self.spec = full_spec(self.spec)
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)
