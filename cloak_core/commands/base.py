@@ -12,6 +12,7 @@ from typing import ClassVar
 from rich.console import Console
 
 from cloak_core.files.errors import InputError, Stopped, one_line
+from cloak_core.files.writing import is_taken
 from cloak_core.sources.bodies.opening import load_scene
 
 __all__ = [
@@ -92,7 +93,7 @@ def next_command(command: str, why: str = "") -> None:
 
 def require_new(path: Path) -> None:
     """Refuse an output that is there already: nothing is overwritten unasked."""
-    if path.exists():
+    if is_taken(path):
         raise InputError(f"{path}: exists already")
 
 

@@ -110,6 +110,8 @@ class Check(Detecting):
     @staticmethod
     def _show_pixels(result: dict) -> None:
         """Show how the network may want its pixels, where nobody said."""
+        if result["max_person"] > result["operating_point"]:  # it sees the person as its pixels are handed over
+            return
         undecided = result.get("pixels_undecided", [])
         if len(undecided) > 1:
             out.print(f"one picture cannot tell how it wants its pixels: the first {len(undecided)} are as plausible")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 from rich.table import Table
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from cloak_core.commands.base import Command, out, share
+from cloak_core.commands.base import Command, next_command, out, share
 from cloak_core.commands.options import Detecting
 from cloak_core.commands.progress import counted
 from cloak_core.commands.wear import show_people
@@ -92,6 +93,8 @@ class Evaluate(Detecting):
             rates = ", ".join(f"{told['success']:.2f}" for told in row["detectors"].values())
             seconds = "" if row["seconds"] is None else f", {row['seconds']:.0f} s"
             out.print(f"step {row['step']}{seconds}: success {rates}")
+        if not str(self.run_folder).startswith("zoo:"):
+            next_command(f"report {shlex.quote(str(self.run_folder))}", "one page with pictures")
 
 
 BOXES = {True: "white", False: "black", None: "?"}
@@ -168,4 +171,4 @@ class Report(Command):
         return {"report": str(make_report(self.run_folder))}
 
     def show(self, result: dict) -> None:
-        out.print(f"wrote {result['report']}")
+        out.print(f"wrote {result['report']}: open it in a browser")

@@ -13,6 +13,7 @@ from cloak_core.commands.base import Stopped, load_scene, out
 from cloak_core.commands.options import Computing
 from cloak_core.commands.progress import TrainingProgress
 from cloak_core.files.errors import InputError
+from cloak_core.files.writing import is_taken
 from cloak_core.studies.hardening.settings import HardenSettings
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Harden(Computing):
         from cloak_core.studies.hardening.students import open_student
 
         self.prepare()
-        if self.out.exists() and not self.resume:
+        if is_taken(self.out) and not self.resume:
             raise InputError(f"{self.out}: exists already (--resume goes on with it)")
         self.spec = full_spec(self.spec)
         student, bodies = open_student(self.spec, self.compute.device), load_scene(self.scene)

@@ -1,7 +1,6 @@
 """How far a training or another long command is.
 
-A live bar in a terminal, plain lines in a pipe, on standard error either way; a file of events for programs, and
-TensorBoard's files, where they are asked for.
+A live bar in a terminal, plain lines in a pipe, on standard error either way; a file of events for programs.
 """
 
 from __future__ import annotations
@@ -15,8 +14,6 @@ from types import TracebackType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from cloak_core.commands.base import err, require_new
-from cloak_core.core.pictures import read_picture
-from cloak_core.files.errors import InputError
 
 PLAIN_EVERY = 10.0
 """Seconds between lines where there is no terminal."""
@@ -34,6 +31,7 @@ class TrainingProgress:
         self._total: int | None = None
         self._said = -PLAIN_EVERY
         self._success: float | None = None
+        self._pace = Pace()
 
     def __enter__(self) -> TrainingProgress:
         self._bar.start()
@@ -48,6 +46,7 @@ class TrainingProgress:
             return
         if event.get("type") in ("start", "resume"):
             self._total = event.get("steps")
+            self._pace.begin(event.get("step", 0))
         elif event.get("type") == "step":
             self._step(event)
 
@@ -59,11 +58,32 @@ class TrainingProgress:
             )
         figures = f"loss {event['loss']:.3f}"
         if self._success is not None:
-            figures += f"  success {self._success:.0%}"
+            figures += f"  success on its last images {self._success:.0%}"
         self._bar.update(self._task, total=self._total, completed=event["step"], figures=figures)
         if not err.is_terminal and (time.monotonic() - self._said >= PLAIN_EVERY or event["step"] == self._total):
             self._said = time.monotonic()
-            err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s")
+            pace = self._pace.words(event["step"], self._total)
+            err.print(f"step {event['step']}/{self._total or '?'}  {figures}  {event['time']:.0f} s{pace}")
+
+
+class Pace:
+    """How quick something counted goes, from when it began."""
+
+    def __init__(self) -> None:
+        self.begin(0)
+
+    def begin(self, done: int) -> None:
+        """Count from here: what is done already took no time of ours."""
+        self._first, self._began = done, time.monotonic()
+
+    def words(self, done: int, total: int | None) -> str:
+        """Say the rate and about how long the rest takes; "" before anything can be said, or after the end."""
+        worked, seconds = done - self._first, time.monotonic() - self._began
+        if worked <= 0 or seconds <= 0 or not total or done >= total:
+            return ""
+        rate = worked / seconds
+        shown = f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each"
+        return f"; {shown}, about {_minutes((total - done) / rate)} left"
 
 
 @contextmanager
@@ -81,12 +101,17 @@ def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, i
         log = EventLog(events)
     begun = time.monotonic()
     known: int | None = None
-    with Progress(console=err, disable=not err.is_terminal) as bar:
+    pace, said = Pace(), begun
+    columns = (*Progress.get_default_columns(), MofNCompleteColumn())
+    with Progress(*columns, console=err, disable=not err.is_terminal) as bar:
         task = bar.add_task(label, total=None)
 
         def tell(done: int, total: int) -> None:
-            nonlocal known
+            nonlocal known, said
             bar.update(task, completed=done, total=total)
+            if not err.is_terminal and time.monotonic() - said >= PLAIN_EVERY:
+                said = time.monotonic()
+                err.print(f"{label}: {done} of {total}{pace.words(done, total)}")
             seconds = time.monotonic() - begun
             if log is not None and total != known:
                 log.write({"type": "start", "step": 0, "time": seconds, "steps": total})
@@ -132,44 +157,3 @@ QUICK = 0.002
 
 def _minutes(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
-
-
-SHOWN = {"step": "training", "held_out": "held out"}
-"""Events whose numbers become scalars, and the group they stand in."""
-
-
-class TensorBoardEvents:
-    """Takes a run's events and writes them into RUN/tensorboard. InputError where the package is not installed."""
-
-    def __init__(self, run: Path) -> None:
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            raise InputError("--tensorboard: needs TensorBoard: pip install 'cloak-core[tensorboard]'") from None
-        self._writer_type = SummaryWriter
-        self._run = run
-        self._writer: SummaryWriter | None = None
-
-    def __enter__(self) -> TensorBoardEvents:
-        return self
-
-    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
-        if self._writer:
-            self._writer.close()
-
-    def __call__(self, event: dict) -> None:
-        kind, step = event.get("type"), event["step"]
-        if kind in ("start", "resume"):
-            # Only now does the run folder exist. What an earlier part wrote of later steps is hidden.
-            self._writer = self._writer_type(str(self._run / "tensorboard"), purge_step=step + 1)
-        if self._writer is None:
-            return
-        if kind in SHOWN:
-            for name, value in event.items():
-                if isinstance(value, float) and name != "time":
-                    self._writer.add_scalar(f"{SHOWN[kind]}/{name}", value, step)
-        elif kind == "preview":
-            self._add_picture(self._run / event["path"], step)
-
-    def _add_picture(self, path: Path, step: int) -> None:
-        self._writer.add_image("preview", read_picture(path), step, dataformats="HWC")

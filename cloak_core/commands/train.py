@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +11,10 @@ from typing import Annotated
 import tyro
 from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
-from cloak_core.commands.base import RANK, Stopped, out, warn
+from cloak_core.commands.base import RANK, Stopped, next_command, out, warn
+from cloak_core.commands.loggers import LOGGERS, Log
 from cloak_core.commands.options import Detecting
-from cloak_core.commands.progress import TensorBoardEvents, TrainingProgress
+from cloak_core.commands.progress import TrainingProgress
 from cloak_core.core.settings import COMPONENTS, PRESETS, Preset, TrainSettings, components_from_record, merge
 from cloak_core.core.settings.components import (
     AugmentationSettings,
@@ -28,6 +30,7 @@ from cloak_core.core.settings.components import (
 from cloak_core.core.settings.people import PeopleSettings
 from cloak_core.files.errors import InputError
 from cloak_core.files.reading import read_json, read_toml
+from cloak_core.files.writing import is_taken
 
 
 @dataclass(kw_only=True)
@@ -40,7 +43,20 @@ class Train(Detecting):
 
     example = "--scene sample:train --logo chest+thighs --detector builtin --out runs/first"
     common = (
-        *("scene", "people", "images", "logo", "detector", "backgrounds", "out", "preset", "config", "resume", "init"),
+        *(
+            "scene",
+            "people",
+            "images",
+            "logo",
+            "detector",
+            "backgrounds",
+            "out",
+            "preset",
+            "config",
+            "resume",
+            "extend",
+            "init",
+        ),
         *("steps", "batch", "max-seconds", "angles", "size", "hide", "seed", "device", "threads", "json"),
     )
 
@@ -65,10 +81,16 @@ class Train(Detecting):
     """Run folder to write; a new one unless --resume."""
     resume: bool = False
     """Continue the run in --out from its last checkpoint."""
+    extend: int | None = None
+    """Make the run in --out longer by so many updates: a new run, RUN-STEPS, from its last checkpoint; the other
+    options as they were."""
     config: Path | None = None
     """TOML file of settings, named as the options without dashes; options on the command line win."""
+    log: UseAppendAction[tuple[Log, ...]] = ()
+    """Also hand curves and previews to tensorboard (files in RUN/tensorboard), mlflow or wandb (where their own
+    settings say); each is an extra."""
     tensorboard: bool = False
-    """Also write TensorBoard files into RUN/tensorboard (extra `tensorboard`)."""
+    """The same as --log tensorboard."""
     preset: Preset = "best"
     """Settings to start from: paper (the paper's text), reference (its code), best (against these detectors), transfer
     (for detectors that training never saw, with several --detector), photographs (the default with --people)."""
@@ -123,16 +145,18 @@ class Train(Detecting):
         from cloak_core.sources.photographs.people import load_people
 
         settings = self.settings  # checked before anything is done
+        if self.extend is not None:
+            self._extend()
         if self.resume and self.compute.device == "auto" and _begun_on_the_cpu(self.out):
             self.compute = replace(self.compute, device="cpu")
         self.prepare()
         settings = self.settings
         scene = self.scene or (None if self.people else "sample:train")
         listeners = [TrainingProgress(silent=bool(RANK))]
-        if self.tensorboard and not RANK:
-            listeners.append(TensorBoardEvents(self.out))
+        asked = dict.fromkeys((*self.log, *(["tensorboard"] if self.tensorboard else [])))
+        listeners += [] if RANK else [LOGGERS[name](self.out) for name in asked]
         # Of several processes (torchrun) the first one writes, and may have begun to; training itself checks again.
-        if self.out.exists() and not self.resume and not RANK:
+        if is_taken(self.out) and not self.resume and not RANK:
             raise InputError(f"{self.out}: exists already (continue that run with --resume, or name another folder)")
         if self.preset == "transfer" and len(self.detector) < 2 and not RANK:
             warn(
@@ -160,6 +184,15 @@ class Train(Detecting):
             )
         return result.record()
 
+    def _extend(self) -> None:
+        """Go on in a copy of the run that asks for more steps."""
+        from cloak_core.commands.extending import extended
+
+        if self.resume:
+            raise InputError("--extend, --resume: a run that is extended is resumed by the same command with --extend")
+        self.out, steps = extended(self.out, self.extend)
+        self.length, self.resume = replace(self.length, steps=steps, epochs=None), True
+
     def show(self, result: dict) -> None:
         words = f", loss {result['loss']:.4f}" if "loss" in result else ""
         words += f", {result['enough']}" if "enough" in result else ""
@@ -171,7 +204,13 @@ class Train(Detecting):
             shares = ", ".join(f"{success:.2f} at {queries}" for queries, success in result["curve"])
             out.print(f"{result['queries']} images asked; success on each round's new images: {shares}")
         if result.get("stopped"):
-            raise Stopped(result["stopped"])
+            raise Stopped(f"{result['stopped']}; the same command with --resume goes on")
+        if not RANK:
+            from cloak_core.detectors.loading import runs_code
+
+            judged = f" --people {shlex.quote(self.people)}" if self.people else ""
+            named = "".join(f" --detector {shlex.quote(spec)}" for spec in self.detector if runs_code(spec))
+            next_command(f"evaluate {shlex.quote(result['out'])}{judged}{named}", "on what training never saw")
 
 
 def _begun_on_the_cpu(run: Path) -> bool:

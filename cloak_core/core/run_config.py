@@ -64,7 +64,10 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
             new = {"identities": [file or own for file, own in zip(new["files"], new["identities"], strict=True)]}
         name, before, now = _difference(part, _decisive(part, old), _decisive(part, new))
         if name:
-            raise InputError(f"{path}: was started with {name} = {before}, not {now}; resume with the same settings")
+            longer = " (--extend N makes a run longer)" if name in ("settings.steps", "settings.epochs") else ""
+            raise InputError(
+                f"{path}: was started with {name} = {before}, not {now}; resume with the same settings{longer}"
+            )
 
 
 def changes_around(recorded: dict, config: dict) -> list[str]:

@@ -28,7 +28,7 @@ from cloak_core.exchange.face_lists import write_face_list
 from cloak_core.files.errors import InputError
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.files.writing import is_taken, new_folder, write_json, written
 
 _log = logging.getLogger("cloak")
 
@@ -72,9 +72,9 @@ def open_run(path: Path, config: dict, logo: Logo, resume: bool) -> Iterator[Run
     starts it, so that one command serves every restart.
     """
     path = Path(path)
-    if path.exists() and not resume:
+    if is_taken(path) and not resume:
         raise InputError(f"{path}: exists already (--resume goes on with it)")
-    if not path.exists():
+    if not is_taken(path):
         try:
             _start(path, config, logo)
         except InputError:

@@ -70,14 +70,19 @@ def load_detector(
     return compile_detector(detector) if compiled else detector
 
 
+def runs_code(spec: str) -> bool:
+    """Tell whether loading a spec executes code that it names."""
+    family = FAMILIES.get(behind_defences(spec).family)
+    return family is not None and family.runs_code
+
+
 def check_recorded(spec: str, whose: str | Path) -> str:
     """Return a spec that a record names. InputError: loading it would run code.
 
     Every spec that the caller did not name goes through here: records come with other people's files, and code runs
     only where the caller names it. `whose`: the record, for the message.
     """
-    family = FAMILIES.get(behind_defences(spec).family)
-    if family is not None and family.runs_code:
+    if runs_code(spec):
         raise InputError(
             f"{whose}: names the detector {spec}, which runs code; only code that you name is run: --detector {spec}"
         )

@@ -72,6 +72,12 @@ def replace_file(path: str | os.PathLike, write: Callable[[BinaryIO], object]) -
                 os.unlink(temporary)
 
 
+def is_taken(path: str | os.PathLike) -> bool:
+    """Tell whether something is there that a new file or folder would replace; an empty folder is not."""
+    path = Path(path)
+    return path.exists() and not (path.is_dir() and not path.is_symlink() and not any(path.iterdir()))
+
+
 def remove_leftovers(path: str | os.PathLike) -> None:
     """Remove what writers of this file or folder left beside it when they were killed. Nobody may be writing it now."""
     path = Path(path)

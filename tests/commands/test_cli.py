@@ -141,7 +141,7 @@ def test_help_of_training_is_short(capsys):
     with pytest.raises(SystemExit):
         cli.parse("train", ["--help"])
     text = capsys.readouterr().out
-    assert sum(line.startswith("  --") for line in text.splitlines()) == 21 and "--help-all" in text
+    assert sum(line.startswith("  --") for line in text.splitlines()) == 22 and "--help-all" in text
 
 
 @pytest.mark.slow

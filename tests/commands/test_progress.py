@@ -2,7 +2,7 @@
 
 import pytest
 
-from cloak_core.commands.progress import counted
+from cloak_core.commands.progress import TrainingProgress, counted
 from cloak_core.core.events import read_events
 from cloak_core.files.errors import InputError
 
@@ -30,3 +30,22 @@ def test_without_a_file_or_a_terminal_nothing_is_written(tmp_path, monkeypatch, 
         tell(1, 2)
     said = capsys.readouterr()
     assert not said.out and not said.err.strip() and not list(tmp_path.iterdir())
+
+
+def test_a_log_hears_every_so_often_how_long_it_takes(monkeypatch, capsys):
+    clock = iter(range(0, 10_000, 4))
+    monkeypatch.setattr("cloak_core.commands.progress.time.monotonic", lambda: float(next(clock)))
+    with counted("counting") as tell:
+        for done in range(1, 9):
+            tell(done, 100)
+    said = capsys.readouterr().err
+    assert "counting: " in said and " of 100; " in said and "min left" in said
+
+
+def test_training_says_its_pace_and_whose_success_it_is(capsys):
+    with TrainingProgress() as progress:
+        progress({"type": "start", "step": 0, "steps": 1000})
+        for step in (1, 1000):
+            progress({"type": "step", "step": step, "loss": 1.0, "success": 0.5, "time": 1.0 * step})
+    first, last = capsys.readouterr().err.strip().splitlines()
+    assert "success on its last images 50%" in first and "left" in first and "left" not in last

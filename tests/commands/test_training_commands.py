@@ -1,4 +1,4 @@
-"""`cloak train --tensorboard` and `cloak sweep`, through the command line."""
+"""`cloak train --log` and `--extend`, and `cloak sweep`, through the command line."""
 
 import json
 import shutil
@@ -64,6 +64,82 @@ def test_tensorboard_that_is_missing_is_one_line_with_the_command(logo, tmp_path
     code, _, said = cloak(capsys, *train(logo, "--tensorboard"))
     assert code == 2 and said.count("\n") == 1 and "pip install 'cloak-core[tensorboard]'" in said
     assert not (tmp_path / "run").exists()
+
+
+class Client:
+    """Stands for mlflow and wandb: notes what it is called with."""
+
+    def __init__(self) -> None:
+        self.calls = []
+
+    def __getattr__(self, name: str):
+        def call(*given, **named):
+            self.calls.append((name, given, named))
+            return self
+
+        return call
+
+    def of(self, name: str) -> list:
+        return [(given, named) for called, given, named in self.calls if called == name]
+
+
+@pytest.mark.slow
+def test_mlflow_and_wandb_hear_settings_numbers_and_previews(logo, tmp_path, capsys, monkeypatch):
+    mlflow, wandb = Client(), Client()
+    monkeypatch.setitem(sys.modules, "mlflow", mlflow)
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
+    code, _, said = cloak(capsys, *train(logo, "--log", "mlflow", "--log", "wandb", "--preview-every", 2))
+    assert code == 0, said
+    assert mlflow.of("start_run") == [((), {"run_name": "run"})] and len(mlflow.of("end_run")) == 1
+    assert mlflow.of("log_params")[0][0][0]["steps"] == "3"
+    assert [named["step"] for _, named in mlflow.of("log_metrics")] == [1, 2, 3]
+    assert "training/loss" in mlflow.of("log_metrics")[0][0][0]
+    assert Path(mlflow.of("log_artifact")[0][0][0]).is_file()
+    assert wandb.of("init")[0][1]["config"]["steps"] == 3 and len(wandb.of("finish")) == 1
+    assert [set(given[0]) == {"preview"} for given, _ in wandb.of("log")].count(True) == len(wandb.of("Image"))
+    assert [named["step"] for given, named in wandb.of("log") if "training/loss" in given[0]] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("name", ["mlflow", "wandb"])
+def test_a_client_that_is_missing_is_one_line_with_the_command(logo, tmp_path, capsys, monkeypatch, name):
+    monkeypatch.setitem(sys.modules, name, None)
+    code, _, said = cloak(capsys, *train(logo, "--log", name))
+    assert code == 2 and said.count("\n") == 1 and f"pip install 'cloak-core[{name}]'" in said
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_complete_run_is_made_longer(logo, tmp_path, capsys):
+    code, said, _ = cloak(capsys, *train(logo))
+    assert code == 0 and "Next: cloak evaluate run" in said
+    code, _, said = cloak(capsys, *train(logo, "--resume", "--steps", 5))
+    assert code == 2 and "(--extend N makes a run longer)" in said
+    code, said, err = cloak(capsys, *train(logo, "--extend", 2, "--json"))
+    assert code == 0, err
+    assert (json.loads(said)["step"], json.loads(said)["out"]) == (5, "run-5")
+    steps = [json.loads(line) for line in (tmp_path / "run-5" / "events.jsonl").read_text().splitlines()]
+    assert [event["step"] for event in steps if event["type"] == "step"] == [1, 2, 3, 4, 5]
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["settings"]["steps"] == 3, "the run stays"
+    for more, words in (
+        (["--extend", 0], "--extend 0: some updates"),
+        (["--extend", 2, "--resume"], "--extend, --resume"),
+    ):
+        assert words in cloak(capsys, *train(logo, *more))[2]
+    assert "absent: no run to extend" in cloak(capsys, *train(logo, "--out", "absent", "--extend", 2))[2]
+
+
+@pytest.mark.slow
+def test_a_run_that_is_stopped_says_how_it_goes_on_and_an_empty_folder_is_taken(logo, tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    code, _, said = cloak(capsys, *train(logo, "--max-seconds", 1e-6))
+    assert code == 3 and "stopped at step 1: time budget; the same command with --resume goes on" in said
+
+
+def test_people_given_as_a_scene_are_named(logo, tmp_path, capsys):
+    code, _, said = cloak(capsys, *train(logo, "--scene", "people.json"))
+    assert (
+        code == 2 and "--scene people.json: no scene of bodies; people in photographs are --people people.json" in said
+    )
 
 
 @pytest.mark.slow

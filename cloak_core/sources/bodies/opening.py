@@ -35,6 +35,8 @@ def _open_whole(spec: str) -> Bodies:
 
         return clothed_bodies(split or "all", tight=head == "sample-tight")
     if head != "sample":
+        if Path(spec).suffix.lower() == ".json":
+            raise InputError(f"--scene {spec}: no scene of bodies; people in photographs are --people {spec}")
         return read_scene(spec)
     from cloak_core.sources.bodies.people.samples import sample_bodies
 

@@ -18,7 +18,7 @@ from cloak_core.files.errors import InputError
 from cloak_core.files.identity import sha256_arrays
 from cloak_core.files.locks import lock
 from cloak_core.files.reading import read_json
-from cloak_core.files.writing import new_folder, write_json, written
+from cloak_core.files.writing import is_taken, new_folder, write_json, written
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import people_identity
 from cloak_core.sources.photographs.people import People
@@ -76,9 +76,9 @@ def open_folder(path: Path, config: dict, resume: bool) -> Iterator[HardenFolder
     or is in use.
     """
     folder = HardenFolder(path)
-    if path.exists() and not resume:
+    if is_taken(path) and not resume:
         raise InputError(f"{path}: exists already (--resume goes on with it)")
-    if not path.exists():
+    if not is_taken(path):
         with new_folder(path) as temporary:
             write_json(temporary / "config.json", config)
             (temporary / "checkpoint").mkdir()

@@ -18,7 +18,7 @@ from cloak_core.core.evaluation.settings import WearSettings
 from cloak_core.core.evaluation.statistics import false_alarms, finite, side_record, success_record
 from cloak_core.files.errors import InputError
 from cloak_core.files.tables import as_cell
-from cloak_core.files.writing import new_folder, write_json, write_text
+from cloak_core.files.writing import is_taken, new_folder, write_json, write_text
 from cloak_core.sources.backdrops.backgrounds import Backgrounds
 from cloak_core.sources.photographs.fits import fit_people, those_who_fit
 from cloak_core.sources.photographs.fitting import Fit
@@ -59,7 +59,7 @@ def wear_and_judge(
         if settings.pairs:
             raise InputError("--pairs: needs --out, the folder that the page is written to")
         return _judged(clothes, people, detectors, backgrounds, settings, on_progress, None) | dict(more or {})
-    if out.exists():
+    if is_taken(out):
         raise InputError(f"{out}: exists already")
     with new_folder(out) as folder:
         result = _judged(clothes, people, detectors, backgrounds, settings, on_progress, folder)

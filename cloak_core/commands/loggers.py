@@ -1,0 +1,155 @@
+"""Where a training's numbers and previews go beside the run folder: TensorBoard, MLflow, Weights & Biases.
+
+Each is an extra with its own client, which decides where it writes or sends: nothing is sent unless it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, TracebackType
+from typing import Literal
+
+from cloak_core.core.pictures import read_picture
+from cloak_core.files.errors import InputError
+from cloak_core.files.reading import read_json
+
+Log = Literal["tensorboard", "mlflow", "wandb"]
+SHOWN = {"step": "training", "held_out": "held out"}
+"""Events whose numbers become scalars, and the group they stand in."""
+
+
+class Logger:
+    """Takes a run's events and hands scalars and previews to a client. InputError: its package is not installed."""
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self.client = self.imported()
+        self.open = False
+
+    def __enter__(self) -> Logger:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        if self.open:
+            self.end()
+
+    def __call__(self, event: dict) -> None:
+        kind, step = event.get("type"), event["step"]
+        if kind in ("start", "resume"):
+            # Only now does the run folder exist.
+            self.begin(step)
+            self.open = True
+        elif self.open and kind in SHOWN:
+            self.scalars(dict(_scalars(event)), step)
+        elif self.open and kind == "preview":
+            self.picture(self.run / event["path"], step)
+
+    def imported(self) -> ModuleType:
+        """Import the client."""
+        raise NotImplementedError
+
+    def begin(self, step: int) -> None:
+        """Begin, or go on behind `step`."""
+        raise NotImplementedError
+
+    def scalars(self, values: dict[str, float], step: int) -> None:
+        """Take the numbers of a step, by GROUP/NAME."""
+        raise NotImplementedError
+
+    def picture(self, path: Path, step: int) -> None:
+        """Take a preview."""
+        raise NotImplementedError
+
+    def end(self) -> None:
+        """Write out what is left."""
+        raise NotImplementedError
+
+    def settings(self) -> dict:
+        """Read the run's settings."""
+        return read_json(self.run / "config.json").get("settings", {})
+
+
+class TensorBoard(Logger):
+    """Files in RUN/tensorboard."""
+
+    def imported(self) -> ModuleType:
+        try:
+            return importlib.import_module("torch.utils.tensorboard")
+        except ImportError:
+            raise _missing("tensorboard", "TensorBoard") from None
+
+    def begin(self, step: int) -> None:
+        # What an earlier part wrote of later steps is hidden.
+        self._writer = self.client.SummaryWriter(str(self.run / "tensorboard"), purge_step=step + 1)
+
+    def scalars(self, values: dict[str, float], step: int) -> None:
+        for name, value in values.items():
+            self._writer.add_scalar(name, value, step)
+
+    def picture(self, path: Path, step: int) -> None:
+        self._writer.add_image("preview", read_picture(path), step, dataformats="HWC")
+
+    def end(self) -> None:
+        self._writer.close()
+
+
+class MLflow(Logger):
+    """A run of MLflow's, in the experiment and at the address that its own environment variables name."""
+
+    def imported(self) -> ModuleType:
+        try:
+            import mlflow
+        except ImportError:
+            raise _missing("mlflow", "MLflow") from None
+        return mlflow
+
+    def begin(self, step: int) -> None:
+        self.client.start_run(run_name=self.run.name)
+        self.client.log_params({name: str(value)[:500] for name, value in self.settings().items()})
+
+    def scalars(self, values: dict[str, float], step: int) -> None:
+        self.client.log_metrics(values, step=step)
+
+    def picture(self, path: Path, step: int) -> None:
+        self.client.log_artifact(str(path), "previews")
+
+    def end(self) -> None:
+        self.client.end_run()
+
+
+class WandB(Logger):
+    """A run of Weights & Biases, in the project and mode that its own environment variables name (project: cloak)."""
+
+    def imported(self) -> ModuleType:
+        try:
+            import wandb
+        except ImportError:
+            raise _missing("wandb", "Weights & Biases") from None
+        return wandb
+
+    def begin(self, step: int) -> None:
+        self._run = self.client.init(project="cloak", name=self.run.name, dir=str(self.run), config=self.settings())
+
+    def scalars(self, values: dict[str, float], step: int) -> None:
+        self._run.log(values, step=step)
+
+    def picture(self, path: Path, step: int) -> None:
+        self._run.log({"preview": self.client.Image(str(path))}, step=step)
+
+    def end(self) -> None:
+        self._run.finish()
+
+
+LOGGERS: dict[str, type[Logger]] = {"tensorboard": TensorBoard, "mlflow": MLflow, "wandb": WandB}
+
+
+def _scalars(event: dict) -> Iterator[tuple[str, float]]:
+    for name, value in event.items():
+        if isinstance(value, float) and name != "time":
+            yield f"{SHOWN[event['type']]}/{name}", value
+
+
+def _missing(extra: str, name: str) -> InputError:
+    return InputError(f"--log {extra}: needs {name}: pip install 'cloak-core[{extra}]'")
