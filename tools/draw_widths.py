@@ -50,7 +50,7 @@ def measured(picture: str, people: object, detectors: dict) -> dict:
 def draw(record: dict, path: Path) -> None:
     """Draw the mean success of every picture against its width, a panel for each threshold."""
     with style():
-        figure, axes = new_figure(1.5 * WIDTH, 0.75 * WIDTH, columns=len(RATES))
+        figure, axes = new_figure(1.5 * WIDTH, 0.7 * WIDTH, columns=len(RATES))
         for axis, (rate, label) in zip(axes, RATES.items(), strict=True):
             for number, (name, curve) in enumerate(record.items()):
                 points = [(100 * float(metres), one[rate]) for metres, one in curve["mean"].items()]
@@ -62,8 +62,8 @@ def draw(record: dict, path: Path) -> None:
             axis.set_xticks([], minor=True)
             axis.set_xlabel("width of the cloth, cm")
             percent_axis(axis, f"hidden {label}")
-        axes[0].legend(loc="upper left", bbox_to_anchor=(0, 1.3), ncols=4)
-        figure.savefig(path, dpi=150, bbox_inches="tight")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+        figure.savefig(path, dpi=150)
 
 
 def main() -> None:
