@@ -1,7 +1,7 @@
 """The reference that views are judged by: the torch renderer's exact areas, with the light integrated over them.
 
 Areas come from the torch backend (held against exact fractions by `bench stability`), light from its float64 twin: the
-formula of `render.torch.shading`, ray by ray in world space.
+formula of `torch.shading`, ray by ray in world space.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def sha256_record(record: object) -> str:
 
 @cache
 def code_hash(*parts: str) -> str:
-    """SHA-256 (hex) of our own source: rooms ("render") and single files ("scene/cameras.py"), read at the first call.
+    """SHA-256 (hex) of our own source: rooms ("core") and single files ("core/cameras.py"), read at the first call.
 
     FileNotFoundError: there is no such room or file.
     """

@@ -38,7 +38,7 @@ LEAST_SCORE = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """One view to look at. Lengths in metres, y up; angles in degrees; see `scene.cameras.Camera`."""
+    """One view to look at. Lengths in metres, y up; angles in degrees; see `core.cameras.Camera`."""
 
     scene: str
     """As in cloak train."""

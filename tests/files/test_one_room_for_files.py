@@ -1,4 +1,4 @@
-"""Files are read and written through `cloak_core.files`, pictures through `scene.pictures`, never by hand."""
+"""Files are read and written through `cloak_core.files`, pictures through `core.pictures`, never by hand."""
 
 import ast
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 CORE = Path(__file__).parents[2] / "cloak_core"
-APART = ("files", "bench", "scene/pictures.py", "scene/blender/inside.py", "jobs/ray_keeper.py")
+APART = ("files", "bench", "core/pictures.py", "sources/bodies/blender/inside.py", "jobs/ray_keeper.py")
 """The rooms for it, what measures, a script that runs in Blender, and the system's process table."""
 OF_PATHS = {"read_bytes", "read_text", "write_bytes", "write_text"}
 OF_MODULES = {

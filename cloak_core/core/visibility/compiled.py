@@ -2,7 +2,7 @@
 
 torch pays for every operation and every intermediate array; a triangle of a body covers a handful of samples, so on the
 CPU that is most of a view's time. The loops do the same arithmetic in the same order (no fused or reordered operations)
-and give the same result as the torch operations in render/torch, which other devices use.
+and give the same result as the torch operations in torch/, which other devices use.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class DecodedImages:
         self._files = DiskCache(folder, ".rgb", limit, "decoded images")
         self._pictures = DiskCache(folder, ".picture", IDENTITIES_BYTES, "identities of images")
         decoder = [
-            code_hash("scene/backdrops/backgrounds.py", "files/likeness.py"),
+            code_hash("sources/backdrops/backgrounds.py", "files/likeness.py"),
             package_versions("pillow"),
         ]
         self._decoder = sha256_record(decoder)[:8]
@@ -161,7 +161,7 @@ def load_backgrounds(
 ) -> Backgrounds:
     """Load backgrounds from a folder, or procedural ones: `procedural[:train|test][:COUNT][:SEED]`.
 
-    `SPEC[0::2]` takes some of them (`scene.selection`).
+    `SPEC[0::2]` takes some of them (`bodies.selection`).
 
     A folder's jpg, png and webp files are taken by name (sub-folders and hidden files are not). All of them are read
     at once, at `size` (height, width), so that a damaged file is found now: it is named in a warning and skipped.

@@ -44,7 +44,7 @@ class ViewCache:
     """
 
     def __init__(self, bodies: Bodies, settings: RenderSettings | None = None, *, on_cloth: bool = False) -> None:
-        """on_cloth: views tell where on a cloth (scene/logos/cloth.py) each entry lies."""
+        """on_cloth: views tell where on a cloth (core/cloth.py) each entry lies."""
         self.bodies, self.settings = bodies, settings or RenderSettings()
         self.device = torch.device(self.settings.device)
         # A copy, always: torch takes no read-only arrays.

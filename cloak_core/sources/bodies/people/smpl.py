@@ -180,7 +180,7 @@ def import_smpl(
     every: int = 1,
     limit: int | None = None,
 ) -> Bodies:
-    """Import bodies of one SMPL model in the poses of a file (`scene.people.smpl_poses.read_poses` has its kinds).
+    """Import bodies of one SMPL model in the poses of a file (`people.smpl_poses.read_poses` has its kinds).
 
     every, limit: take each n-th pose, at most so many. Raises `InputError` for what does not fit together or would not
     fit into memory.
