@@ -70,9 +70,9 @@ def check(make: Callable[[np.random.Generator, int], Triangles], count: int) -> 
     begun = time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CrowdedPixels)
-        found = area_fragments(screen, triangles.contiguous(), None, bounding_window(screen))
-    seconds, sampled = time.process_time() - begun, sum(one.message.pixels for one in caught)
-    coverage = torch.zeros(SIDE * SIDE, dtype=torch.float64).index_add_(0, found.pixel, found.area.double())
+        fragments = area_fragments(screen, triangles.contiguous(), None, bounding_window(screen))
+    seconds, sampled = time.process_time() - begun, sum(warning.message.pixels for warning in caught)
+    coverage = torch.zeros(SIDE * SIDE, dtype=torch.float64).index_add_(0, fragments.pixel, fragments.area.double())
     samples = (rasterize(screen, triangles.contiguous(), 8).triangles() >= 0).double().mean(-1).view(-1)
     some = (coverage > 0) | (samples > 0)
     wrong = int((coverage > 1 + 1e-6).sum()) + int((coverage - samples)[some].abs().mean() > NEAR)

@@ -191,9 +191,9 @@ def visible_shares(
             left = [cut(face[1], square)]
             for other in here:
                 left = [part for whole in left for part in without(whole, hiding(face, other))]
-            share = sum(map(area, left))
-            if share > 0:
-                shares[pixel, face[0]] = share
+            visible = sum(map(area, left))
+            if visible > 0:
+                shares[pixel, face[0]] = visible
     return shares
 
 
@@ -237,8 +237,8 @@ def cut(polygon: list[Point], lines: list[Line]) -> list[Point]:
             if here >= 0:
                 kept.append((x0, y0))
             if here * there < 0:
-                share = here / (here - there)
-                kept.append((x0 + share * (x1 - x0), y0 + share * (y1 - y0)))
+                fraction = here / (here - there)
+                kept.append((x0 + fraction * (x1 - x0), y0 + fraction * (y1 - y0)))
         polygon = kept
     return polygon
 

@@ -265,12 +265,12 @@ class PeerViewCache(ViewCache):
         """Hand the first pose to the peer, as is done for each new pose."""
         self.peer.pose(np.ascontiguousarray(self.bodies.vertices[0], np.float32))
 
-    def build(self, wanted: Sequence[Key]) -> list[View]:
+    def build(self, keys: Sequence[Key]) -> list[View]:
         """Build views as every cache does; the peer looks once, before the work is cut into parts."""
-        self._seen = self.seen(wanted[0][1])
-        return super().build(wanted)
+        self._seen = self.seen(keys[0][1])
+        return super().build(keys)
 
-    def visibility(self, wanted: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
+    def visibility(self, keys: Sequence[Key], screen: Screen, window: Window | None = None) -> Visibility:
         """Select a part of what the peer saw."""
         whole, n = self._seen.window, self._seen.grid
         window = window or whole

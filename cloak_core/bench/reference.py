@@ -138,14 +138,14 @@ def reference(bodies: Bodies, camera: Camera, light: Light, pose: int = 0) -> Re
     cache, key, twin = ViewCache(bodies), [(pose, camera)], TwinLight(bodies, camera, light, pose)
     screen = cache.screen(key)
     flat = flatten(screen, torch.from_numpy(bodies.triangles.T.astype(np.int64)), 0, cache.cull(key, screen))
-    found, crowded = [], [torch.zeros(0, dtype=torch.int64)]
+    integrals, crowded = [], [torch.zeros(0, dtype=torch.int64)]
     for parts in visible_parts(flat, Window(0, 0, camera.width, camera.height), camera.width):
         triangle = parts.triangles.ids[parts.pieces.owner]
-        found.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
+        integrals.append((parts.pieces.place, triangle, _integrate(parts, triangle, twin, camera.width)))
         crowded.append(parts.pieces.place[parts.crowded].unique())
     nothing = torch.zeros(0, dtype=torch.int64)
     pixel, triangle, sums = (
-        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *found, strict=True)
+        torch.cat(column, -1) for column in zip((nothing, nothing, torch.zeros(3, 0).double()), *integrals, strict=True)
     )
     some = (sums[0] > 0).nonzero().view(-1)
     pixel, triangle, (area, weight, highlight) = pixel[some], triangle[some], sums[:, some]

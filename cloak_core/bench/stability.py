@@ -53,9 +53,9 @@ def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict
             worst = max(worst, depth_error(case))
         rows[name] = {"cases": count, "mismatches": wrong}
     for name, check in {**CHECKS, **HOSTILE}.items():
-        found = check()
-        wrong, remark = found if found is not None else (0, "not run: there is no such device here")
-        rows[name] = {"cases": int(found is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
+        outcome = check()
+        wrong, remark = outcome if outcome is not None else (0, "not run: there is no such device here")
+        rows[name] = {"cases": int(outcome is not None), "mismatches": wrong} | ({"remark": remark} if remark else {})
     return {
         **{key: sum(row[key] for row in rows.values()) for key in ("cases", "mismatches")},
         "max_error_ulp": float(worst),
@@ -81,10 +81,10 @@ def area_mismatches(case: Case) -> int:
     """
     screen, count = case.screen, case.triangles.shape[1]
     ours, exact = torch.zeros(2, screen.width * screen.height, count, dtype=torch.float64)
-    found = area_fragments(screen, case.triangles, torch.tensor([case.cull]), bounding_window(screen))
-    ours.view(-1).index_add_(0, found.pixel * count + found.triangle, found.area.double())
-    for (pixel, triangle), share in _exact_shares(case).items():
-        exact[pixel, triangle] = float(share)
+    fragments = area_fragments(screen, case.triangles, torch.tensor([case.cull]), bounding_window(screen))
+    ours.view(-1).index_add_(0, fragments.pixel * count + fragments.triangle, fragments.area.double())
+    for (pixel, triangle), exact_area in _exact_shares(case).items():
+        exact[pixel, triangle] = float(exact_area)
     wrong = int(((ours - exact).abs() > AREA).sum())
     return wrong if case.cover is None else wrong + int(((ours.sum(1) - case.cover).abs() > AREA).sum())
 

@@ -59,16 +59,16 @@ def run_bench_views(
             "stored_ms": _reading(cache, camera, repeats),
             "cached_ms": timed(cached_render(cache, camera), repeats, device),
             "by_samples": {
-                str(way): _one_and_many(_cache(bodies, way, device), camera, repeats)
-                for way in ((*GRIDS, "area") if samples is None else (samples,))
+                str(kind): _one_and_many(_cache(bodies, kind, device), camera, repeats)
+                for kind in ((*GRIDS, "area") if samples is None else (samples,))
             },
         }
         measured = {"threads": threads, "clock": clock(device), "machine": machine(device)}
     return result | {"samples": samples or 1} | measured
 
 
-def _cache(bodies: Bodies, way: int | Literal["area"], device: str) -> ViewCache:
-    return ViewCache(bodies, RenderSettings(samples=None if way == "area" else way, device=device))
+def _cache(bodies: Bodies, kind: int | Literal["area"], device: str) -> ViewCache:
+    return ViewCache(bodies, RenderSettings(samples=None if kind == "area" else kind, device=device))
 
 
 def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:

@@ -94,7 +94,7 @@ class Batcher:
             return Batch(empty, None, None, Distortions())
         # Threads that only look views up would wait for each other.
         count = workers(self.device) if self.source.is_fresh else 1
-        views = spread(lambda one: self.source.view(*one), draws.views(), count)
+        views = spread(lambda drawn: self.source.view(*drawn), draws.views(), count)
         rows = blank(len(views), size, size, self.device)
         lay_backdrop(rows, [self.backgrounds.image(index, (size, size)) for index in draws.background.tolist()])
         # A photograph is moved by the part of it that is shown.

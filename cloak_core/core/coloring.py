@@ -38,8 +38,12 @@ class Coloring:
             self._patch = self._patch.to(first.device)
         if self._tone:
             values = torch.from_numpy(self._untoned(values.cpu().numpy())).to(first)
-        chosen = [torch.from_numpy(one.first_rows(self._untoned)).to(first) for one in self._choose if one.rows]
-        rows = [values.new_zeros(one.rows, 3) for one in self._free]
+        chosen = [
+            torch.from_numpy(technique.first_rows(self._untoned)).to(first)
+            for technique in self._choose
+            if technique.rows
+        ]
+        rows = [values.new_zeros(technique.rows, 3) for technique in self._free]
         return torch.cat([*rows, *map(self._raw, [values, *chosen])])
 
     def __call__(self, parameter: Float[Tensor, "P 3"], is_final: bool = False) -> Float[Tensor, "C 3"]:

@@ -147,9 +147,9 @@ def pack(
 
 def lows(points: Float[np.ndarray, "n 2"], chart: Integer[np.ndarray, " n"]) -> Float[np.ndarray, "charts 2"]:
     """Find each chart's lower left corner."""
-    found = np.full((int(chart.max()) + 1, 2), np.inf)
-    np.minimum.at(found, chart, points)
-    return found
+    lowest = np.full((int(chart.max()) + 1, 2), np.inf)
+    np.minimum.at(lowest, chart, points)
+    return lowest
 
 
 def welded(points: Float[np.ndarray, "n d"], within: float) -> Integer[np.ndarray, " n"]:
@@ -167,10 +167,10 @@ def apart(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> F
 def stand_up(flat: Float[np.ndarray, "v 2"], chart: Integer[np.ndarray, " v"]) -> None:
     """Turn charts that are wider than high by a quarter, in place: upright paper takes them in fewer pieces."""
     for number in range(int(chart.max()) + 1):
-        mine = flat[chart == number]
-        width, height = np.ptp(mine, axis=0)
+        corners = flat[chart == number]
+        width, height = np.ptp(corners, axis=0)
         if width > height:
-            flat[chart == number] = mine[:, ::-1] * [-1, 1]
+            flat[chart == number] = corners[:, ::-1] * [-1, 1]
 
 
 def pack_options() -> xatlas.PackOptions:

@@ -152,5 +152,5 @@ def _pair(folder: Path, specs: list[str], pair: dict) -> dict:
     return _label(pair) | {control: shot(folder, specs, pair[control]) for control in ("clothing", "logo")}
 
 
-def _label(told: dict) -> dict:
-    return {key: told.get(key) for key in ("body", "angle", "distance", "background")}
+def _label(trial: dict) -> dict:
+    return {key: trial.get(key) for key in ("body", "angle", "distance", "background")}

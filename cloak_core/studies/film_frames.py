@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -53,11 +53,11 @@ class _Drawing:
                 self.scores[spec, control] = rows["score"].to_numpy()
                 self.boxes[spec, control] = frame_boxes(results, rows, min(own, settings.threshold))
                 # What stands on the body instead of a person, where the detector tells; NaN is above no threshold.
-                told = zip(rows["other"], rows["other_name"], strict=True)
-                self.others[spec, control] = [name if score > own else "" for score, name in told]
+                others = zip(rows["other"], rows["other_name"], strict=True)
+                self.others[spec, control] = [name if score > own else "" for score, name in others]
                 tracked = track(frame_boxes(results, rows, own), settings) if settings.track else ()
                 # By frame and index of a box: the number of the box's track.
-                self.tracks[spec, control] = {(i, b): one.number for one in tracked for i, b in one.boxes.items()}
+                self.tracks[spec, control] = {(i, b): path.number for path in tracked for i, b in path.boxes.items()}
         self.own = {spec: operating_point(results.rows(spec, LOGO)) for spec in self.detectors}
         self.count = len(rows)
         self.strip = self._timeline()
@@ -129,10 +129,10 @@ class _Drawing:
         for d, (spec, own) in enumerate(self.own.items()):
             top = d * height + 0.4 * text
             draw.text((left, top), short_name(spec), COLORS[d % len(COLORS)], _font(text, bold=True))
-            told = f"thresholds {self.settings.threshold:g} and its own {own:g}"
-            draw.text((right, top), told, SOFT, _font(text), "ra")
+            caption = f"thresholds {self.settings.threshold:g} and its own {own:g}"
+            draw.text((right, top), caption, SOFT, _font(text), "ra")
             zero = top + 5.4 * text
-            y = lambda score, zero=zero: zero - 3.8 * text * score
+            y = partial(_height, zero, 3.8 * text)
             for value, shade in ((0, FAINT), (1, FAINT), (own, FAINT), (self.settings.threshold, SOFT)):
                 draw.line((left, y(value), right, y(value)), fill=shade)
             for control in (LOGO, CLOTHING):
@@ -149,6 +149,11 @@ class _Drawing:
         for i, score in enumerate(scores):
             left, right = self._x(i - 0.5), self._x(i + 0.5)
             draw.rectangle((left, top, right, top + height), fill=FAINT)
-            share = 1 if score > self.settings.threshold else 0.4 if score > self.own[spec] else 0
-            if share:
-                draw.rectangle((left, top + (1 - share) * height, right, top + height), color)
+            part = 1 if score > self.settings.threshold else 0.4 if score > self.own[spec] else 0
+            if part:
+                draw.rectangle((left, top + (1 - part) * height, right, top + height), color)
+
+
+def _height(zero: float, span: float, score: float) -> float:
+    """Place a score in a diagram whose 0 is at `zero` and whose 1 lies `span` above, pixels."""
+    return zero - span * score

@@ -55,7 +55,7 @@ def pattern_scores(
     drawn = _pictures(backgrounds, cloak_textures(bodies), count, size, rng)
     for first in range(0, count, BATCH):
         batch = [next(drawn) for _ in range(min(BATCH, count - first))]
-        with_cloth, without = (torch.stack([one[k] for one in batch]) for k in (0, 1))
+        with_cloth, without = (torch.stack([pair[k] for pair in batch]) for k in (0, 1))
         for spec, detector in detectors.items():
             scores = [max_person_score(detector(i.to(detector.device))).cpu().numpy() for i in (with_cloth, without)]
             rows += [
@@ -81,8 +81,8 @@ def flat_scores(detector: Detector, backgrounds: Backgrounds, bodies: Bodies, se
             for texture in textures.values()
         ]
         scores = max_person_score(detector(torch.stack([plain, *shown]).to(detector.device))).cpu().numpy()
-        told = {"detector": detector.spec, "image": image, "plain": scores[0]}
-        rows += [told | {"pattern": kind, "score": score} for kind, score in zip(textures, scores[1:], strict=True)]
+        row = {"detector": detector.spec, "image": image, "plain": scores[0]}
+        rows += [row | {"pattern": kind, "score": score} for kind, score in zip(textures, scores[1:], strict=True)]
     return pd.DataFrame(rows)
 
 
@@ -95,13 +95,13 @@ def pattern_alarms(detector: Detector, backgrounds: Backgrounds, bodies: Bodies,
     "plain_own": the same of these pictures without the cloth, "n"}}.
     """
     mixed = pattern_scores({detector.spec: detector}, backgrounds, bodies, seed=seed)
-    table, told = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)]), {}
+    table, alarms = pd.concat([mixed, flat_scores(detector, backgrounds, bodies, seed)]), {}
     for kind, rows in table.groupby("pattern"):
-        told[str(kind)] = {"n": len(rows)}
+        alarms[str(kind)] = {"n": len(rows)}
         for end, threshold in (("", THRESHOLD), ("_own", detector.operating_point)):
             for name, column in (("alarms", "score"), ("plain", "plain")):
-                told[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
-    return told
+                alarms[str(kind)][name + end] = round(float((rows[column].astype(float) > threshold).mean()), 4)
+    return alarms
 
 
 def _pictures(
@@ -127,8 +127,8 @@ def _flat_textures(
     }
     worn = {"flat clothing": clothes[rng.integers(len(clothes))]}
     worn |= {"flat cloak": cloaks[rng.integers(len(cloaks))]} if cloaks else {}
-    found = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
-    return {kind: found[kind] for kind in FLAT if kind in found}
+    textures = {kind: texture.astype(np.float32) for kind, texture in drawn.items()} | worn
+    return {kind: textures[kind] for kind in FLAT if kind in textures}
 
 
 def clothing_textures(bodies: Bodies) -> list[Texture]:

@@ -73,8 +73,8 @@ def kept_frozen(detectors: Mapping[str, Detector]) -> Iterator[dict[str, str]]:
 
 def check_asked(detectors: Mapping[str, Detector], angles: Sequence[float] | None = None) -> None:
     """Refuse an evaluation without a detector, or without an angle where there are angles (InputError)."""
-    for option, given in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
-        if not len(given):
+    for option, named in (("--detector", detectors), ("--angles", (0.0,) if angles is None else angles)):
+        if not len(named):
             raise InputError(f"{option}: none given")
 
 
@@ -114,29 +114,29 @@ def _judge_trials(
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
-    scores["other_name"], true_boxes, found = np.full(shape, "", object), np.zeros((count, 4), np.float32), []
+    scores["other_name"], true_boxes, box_rows = np.full(shape, "", object), np.zeros((count, 4), np.float32), []
     for batch in batches(np.arange(count), size):
         views = renderer.views(batch)
         true = renderer.boxes(views, batch)
         true_boxes[batch] = true.cpu().numpy()
         for c, images in enumerate(renderer.compose(views, batch, controls)):
-            before = len(found)
+            before = len(box_rows)
             for d, detector in enumerate(detectors):
                 detections = renderer.about_person(detector(images), views, batch)
                 best = renderer.on_person(detections, views, batch)
                 for name, values in image_scores(detector, detections, best).items():
                     scores[name][d, c, batch] = values
-                found += _boxes(d, c, batch, detections, true.cpu())
+                box_rows += _boxes(d, c, batch, detections, true.cpu())
             if on_images:
-                on_images(controls[c], batch, images, pd.DataFrame(_columns(found[before:])))
+                on_images(controls[c], batch, images, pd.DataFrame(_columns(box_rows[before:])))
             progress.advance(len(batch))
-    return scores, _columns(found), true_boxes
+    return scores, _columns(box_rows), true_boxes
 
 
-def _columns(found: Sequence[tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
+def _columns(box_rows: Sequence[tuple[np.ndarray, ...]]) -> dict[str, np.ndarray]:
     """Join the boxes of images to the columns of `Results.boxes`."""
     names = (*BOX_COLUMNS, *CORNERS)
-    columns = zip(*found, strict=True) if found else [[np.zeros(0)] for _ in names]
+    columns = zip(*box_rows, strict=True) if box_rows else [[np.zeros(0)] for _ in names]
     return {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
 
 

@@ -114,11 +114,11 @@ class Results:
         grid = (len(self.detectors), len(self.controls), len(trials))
         nobody = (self.images["control"] == NOBODY).to_numpy()
         person, bare = self.images[~nobody], self.images[nobody]
-        told = ("other", "other_name") if person["other"].notna().any() else ()
+        others = ("other", "other_name") if person["other"].notna().any() else ()
         names = ("controls", "body_names", "background_names")
         arrays = {"format": np.array(FORMAT), "specs": np.array(self.detectors, np.str_)}
         arrays |= {name: np.array(getattr(self, name), np.str_) for name in names}
-        arrays |= {name: _plain(person[name]).reshape(grid) for name in ("score", "score_on", *told)}
+        arrays |= {name: _plain(person[name]).reshape(grid) for name in ("score", "score_on", *others)}
         arrays["bare"] = bare["score"].to_numpy().reshape(grid[0], -1)
         arrays["bare_background"] = bare["background"].to_numpy().reshape(grid[0], -1)[0]
         arrays["operating_points"] = person["operating_point"].to_numpy().reshape(grid)[:, 0, 0]
@@ -178,13 +178,12 @@ def make_results(
     images = pd.concat([person, nobody[person.columns]], ignore_index=True)
     images.insert(0, "training", 0)
     images["body"] = np.array([*body_names, None], object)[images["pose"].to_numpy()]
-    found = _box_table(boxes, kinds)
-    return Results(images, found, specs, tuple(controls), tuple(body_names), tuple(background_names))
+    return Results(images, _box_table(boxes, kinds), specs, tuple(controls), tuple(body_names), tuple(background_names))
 
 
 def _grid(kinds: Mapping[str, pd.CategoricalDtype], shape: tuple[int, ...], trials: pd.DataFrame) -> pd.DataFrame:
     """Make a row for each of D detectors, C controls and N images, in this order, with what the images show."""
-    detector, control, image = (way.ravel() for way in np.indices(shape))
+    detector, control, image = (index.ravel() for index in np.indices(shape))
     table = pd.DataFrame({"detector": pd.Categorical.from_codes(detector, dtype=kinds["detector"])})
     table["control"] = pd.Categorical.from_codes(control, dtype=kinds["control"])
     table["image"] = image
@@ -194,13 +193,13 @@ def _grid(kinds: Mapping[str, pd.CategoricalDtype], shape: tuple[int, ...], tria
 
 
 def _box_table(boxes: Mapping[str, np.ndarray], kinds: Mapping[str, pd.CategoricalDtype]) -> pd.DataFrame:
-    found = pd.DataFrame({name: np.asarray(boxes[name], kind) for name, kind in BOX_COLUMNS.items()})
+    table = pd.DataFrame({name: np.asarray(boxes[name], kind) for name, kind in BOX_COLUMNS.items()})
     for name, kind in kinds.items():
-        found[name] = pd.Categorical.from_codes(found[name].to_numpy(), dtype=kind)
+        table[name] = pd.Categorical.from_codes(table[name].to_numpy(), dtype=kind)
     for name in CORNERS:
-        found[name] = np.asarray(boxes[name], np.float32) if name in boxes else np.float32(np.nan)
-    found.insert(0, "training", 0)
-    return found
+        table[name] = np.asarray(boxes[name], np.float32) if name in boxes else np.float32(np.nan)
+    table.insert(0, "training", 0)
+    return table
 
 
 def pool(results: Sequence[Results]) -> Results:

@@ -146,8 +146,8 @@ def interpolation(sent: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n entrie
     low = np.minimum(place.astype(np.int64), STEPS - 2)
     weights = np.zeros((len(sent), STEPS**3))
     for corner in itertools.product((0, 1), repeat=3):
-        share = np.where(corner, place - low, 1 - (place - low)).prod(axis=1)
-        weights[np.arange(len(sent)), _entry(low + corner)] += share
+        weight = np.where(corner, place - low, 1 - (place - low)).prod(axis=1)
+        weights[np.arange(len(sent)), _entry(low + corner)] += weight
     return weights
 
 
@@ -158,8 +158,12 @@ def _entry(index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
 def _bends() -> Float[np.ndarray, "entries entries"]:
     """Build the quadratic form of the table's second differences along each channel."""
     second = np.diff(np.eye(STEPS), n=2, axis=0)
-    one, form = np.eye(STEPS), second.T @ second
-    return np.kron(np.kron(form, one), one) + np.kron(np.kron(one, form), one) + np.kron(np.kron(one, one), form)
+    identity, form = np.eye(STEPS), second.T @ second
+    return (
+        np.kron(np.kron(form, identity), identity)
+        + np.kron(np.kron(identity, form), identity)
+        + np.kron(np.kron(identity, identity), form)
+    )
 
 
 def _solved(weights: np.ndarray, seen: np.ndarray, bends: np.ndarray, smooth: float) -> Float[np.ndarray, "entries 3"]:

@@ -211,8 +211,8 @@ def _open_folder(folder: Path, size: tuple[int, int], memory_bytes: int) -> Back
     pictures: list[Picture] = []
     ready: list[np.ndarray] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        found = pool.map(lambda path: _try_read(path, *size, decoded), files)
-        for file, (image, picture) in zip(files, found, strict=True):
+        opened = pool.map(lambda path: _try_read(path, *size, decoded), files)
+        for file, (image, picture) in zip(files, opened, strict=True):
             if image is not None:
                 good.append(file)
                 pictures.append(picture)

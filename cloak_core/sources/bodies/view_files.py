@@ -89,8 +89,8 @@ class StoredViews:
         shapes |= {"column": (entries,), "weight": (entries,)}
         shapes |= {name: (rows, entries) for name, rows in self._places.items()}
         for name, value in tensors.items():
-            wanted = torch.int32 if name in _INDICES else torch.float32
-            if tuple(value.shape) != shapes[name] or value.dtype != wanted:
+            dtype = torch.int32 if name in _INDICES else torch.float32
+            if tuple(value.shape) != shapes[name] or value.dtype != dtype:
                 return None
         if crow[0] != 0 or crow[-1] != entries or (crow.diff() < 0).any():
             return None

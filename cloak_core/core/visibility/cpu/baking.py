@@ -73,18 +73,18 @@ def _fill(
         places[kind[n]] += 1
         red = green = blue = ZERO
         for entry in range(crow[n], crow[n + 1]):
-            share, at = weight[entry], position[face[entry]]
+            part, at = weight[entry], position[face[entry]]
             if at >= 0:
-                to_face[filled], to_weight[filled] = at, share
+                to_face[filled], to_weight[filled] = at, part
                 filled += 1
             elif textured:
                 r, g, b = _look_up(texture, uv[0, entry], uv[1, entry])
-                red, green, blue = red + share * r, green + share * g, blue + share * b
+                red, green, blue = red + part * r, green + part * g, blue + part * b
             else:
                 f = face[entry]
-                red += share * colors[f, 0]
-                green += share * colors[f, 1]
-                blue += share * colors[f, 2]
+                red += part * colors[f, 0]
+                green += part * colors[f, 1]
+                blue += part * colors[f, 2]
         if kind[n] == 0:
             to_crow[place + 1] = filled
         to_pixels[place], to_coverage[place] = pixels[n], coverage[n]
@@ -105,10 +105,10 @@ def _look_up(texture, u, v):
     upper_left, upper_right = (ONE - fx) * (ONE - fy), fx * (ONE - fy)
     lower_left, lower_right = (ONE - fx) * fy, fx * fy
     red = green = blue = ZERO
-    for i, j, share in (
+    for i, j, part in (
         (top, left, upper_left), (top, right, upper_right), (bottom, left, lower_left), (bottom, right, lower_right),
     ):  # fmt: skip
-        red += np.float32(texture[i, j, 0]) * share
-        green += np.float32(texture[i, j, 1]) * share
-        blue += np.float32(texture[i, j, 2]) * share
+        red += np.float32(texture[i, j, 0]) * part
+        green += np.float32(texture[i, j, 1]) * part
+        blue += np.float32(texture[i, j, 2]) * part
     return red / WHITE, green / WHITE, blue / WHITE

@@ -34,8 +34,8 @@ def cut(pool, source, a, b, c, inside, outside):
         x, y = pool[source, at], pool[source, at + 1]
         along = side(x, y, a, b, c)
         if here * along < 0:
-            share = here / (here - along)
-            u, v = x0 + share * (x - x0), y0 + share * (y - y0)
+            fraction = here / (here - along)
+            u, v = x0 + fraction * (x - x0), y0 + fraction * (y - y0)
             pool[inside, to_in], pool[inside, to_in + 1] = u, v
             pool[outside, to_out], pool[outside, to_out + 1] = u, v
             to_in, to_out = to_in + 2, to_out + 2

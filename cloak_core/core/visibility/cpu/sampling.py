@@ -122,8 +122,8 @@ def _quotient_up(value, divisor):
 
 def merge_samples(packed: Tensor, grid: int, window: Window, width: int) -> Fragments:
     """See `Backend.merge_samples`."""
-    found = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
-    return Fragments(*map(torch.from_numpy, found))
+    fragments = _merge(*arrays(packed), grid, window.y0 * grid, window.x0 * grid, width)
+    return Fragments(*map(torch.from_numpy, fragments))
 
 
 @loop
@@ -140,9 +140,9 @@ def _merge(packed, grid, row0, column0, width):
     names, sums = np.empty(grid * grid, np.int64), np.empty((3, grid * grid), np.int64)
     for top in range(0, packed.shape[0], grid):
         for left in range(0, packed.shape[1], grid):
-            found = _gather(packed, top, left, grid, names, sums)
+            present = _gather(packed, top, left, grid, names, sums)
             place = (row0 + top) // grid * width + (column0 + left) // grid
-            for i in range(found):
+            for i in range(present):
                 held = sums[0, i]
                 x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
                 y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
@@ -155,33 +155,33 @@ def _merge(packed, grid, row0, column0, width):
 @loop
 def _gather(packed, top, left, grid, names, sums):
     """List a pixel's triangles, ascending, with the number and the sums of columns and rows of their samples."""
-    found = 0
+    count = 0
     for row in range(grid):
         for column in range(grid):
             key = packed[top + row, left + column]
             if key == EMPTY:
                 continue
-            at = found - 1  # the latest is the likeliest
+            at = count - 1  # the latest is the likeliest
             while at >= 0 and names[at] != key & _ID:
                 at -= 1
             if at < 0:
-                at = found
+                at = count
                 while at > 0 and names[at - 1] > key & _ID:
                     names[at], sums[0, at] = names[at - 1], sums[0, at - 1]
                     sums[1, at], sums[2, at] = sums[1, at - 1], sums[2, at - 1]
                     at -= 1
                 names[at] = key & _ID
                 sums[0, at] = sums[1, at] = sums[2, at] = 0
-                found += 1
+                count += 1
             sums[0, at] += 1
             sums[1, at] += column
             sums[2, at] += row
-    return found
+    return count
 
 
 @loop
-def sample_pixel(mesh, column, row, owner, share):
-    """Sample the pieces of one pixel: area and centroid of each visible one into `share` [3, n], 0 for the others.
+def sample_pixel(mesh, column, row, owner, coverage):
+    """Sample the pieces of one pixel: area and centroid of each visible one into `coverage` [3, n], 0 for the others.
 
     owner [n]: their triangles.
     """
@@ -189,17 +189,17 @@ def sample_pixel(mesh, column, row, owner, share):
     order, packed = np.argsort(mesh.ids[owner]), np.full((SIDE, SIDE), EMPTY)
     corner, names, one_sided = mesh.corner[:, owner[order]], np.arange(len(order)), np.zeros(len(order), np.bool_)
     _draw(packed, mesh.x, mesh.y, mesh.inverse_depth, corner, names, one_sided, row * SIDE, column * SIDE, _SHIFT)
-    share[:] = 0
+    coverage[:] = 0
     for y in range(SIDE):
         for x in range(SIDE):
             if packed[y, x] != EMPTY:
                 piece = order[packed[y, x] & _ID]
-                share[0, piece] += 1
-                share[1, piece] += x
-                share[2, piece] += y
+                coverage[0, piece] += 1
+                coverage[1, piece] += x
+                coverage[2, piece] += y
     for piece in range(len(owner)):
-        held = float(share[0, piece])
+        held = float(coverage[0, piece])
         if held > 0:
-            share[1, piece] = (share[1, piece] / held + 0.5) / SIDE
-            share[2, piece] = (share[2, piece] / held + 0.5) / SIDE
-        share[0, piece] = held / (SIDE * SIDE)
+            coverage[1, piece] = (coverage[1, piece] / held + 0.5) / SIDE
+            coverage[2, piece] = (coverage[2, piece] / held + 0.5) / SIDE
+        coverage[0, piece] = held / (SIDE * SIDE)

@@ -25,9 +25,11 @@ def visible_areas(flat: FlatTriangles, window: Window, width: int) -> Iterator[F
     for parts in visible_parts(flat, window, width):
         places = parts.pieces.place[parts.crowded].unique().tolist()
         sampled += len(places)
-        found = Fragments.join([_measured(parts, width), *(_sampled(at, parts, width) for at in places)], flat.x.device)
-        order = torch.argsort(found.pixel, stable=True)
-        yield Fragments(*(getattr(found, column.name)[order] for column in fields(found)))
+        fragments = Fragments.join(
+            [_measured(parts, width), *(_sampled(at, parts, width) for at in places)], flat.x.device
+        )
+        order = torch.argsort(fragments.pixel, stable=True)
+        yield Fragments(*(getattr(fragments, column.name)[order] for column in fields(fragments)))
     if sampled:
         warnings.warn(CrowdedPixels(sampled), stacklevel=2)
 

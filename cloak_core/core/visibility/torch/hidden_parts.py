@@ -77,22 +77,22 @@ def _lines(pieces: Pieces, triangles: Triangles, width: int) -> list[Line]:
 def _hiders(pieces: Pieces, rivals: Tensor, begin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """List the pieces that may hide each piece, sorted by place: first entry, number of entries, the list."""
     (least, most), low, high = pieces.depth_range(), pieces.shape.amin(0), pieces.shape.amax(0)
-    found, count = [begin[:0]], torch.zeros_like(rivals)
-    for mine, offset in expand(rivals):
-        other = begin[mine] + offset
-        meet = (mine != other) & (most[other] >= least[mine] - 1)
-        meet &= ((high[:, other] > low[:, mine]) & (low[:, other] < high[:, mine])).all(0)
-        found.append(other[meet])
-        count += torch.bincount(mine[meet], minlength=len(count))
-    return count.cumsum(0) - count, count, torch.cat(found)
+    others, count = [begin[:0]], torch.zeros_like(rivals)
+    for own, offset in expand(rivals):
+        other = begin[own] + offset
+        meet = (own != other) & (most[other] >= least[own] - 1)
+        meet &= ((high[:, other] > low[:, own]) & (low[:, other] < high[:, own])).all(0)
+        others.append(other[meet])
+        count += torch.bincount(own[meet], minlength=len(count))
+    return count.cumsum(0) - count, count, torch.cat(others)
 
 
-def _nearer(pieces: Pieces, name: Tensor, one: Tensor, other: Tensor) -> Line:
+def _nearer(pieces: Pieces, name: Tensor, first: Tensor, second: Tensor) -> Line:
     """Compute the line on whose inner side pieces are nearer than others; equal depths go to the lower id."""
-    c, a, b = pieces.plane[:, one] - pieces.plane[:, other]
+    c, a, b = pieces.plane[:, first] - pieces.plane[:, second]
     scale = torch.sqrt(a * a + b * b)
     even = scale == 0
-    lower = torch.where(name[one] < name[other], 1.0, -1.0)
+    lower = torch.where(name[first] < name[second], 1.0, -1.0)
     scale = torch.where(even, 1.0, scale)
     return a / scale, b / scale, torch.where(even & (c == 0), lower, c / scale)
 

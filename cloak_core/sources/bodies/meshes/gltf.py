@@ -74,7 +74,10 @@ def local_matrix(node: dict, moved: dict[str, np.ndarray]) -> np.ndarray:
     """Compute a node's transform [4, 4] against its parent, with what the animation sets of it."""
     if "matrix" in node and not moved.keys() & {"translation", "rotation", "scale"}:
         return np.array(node["matrix"], float).reshape(4, 4).T
-    value = lambda name, default: np.asarray(moved.get(name, node.get(name, default)), float)
+
+    def value(name: str, default: tuple[float, ...]) -> np.ndarray:
+        return np.asarray(moved.get(name, node.get(name, default)), float)
+
     turn = Rotation.from_quat(value("rotation", (0, 0, 0, 1))).as_matrix()
     matrix = np.eye(4)
     matrix[:3, :3] = turn * value("scale", (1, 1, 1))
@@ -92,7 +95,10 @@ class Part:
         self.rest_weights = np.array(record.get("weights", mesh.get("weights", [])), float)
         primitives = [Primitive(document, primitive) for primitive in mesh["primitives"]]
         offsets = np.cumsum([0] + [len(p.positions) for p in primitives])
-        join = lambda name: np.concatenate([getattr(p, name) for p in primitives])
+
+        def join(name: str) -> np.ndarray:
+            return np.concatenate([getattr(p, name) for p in primitives])
+
         positions, morphs = join("positions"), join("morphs")
         joints, weights = join("joints"), join("weights")
         rows = np.concatenate([positions, morphs.reshape(len(positions), -1), joints, weights], axis=1)
@@ -133,8 +139,8 @@ class Part:
         total = np.maximum(self.weights.sum(axis=1, keepdims=True), 1e-12)
         skinned = np.zeros_like(points)
         for column in range(self.weights.shape[1]):
-            share = (self.weights / total)[:, column, None]
-            skinned += share * np.einsum("vab,vb->va", bones[self.joints[:, column]], points)
+            weight = (self.weights / total)[:, column, None]
+            skinned += weight * np.einsum("vab,vb->va", bones[self.joints[:, column]], points)
         return skinned[:, :3]
 
 

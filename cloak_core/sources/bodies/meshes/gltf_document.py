@@ -108,7 +108,7 @@ class Document:
 
     def mesh_nodes(self) -> list[int]:
         """List the nodes of the default scene that carry a mesh, depth first."""
-        nodes, found, visited = self.list("nodes"), [], set()
+        nodes, with_mesh, visited = self.list("nodes"), [], set()
         scenes = self.list("scenes")
         roots = scenes[self.json.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
         stack = list(reversed(list(roots)))
@@ -118,11 +118,11 @@ class Document:
                 raise ValueError("its nodes are no tree")
             visited.add(index)
             if "mesh" in nodes[index]:
-                found.append(index)
+                with_mesh.append(index)
             stack += reversed(nodes[index].get("children", []))
-        if not found:
+        if not with_mesh:
             raise InputError(f"{self.path}: no mesh in its scene")
-        return found
+        return with_mesh
 
     def frame_times(self, frames: int) -> list[float | None]:
         """Choose moments of the first animation in seconds; None is the resting pose."""

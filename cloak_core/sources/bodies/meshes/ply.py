@@ -111,11 +111,11 @@ class Reader:
             rows = [[self.take_list(prop) for prop in element.properties] for _ in range(element.count)]
             columns = zip(element.properties, zip(*rows, strict=True), strict=True)
             values = {prop.name: (np.array([*map(len, lists)]), np.concatenate(lists)) for prop, lists in columns}
-        found = {}
+        by_property = {}
         for prop in element.properties:
             length, numbers = values[prop.name][0], values[prop.name][1].astype(np.float64)
-            found[prop.name] = numbers if prop.count_kind is None else (length, numbers)
-        return found
+            by_property[prop.name] = numbers if prop.count_kind is None else (length, numbers)
+        return by_property
 
     def even_rows(self, element: Element) -> dict[str, tuple[np.ndarray, np.ndarray]] | None:
         """Read all rows at once, where every list is as long as the first row's; else None, and nothing is taken."""

@@ -135,8 +135,8 @@ def _outfits(owner: np.ndarray, source: np.ndarray) -> np.ndarray:
 
 def _regions(owner: np.ndarray, source: np.ndarray) -> dict[str, np.ndarray]:
     samples, _ = load_samples()
-    of = lambda name: samples.regions[name][source]
+    regions_of_source = {name: mask[source] for name, mask in samples.regions.items()}
     regions = {name: owner == number for number, name in enumerate(OBJECTS)}
-    regions |= {name: of(name) & regions[worn] for worn, names in ON_GARMENT.items() for name in names}
-    regions |= {name: of(name) & regions["body"] for name in ON_SKIN}
-    return regions | {"front": of("front")}
+    regions |= {name: regions_of_source[name] & regions[worn] for worn, names in ON_GARMENT.items() for name in names}
+    regions |= {name: regions_of_source[name] & regions["body"] for name in ON_SKIN}
+    return regions | {"front": regions_of_source["front"]}

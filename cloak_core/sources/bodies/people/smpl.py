@@ -70,7 +70,7 @@ def read_smpl(path: str | Path) -> SmplModel:
         raise InputError(f"{path}: not an SMPL model, it lacks {', '.join(missing)}")
     v, j = arrays["v_template"].shape[0], arrays["weights"].shape[-1]
     s = arrays["shapedirs"].shape[-1]
-    wanted = {
+    expected = {
         "v_template": (v, 3),
         "shapedirs": (v, 3, s),
         "posedirs": (v, 3, 9 * (j - 1)),
@@ -79,7 +79,7 @@ def read_smpl(path: str | Path) -> SmplModel:
         "kintree_table": (2, j),
         "f": (len(arrays["f"]), 3),
     }
-    wrong = [f"{n} is {arrays[n].shape}, not {shape}" for n, shape in wanted.items() if arrays[n].shape != shape]
+    wrong = [f"{n} is {arrays[n].shape}, not {shape}" for n, shape in expected.items() if arrays[n].shape != shape]
     if wrong:
         raise InputError(f"{path}: {'; '.join(wrong)}")
     for name in names[:5]:
@@ -96,7 +96,10 @@ def assemble(path: Path, arrays: dict[str, np.ndarray], v: int, j: int) -> SmplM
         raise InputError(f"{path}: kintree_table: a joint's parent does not come before it")
     if triangles.min(initial=0) < 0 or triangles.max(initial=0) >= v:
         raise InputError(f"{path}: f names vertices beyond {v}")
-    by_axis = lambda name: np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
+
+    def by_axis(name: str) -> np.ndarray:
+        return np.ascontiguousarray(np.moveaxis(arrays[name], 1, 0), np.float32)
+
     regressor, shapes = arrays["J_regressor"].astype(np.float64), arrays["shapedirs"].astype(np.float64)
     return SmplModel(
         template=by_axis("v_template"),
