@@ -90,7 +90,8 @@ def korn_graubard(draw: Draw) -> Bounds:
     The effective size is at most the number of bodies: images of one body are no independent draws.
     """
     hit, count = cells(draw.hits, [draw.seed, draw.body, draw.background])
-    n, p = count.sum(), hit.sum() / count.sum()
+    n = count.sum()
+    p = hit.sum() / count.sum()
     deviation = clustered_deviation(hit - p * count, 0.95) / n
     bodies = len(np.unique(draw.body))
     size = min(bodies, p * (1 - p) / deviation**2) if deviation else bodies

@@ -126,7 +126,8 @@ def twin(screen: Screen, triangles: Tensor, grid: int = 1, cull: Tensor | None =
             place = (piece.view, *index)
             number = depth(piece, int(sample_x[tuple(index)]), int(sample_y[tuple(index)]))
             if (number, piece.triangle) < (best[place], ids[place]) or ids[place] < 0:
-                best[place], ids[place] = number, piece.triangle
+                best[place] = number
+                ids[place] = piece.triangle
     return ids
 
 
@@ -153,7 +154,8 @@ def screen_of(
     snapped_x, snapped_y = row(x, torch.int32), row(y, torch.int32)
     view = ((snapped_x / GRID - width / 2) * z / focal, (height / 2 - snapped_y / GRID) * z / focal, z)
     ends = [int(e) for t in (snapped_x, snapped_y) for e in (torch.aminmax(t) if t.numel() else (0, 0))]
-    inverse_depth, near_plane = row(inverse_depth, torch.float64), torch.full_like(focal, near)
+    inverse_depth = row(inverse_depth, torch.float64)
+    near_plane = torch.full_like(focal, near)
     return Screen(width, height, view, snapped_x, snapped_y, inverse_depth, None, tuple(ends), focal, near_plane)
 
 
@@ -178,7 +180,8 @@ def visible_shares(
         if cull and area(points) > 0:
             continue
         if area(points) < 0:
-            points, near = points[::-1], near[::-1]
+            points = points[::-1]
+            near = near[::-1]
         if area(points) != 0:
             faces.append((name, points, sides(points), plane(points, near)))
     shares = {}

@@ -39,7 +39,8 @@ AREA = 1e-6
 
 def run_bench_stability(grids: tuple[int, ...] = (1, 2), seeds: int = 3) -> dict:
     """Run all cases, at 1 and 4 samples per pixel and by area. `mismatches` must be 0."""
-    rows, worst = {}, Fraction(0)
+    rows = {}
+    worst = Fraction(0)
     for name, make in CASES.items():
         wrong = count = 0
         for seed in range(seeds):
@@ -79,7 +80,8 @@ def area_mismatches(case: Case) -> int:
 
     The latter in cases in which every sample is covered once.
     """
-    screen, count = case.screen, case.triangles.shape[1]
+    screen = case.screen
+    count = case.triangles.shape[1]
     ours, exact = torch.zeros(2, screen.width * screen.height, count, dtype=torch.float64)
     fragments = area_fragments(screen, case.triangles, torch.tensor([case.cull]), bounding_window(screen))
     ours.view(-1).index_add_(0, fragments.pixel * count + fragments.triangle, fragments.area.double())
@@ -90,7 +92,8 @@ def area_mismatches(case: Case) -> int:
 
 
 def _exact_shares(case: Case) -> dict[tuple[int, int], Fraction]:
-    screen, size = case.screen, (case.screen.width, case.screen.height)
+    screen = case.screen
+    size = (case.screen.width, case.screen.height)
     corners = (t[0].tolist() for t in (screen.x, screen.y, screen.inverse_depth))
     return visible_shares(*corners, case.triangles.T.tolist(), size, GRID, case.cull)
 

@@ -169,13 +169,15 @@ class Clock:
     """Milliseconds and page faults of named actions, one entry for each round that `counts`."""
 
     def __init__(self, device: torch.device) -> None:
-        self.device, self.counts = device, False
+        self.device = device
+        self.counts = False
         self.milliseconds: dict[str, list[float]] = {}
         self.faults: dict[str, list[int]] = {}
 
     def time(self, name: str, action: Callable[[], None]) -> None:
         self._wait()
-        faults, started = _minor_faults(), time.perf_counter()
+        faults = _minor_faults()
+        started = time.perf_counter()
         action()
         self._wait()
         took = 1e3 * (time.perf_counter() - started)

@@ -52,7 +52,8 @@ def run_bench_views(
     bodies = scene if isinstance(scene, Bodies) else read_scene(scene)
     camera = camera or Camera(azimuth=-10.0)
     with torch_threads(threads):
-        cache, key = _cache(bodies, samples or 1, device), [(0, camera)]
+        cache = _cache(bodies, samples or 1, device)
+        key = [(0, camera)]
         result = {
             "visibility_ms": timed(lambda: cache.visible(key), repeats, device),
             "new_view_ms": timed(lambda: cache.build(key), repeats, device),
@@ -85,7 +86,8 @@ def _one_and_many(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, f
 
 def _reading(cache: ViewCache, camera: Camera, repeats: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        view, files = cache.view(0, camera), DiskCache(Path(folder), ".view", 1 << 30, "views")
+        view = cache.view(0, camera)
+        files = DiskCache(Path(folder), ".view", 1 << 30, "views")
         stored = StoredViews(files, cache.bodies, cache.settings.recipe, view.uv is not None, cache.device)
         stored.put(0, camera, view)
         return timed(lambda: stored.get(0, camera), repeats, cache.device.type)

@@ -81,7 +81,9 @@ class Batcher:
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
         """Make what builds batches of the sampler's draws."""
-        self.sampler, self.source, self.backgrounds = sampler, sampler.source, backgrounds
+        self.sampler = sampler
+        self.source = sampler.source
+        self.backgrounds = backgrounds
         self.augmentation, self.size = settings.augmentation, settings.views.size
         self.worn, self.device, self.techniques = worn, device, techniques
 

@@ -86,7 +86,8 @@ class Coloring:
         for technique, rows in zip(self._free, parts, strict=False):
             values = technique.free(values, rows)
         if self.is_sigmoid:
-            values, chosen = torch.sigmoid(values), tuple(map(torch.sigmoid, chosen))
+            values = torch.sigmoid(values)
+            chosen = tuple(map(torch.sigmoid, chosen))
         for technique in self._mix:
             values = technique.mix(values)
         return values, chosen

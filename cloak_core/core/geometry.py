@@ -112,9 +112,11 @@ def inner_edges(
     ends = np.stack([loop_vertices, loop_vertices[next_corner(loop_total)]], axis=1).astype(np.int64)
     ends.sort(axis=1)
     owner = position[np.repeat(face, loop_total)]
-    ends, owner = ends[owner >= 0], owner[owner >= 0]
+    ends = ends[owner >= 0]
+    owner = owner[owner >= 0]
     order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
-    ends, owner = ends[order], owner[order]
+    ends = ends[order]
+    owner = owner[order]
     matches = []
     # Equal edges lie side by side now: compare each with the next, then the one after, until none is equal.
     for step in range(1, len(ends)):

@@ -109,7 +109,8 @@ def region_mask(bodies: Bodies, term: str) -> Bool[np.ndarray, " faces"]:
     """Select the faces of one term of a region expression."""
     name, dash, facet = term.rpartition("-")
     if term in bodies.regions or not dash or facet not in FACETS:
-        name, facet = term, "front" if term in FRONT_BY_DEFAULT else "all"
+        name = term
+        facet = "front" if term in FRONT_BY_DEFAULT else "all"
     if name not in bodies.regions:
         known = ", ".join(bodies.regions) or "none"
         raise InputError(f"region '{term}' is unknown; scene '{bodies.name}' has: {known}")

@@ -102,7 +102,8 @@ class TrainingLoop:
     ) -> None:
         self.run, self.batcher, self.objective = run, batcher, objective
         self.techniques = objective.techniques
-        self.settings, self.sampler = settings, batcher.sampler
+        self.settings = settings
+        self.sampler = batcher.sampler
         self.optimizer, self.held_out, self.world = optimizer, held_out, world
         self.step = 0
         self._earlier = 0.0
@@ -136,7 +137,8 @@ class TrainingLoop:
         )
 
     def _steps(self, stop: StopRequest) -> tuple[StepFigures | None, str]:
-        figures, reason = None, ""
+        figures = None
+        reason = ""
         changes = {"changes": self.run.changes} if self.run.changes else {}
         self._tell("resume" if self.step else "start", steps=self.sampler.steps, damaged=self._damaged, **changes)
         try:

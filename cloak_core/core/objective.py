@@ -46,7 +46,8 @@ class Objective:
         device: torch.device,
         techniques: Techniques = NO_TECHNIQUES,
     ) -> None:
-        self.settings, self.run, self.detectors = settings.objective, settings.run, detectors
+        self.settings, self.run = settings.objective, settings.run
+        self.detectors = detectors
         self.techniques = techniques
         self.ensemble = Ensemble(settings.objective, len(detectors), settings.run.seed, techniques)
         self.edges = torch.as_tensor(logo.edges, dtype=torch.int64, device=device)
@@ -182,7 +183,8 @@ def gradient_step(
     colors = optimizer.colors()
     images = batch.images(colors)
     result = objective.forward_backward(images, step, batch.bodies, batch.company)
-    variation, weight = objective.total_variation(colors), objective.settings.tv_weight
+    variation = objective.total_variation(colors)
+    weight = objective.settings.tv_weight
     penalty_weight, penalty = objective.penalty(colors)
     restless = (weight * variation + penalty_weight * penalty) / world.size
     gradient = torch.zeros_like(images) if result.gradient is None else result.gradient

@@ -146,7 +146,8 @@ class _Paint(torch.autograd.Function):
     @staticmethod
     def forward(ctx: object, colors: Float32[Tensor, "*B L 3"], canvas: Canvas) -> Float32[Tensor, "B 3 H W"]:
         kept = canvas.logo.paint(colors, canvas.base, canvas.target, canvas.rows)
-        ctx.shape, ctx.logo = colors.shape, canvas.logo
+        ctx.shape = colors.shape
+        ctx.logo = canvas.logo
         ctx.save_for_backward(*kept)
         # Loops write without torch noticing: mark the tensor as changed for graphs that saved its old value.
         increment_version(canvas.rows)

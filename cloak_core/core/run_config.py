@@ -52,7 +52,8 @@ def check_same(recorded: dict, config: dict, path: Path) -> None:
     What versions before this one did not record is not compared.
     """
     for part in DECISIVE:
-        old, new = recorded.get(part), config[part]
+        old = recorded.get(part)
+        new = config[part]
         if part == "settings" and isinstance(old, dict):
             # What a run of an earlier version had not heard of, it did as the default has it.
             try:

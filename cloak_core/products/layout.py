@@ -107,14 +107,16 @@ def pattern_pieces(
     corners = welded(bodies.vertices[0], SAME)[bodies.triangles[chosen]] * len(bodies.uv) + uv
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
     _, edge = np.unique(ends, axis=0, return_inverse=True)
-    owner, edge = np.repeat(np.arange(len(chosen)), 3), edge.reshape(-1)
+    owner = np.repeat(np.arange(len(chosen)), 3)
+    edge = edge.reshape(-1)
     joined = coo_array((np.ones(len(edge)), (owner, len(chosen) + edge)), shape=(len(chosen) + edge.max() + 1,) * 2)
     chart = connected_components(joined, directed=False)[1][: len(chosen)]
     chart = np.unique(chart, return_inverse=True)[1].reshape(-1)
     _, first, index = np.unique(
         np.stack([np.repeat(chart, 3), corners.reshape(-1)], axis=1), axis=0, return_index=True, return_inverse=True
     )
-    flat, index = bodies.uv[bodies.triangle_uv[chosen].reshape(-1)[first]].astype(np.float64), index.reshape(-1, 3)
+    flat = bodies.uv[bodies.triangle_uv[chosen].reshape(-1)[first]].astype(np.float64)
+    index = index.reshape(-1, 3)
     on_map = np.bincount(chart, weights=np.abs(signed_areas(flat[index])))
     if (on_map <= 1e-12).any():
         raise InputError(f"{bodies.name}: a piece of its UV map has no area")

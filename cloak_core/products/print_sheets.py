@@ -48,14 +48,16 @@ def write_sheets(
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure
 
-    borders, marks = find_borders(layout, bodies), seam_marks(layout, bodies)
+    borders = find_borders(layout, bodies)
+    marks = seam_marks(layout, bodies)
     charts = [
         Chart(name, borders.lines[borders.chart == number], [mark for mark in marks if mark.chart == number])
         for number, name in enumerate(chart_names(layout, bodies))
     ]
     all_tiles = tiles(layout, page, allowance)
     all_pages = list(pages(all_tiles, page))
-    size, count = PAGES[page], len(all_pages) + 1
+    size = PAGES[page]
+    count = len(all_pages) + 1
     with PdfPages(path, metadata={"Creator": "cloak", "Producer": None, "CreationDate": None}) as pdf:
         for number, placed in enumerate([[], *all_pages], start=1):
             figure = Figure(figsize=(size[0] / 0.0254, size[1] / 0.0254))

@@ -95,7 +95,8 @@ def _paths(borders: Borders, edges: list[tuple[int, int]]) -> list[list[tuple[in
     paths = []
     for start in starts:
         while any(edge in left for edge in at[start]):
-            path, vertex = [], start
+            path = []
+            vertex = start
             while True:
                 following = [edge for edge in at[vertex] if edge in left]
                 if not following or (path and len(at[vertex]) != 2):

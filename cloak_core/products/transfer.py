@@ -136,7 +136,8 @@ def mixed(colors: Float32[np.ndarray, "colors 3"], shares: Shares, count: int) -
 def missed(source: Bodies, face_ids: np.ndarray, target: Bodies, reach: float) -> tuple[np.ndarray, float]:
     """Find logo faces without a surface of the target in reach facing their way, and the others' largest distance."""
     own = np.flatnonzero(np.isin(source.triangle_face, face_ids))
-    solid, triangles = solids(source)[own], solids(target)
+    solid = solids(source)[own]
+    triangles = solids(target)
     near = within(triangles, solid, 2 * reach)
     if not near.any():
         return np.asarray(face_ids, np.int64), 0.0
@@ -175,11 +176,14 @@ def nearest_triangles(
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     facing = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-30)
     centroid = triangles.mean(axis=1)
-    tree, radius = KDTree(centroid), np.linalg.norm(triangles - centroid[:, None], axis=2).max()
+    tree = KDTree(centroid)
+    radius = np.linalg.norm(triangles - centroid[:, None], axis=2).max()
     nearest = Nearest(np.full(len(points), -1, np.int64), np.full(len(points), np.inf))
-    count, left = CANDIDATES, np.arange(len(points))
+    count = CANDIDATES
+    left = np.arange(len(points))
     while len(left):
-        count, further = min(count, len(triangles)), []
+        count = min(count, len(triangles))
+        further = []
         for part in np.array_split(left, len(left) * count // PAIRS + 1):
             away, chosen = tree.query(points[part], np.arange(1, count + 1))
             row, column = np.nonzero(np.einsum("nk,nck->nc", normals[part], facing[chosen]) >= LEAST_COSINE)

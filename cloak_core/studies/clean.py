@@ -143,11 +143,13 @@ def clean_renders(count: int, size: tuple[int, int]) -> UInt8[Tensor, "B 3 H W"]
 
     In all their outfits, from all around, 1.6 to 4 m away, before procedural scenes.
     """
-    bodies, backgrounds = sample_bodies("unseen"), load_backgrounds("procedural:test", size)
+    bodies = sample_bodies("unseen")
+    backgrounds = load_backgrounds("procedural:test", size)
     rng = np.random.default_rng([0, 0xC1EA])
     angle, distance = rng.uniform(-180, 180, count), rng.uniform(1.6, 4, count)
     background, outfit = rng.integers(len(backgrounds), size=count), rng.integers(len(bodies.face_colors), size=count)
-    pose, shift = np.arange(count) % bodies.pose_count, np.zeros((count, 2))
+    pose = np.arange(count) % bodies.pose_count
+    shift = np.zeros((count, 2))
     trials = make_trials(pose, angle, 6, distance, background, shift, outfit)
     view_cache = ViewCache(bodies, RenderSettings(memory_bytes=0))  # no view comes twice
     renderer = _clean_renderer(bodies, backgrounds, trials, Camera(height=size[0], width=size[1]), view_cache)

@@ -82,7 +82,9 @@ def open_cloaked(
         backgrounds = load_backgrounds(backgrounds or kept_back("backgrounds", config))
     logo = load_logo(bodies, folder / "logo.npy")
     if colors is None:
-        worn, trained, name = read_colors(folder / "colors.npy", len(logo)), config, ""
+        worn = read_colors(folder / "colors.npy", len(logo))
+        trained = config
+        name = ""
         cloth = cloth_of_run(folder)
     else:
         worn, trained, name = colors_of(colors, logo, bodies)

@@ -145,7 +145,8 @@ def _run(python: str, folder: Path, on_frame: OnFrame) -> None:
 
 
 def _view(renderer: BodyRenderer, trial: int) -> dict:
-    camera, pose = renderer.camera(trial), int(renderer.trials.at[trial, "pose"])
+    camera = renderer.camera(trial)
+    pose = int(renderer.trials.at[trial, "pose"])
     vertices = renderer.cloaked.bodies.vertices[pose].astype(np.float64)
     pivot = camera.pivot or tuple((vertices.min(0) + vertices.max(0)) / 2)
     return {
@@ -191,7 +192,8 @@ class CyclesRenderer(BodyRenderer):
         self, views: Sequence[BakedView], indices: Indices, controls: Sequence[str]
     ) -> Iterator[Float[Tensor, "B 3 H W"]]:
         """Yield the images of these trials under each control; `views` are not used."""
-        behind, shifts = self.backgrounds(indices), self.shifts(indices).tolist()
+        behind = self.backgrounds(indices)
+        shifts = self.shifts(indices).tolist()
         seen = [(int(self.trials.at[i, "pose"]), float(self.trials.at[i, "angle"])) for i in map(int, indices)]
         for control in controls:
             bodies = (_shifted(self.body(*at, control), *shift) for at, shift in zip(seen, shifts, strict=True))
@@ -227,7 +229,8 @@ def image_difference(ours: BodyRenderer, cycles: CyclesRenderer) -> dict[str, fl
     for (pose, angle), trial in first_trials(ours.trials).items():
         image, covered = ours.before_grey(ours.views([trial])[0], trial, LOGO)
         frame = cycles.body(pose, angle)
-        theirs, alpha = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:]), frame[3].flatten()
+        theirs = frame[:3] * frame[3:] + 0.5 * (1 - frame[3:])
+        alpha = frame[3].flatten()
         difference = (theirs - image).flatten(1).double()
         either.append(difference[:, (covered > 0) | (alpha > 0)].flatten())
         both.append(difference[:, (covered > 1 - 1e-4) & (alpha == 1)].flatten())

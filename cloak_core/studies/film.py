@@ -32,7 +32,8 @@ CONTROLS = (LOGO, CLOTHING)
 """What is filmed side by side."""
 VIEW_BYTES = 1 << 30
 """Memory for views between measuring a film and drawing it."""
-TURNTABLE_FRAMES, LEAST_FRAMES, TURNTABLE_FPS = 24, 8, 8.0
+TURNTABLE_FRAMES, LEAST_FRAMES = 24, 8
+TURNTABLE_FPS = 8.0
 TURNTABLE_SHARE = 8
 """A turntable has at most one image for every eight of the evaluation."""
 TURNTABLE_SIDE = 256
@@ -128,7 +129,8 @@ def write_turntable(
     frames = min(TURNTABLE_FRAMES, len(renderer.trials) * controls // (2 * TURNTABLE_SHARE))
     if frames < LEAST_FRAMES:
         return False
-    view, shown = renderer.viewpoint, renderer.trials.iloc[trial]
+    view = renderer.viewpoint
+    shown = renderer.trials.iloc[trial]
     settings = FilmSettings(
         camera="orbit",
         elevation=float(view.elevation),

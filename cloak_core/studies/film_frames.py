@@ -42,9 +42,11 @@ class _Drawing:
     """Everything that the frames of a take have in common."""
 
     def __init__(self, results: Results, settings: FilmSettings) -> None:
-        self.detectors, self.settings = results.detectors, settings
+        self.detectors = results.detectors
+        self.settings = settings
         self.text = max(9, settings.size // 26)
-        self.gap, self.head = max(2, settings.size // 100), round(1.9 * self.text)
+        self.gap = max(2, settings.size // 100)
+        self.head = round(1.9 * self.text)
         self.scores, self.boxes, self.others, self.tracks = {}, {}, {}, {}
         for spec in self.detectors:
             for control in SIDES:
@@ -88,7 +90,8 @@ class _Drawing:
 
     def _draw_boxes(self, picture: Image.Image, index: int, control: str) -> int:
         """Draw every detector's boxes, thinly those above its own threshold alone; return which of `VERDICTS` it is."""
-        draw, verdict = ImageDraw.Draw(picture), 0
+        draw = ImageDraw.Draw(picture)
+        verdict = 0
         for d, spec in enumerate(self.detectors):
             color = COLORS[d % len(COLORS)]
             for b, (*corners, score) in enumerate(self.boxes[spec, control][index].tolist()):
@@ -141,7 +144,9 @@ class _Drawing:
 
     def _series(self, draw: ImageDraw.ImageDraw, spec: str, control: str, y: Callable, top: float) -> None:
         """Draw one side's scores, and its bar: full where found, thin above the own threshold alone, else faint."""
-        scores, color, height = self.scores[spec, control], SERIES[control].color, 0.5 * self.text
+        scores = self.scores[spec, control]
+        color = SERIES[control].color
+        height = 0.5 * self.text
         points = [(self._x(i), y(float(s))) for i, s in enumerate(scores)]
         if len(points) == 1:
             points = [(self._x(-0.5), points[0][1]), (self._x(0.5), points[0][1])]

@@ -105,7 +105,8 @@ class Looker:
         `evaluate`.
         """
         begun = time.monotonic()
-        images, folder = self._images(asked), Path(asked.out)
+        images = self._images(asked)
+        folder = Path(asked.out)
         seen = {spec: {"operating_point": judge.operating_point} for spec, judge in self._detectors.items()}
         with written(folder):
             folder.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,8 @@ class CutoutSettings:
 class Cutout(Technique):
     """Hides the colours nearest to a random one."""
 
-    group, settings = "augmentation", CutoutSettings
+    group = "augmentation"
+    settings = CutoutSettings
 
     def __init__(self, most: float, centres: Float[np.ndarray, "C D"]) -> None:
         """most: largest fraction of the colours; centres: where they lie, metres."""

@@ -39,7 +39,8 @@ class InksSettings:
 class Inks(Technique):
     """The colours there are: given ones, or so many learnt, or so many chosen among given ones."""
 
-    group, settings = "pattern", InksSettings
+    group = "pattern"
+    settings = InksSettings
     is_exact = bars_search = True
 
     def __init__(self, most: int, fixed: Float[torch.Tensor, "P 3"] | None = None) -> None:
@@ -53,7 +54,8 @@ class Inks(Technique):
     def build(cls, setup: Setup) -> Inks | None:
         from cloak_core.techniques.printability import palette_of
 
-        most, palette = setup.settings.pattern.colors_at_most, palette_of(setup)
+        most = setup.settings.pattern.colors_at_most
+        palette = palette_of(setup)
         if most is None:
             return None
         fixed = None if palette is None else torch.as_tensor(palette, dtype=torch.float32, device=setup.device)

@@ -50,7 +50,8 @@ class NearSettings:
 class Near(Technique):
     """A garment's colours, and how far from them all faces together may be."""
 
-    group, settings = "pattern", NearSettings
+    group = "pattern"
+    settings = NearSettings
     files = (("near", "near"),)
     is_exact = bars_search = True
 

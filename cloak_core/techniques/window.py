@@ -28,7 +28,8 @@ class WindowSettings:
 class Window(Technique):
     """Shows a window of each image, or the image within one."""
 
-    group, settings = "augmentation", WindowSettings
+    group = "augmentation"
+    settings = WindowSettings
 
     def __init__(self, crop: float, pad: float) -> None:
         self.crop, self.pad = crop, pad

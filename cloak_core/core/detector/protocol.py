@@ -74,7 +74,8 @@ class Detector(nn.Module):
         super().__init__()
         self.name = name
         self.spec = spec
-        self.source, self.packages = {}, ()
+        self.source = {}
+        self.packages = ()
         self._not_finite: Tensor | None = None
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Detections:

@@ -93,7 +93,8 @@ def cells(hits: np.ndarray, labels: Sequence[np.ndarray]) -> tuple[np.ndarray, n
     """Count hits and images of every cell, float [seeds, bodies, backgrounds] each."""
     columns = [np.unique(label, return_inverse=True)[1].ravel() for label in labels]
     shape = tuple(int(column.max()) + 1 for column in columns)
-    flat, size = np.ravel_multi_index(columns, shape), math.prod(shape)
+    flat = np.ravel_multi_index(columns, shape)
+    size = math.prod(shape)
     hit = np.bincount(flat, weights=hits, minlength=size).reshape(shape)
     return hit, np.bincount(flat, minlength=size).reshape(shape).astype(float)
 
@@ -102,7 +103,8 @@ def bootstrap_interval(
     hit: np.ndarray, count: np.ndarray, resamples: int, level: float, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Compute the pigeonhole bootstrap's interval, stretched to the multiway clustered deviation."""
-    value, n = hit.sum() / count.sum(), count.sum()
+    value = hit.sum() / count.sum()
+    n = count.sum()
     draws = _pigeonhole(hit, count, resamples, rng)
     low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
     stretch = clustered_deviation(hit - value * count, level) / n / max(float(draws.std()), 1e-12)

@@ -47,7 +47,8 @@ def measure(
     controls: the first is the trained logo. bare: backgrounds looked at with nobody in front. batch: images at once.
     The boxes of the result have corners.
     """
-    judges, progress = list(detectors.values()), Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
+    judges = list(detectors.values())
+    progress = Progress(len(renderer.trials) * len(controls) + len(bare), on_progress)
     scores, boxes, true = _judge_trials(renderer, judges, controls, batch, progress, on_images)
     return make_results(
         {spec: float(detector.operating_point) for spec, detector in detectors.items()},
@@ -87,7 +88,8 @@ class Progress:
     """Count images, and tell how many are done."""
 
     def __init__(self, total: int, on_progress: OnProgress | None) -> None:
-        self.done, self.total, self.on_progress = 0, total, on_progress
+        self.done = 0
+        self.total, self.on_progress = total, on_progress
 
     def advance(self, images: int) -> None:
         """Count these images as done."""
@@ -114,7 +116,8 @@ def _judge_trials(
     count = len(renderer.trials)
     shape = len(detectors), len(controls), count
     scores = {name: np.full(shape, np.nan, np.float32) for name in ("score", "score_on", "other")}
-    scores["other_name"], true_boxes, box_rows = np.full(shape, "", object), np.zeros((count, 4), np.float32), []
+    scores["other_name"], true_boxes = np.full(shape, "", object), np.zeros((count, 4), np.float32)
+    box_rows = []
     for batch in batches(np.arange(count), size):
         views = renderer.views(batch)
         true = renderer.boxes(views, batch)
@@ -148,7 +151,8 @@ def image_scores(detector: Detector, detections: Detections, best: OnBody) -> di
     """
     columns = {"score": max_person_score(detections).cpu().numpy(), "score_on": best.person.cpu().numpy()}
     if best.other is not None:
-        other, numbers = best.other.cpu().numpy(), best.other_class.tolist()
+        other = best.other.cpu().numpy()
+        numbers = best.other_class.tolist()
         names = [class_name(detector.class_names, k) if s > 0 else "" for s, k in zip(other, numbers, strict=True)]
         columns |= {"other": other, "other_name": np.array(names, object)}
     return columns

@@ -156,7 +156,8 @@ def make_results(
     of `BOX_COLUMNS`, where detector and control are numbers, and `CORNERS` where known. bare_background: [M] indices of
     the backgrounds. other, other_name: [D, C, N] best score of another class on the body, and its name.
     """
-    specs, points = tuple(detectors), [np.nan if point is None else point for point in detectors.values()]
+    specs = tuple(detectors)
+    points = [np.nan if point is None else point for point in detectors.values()]
     kinds = {"detector": pd.CategoricalDtype(specs)}
     kinds["control"] = pd.CategoricalDtype([*dict.fromkeys(controls), NOBODY])
     trials = complete(trials)
@@ -171,7 +172,9 @@ def make_results(
     behind = np.arange(count) if bare_background is None else bare_background
     nobody = _grid(kinds, (len(specs), 1, count), complete(pd.DataFrame({"background": behind})))
     nobody["control"] = pd.Categorical.from_codes(np.full(len(nobody), len(controls)), dtype=kinds["control"])
-    nobody["score"], nobody["operating_point"], nobody["other_name"] = bare.ravel(), np.repeat(points, count), ""
+    nobody["score"] = bare.ravel()
+    nobody["operating_point"] = np.repeat(points, count)
+    nobody["other_name"] = ""
     for name in set(person) - set(nobody):
         # Concatenation would turn absent text and numbers into objects otherwise.
         nobody[name] = np.float32(np.nan) if is_numeric_dtype(person[name]) else ""

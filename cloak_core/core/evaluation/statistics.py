@@ -242,7 +242,8 @@ def operating_row(results: Results, spec: str) -> dict:
 
     Each control is told at both thresholds; `clean_*` is the bodies' own clothing.
     """
-    row, rows = training_row(results, spec), results.rows(spec, LOGO)
+    row = training_row(results, spec)
+    rows = results.rows(spec, LOGO)
     point = operating_point(rows)
     missed = {control: share(results.rows(spec, control), point) for control in results.controls[1:]}
     more = {f"{control}_own": value for control, value in missed.items()}

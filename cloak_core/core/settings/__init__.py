@@ -191,7 +191,8 @@ def settings_from_record(record: Mapping[str, object]) -> TrainSettings:
 
 def components_from_record(record: Mapping[str, object]) -> dict[str, object]:
     """Make what `TrainSettings` takes, of the right types, but not checked whether they go together."""
-    known, record = _kinds(), without_retired(dict(record))
+    known = _kinds()
+    record = without_retired(dict(record))
     unknown = sorted(set(record) - set(known))
     if unknown:
         raise InputError(f"{option(unknown[0])}: no such setting (known: {', '.join(known)})")

@@ -93,7 +93,8 @@ def use_loops(device: torch.device) -> bool:
 def torch_alone() -> Iterator[None]:
     """Within, in all threads, the CPU does what other devices do: torch's operations, no loops."""
     global _switched_off
-    before, _switched_off = _switched_off, True
+    before = _switched_off
+    _switched_off = True
     try:
         yield
     finally:

@@ -67,7 +67,8 @@ def _place_chart(pixels: Float[np.ndarray, "h w 3"], path: Path) -> Float[np.nda
     if len(marks) < 4:
         raise InputError(f"{path}: {len(marks)} of the chart's four marks are to be seen")
     lightness = patch_colors().mean(axis=1)
-    best, best_homography = -1.0, np.eye(3)
+    best = -1.0
+    best_homography = np.eye(3)
     for four in itertools.combinations(marks[:8], 4):
         corners = np.array(four)
         around = corners - corners.mean(axis=0)
@@ -95,7 +96,8 @@ def _marks(grey: Float[np.ndarray, "h w"]) -> list[tuple[float, float]]:
     label, count = ndimage.label(small < 0.7 * around, structure=np.ones((3, 3)))
     numbers = np.arange(1, count + 1)
     area = ndimage.sum_labels(np.ones_like(small), label, numbers)
-    numbers, area = numbers[area >= 9], area[area >= 9]
+    numbers = numbers[area >= 9]
+    area = area[area >= 9]
     centres = np.array(ndimage.center_of_mass(np.ones_like(small), label, numbers)).reshape(-1, 2)
     candidates = []
     for ring in np.argsort(-area):

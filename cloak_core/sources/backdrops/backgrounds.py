@@ -253,7 +253,8 @@ def _read(
         return image, picture
     data = read_bytes(path, MAX_FILE_BYTES)
     key = hashlib.sha256(data).hexdigest()
-    image, picture = decoded.get(key, height, width), decoded.picture(key)
+    image = decoded.get(key, height, width)
+    picture = decoded.picture(key)
     if image is None or picture is None:
         whole = _decode(path, data)
         if picture is None:

@@ -45,7 +45,8 @@ class ViewCache:
 
     def __init__(self, bodies: Bodies, settings: RenderSettings | None = None, *, on_cloth: bool = False) -> None:
         """on_cloth: views tell where on a cloth (core/cloth.py) each entry lies."""
-        self.bodies, self.settings = bodies, settings or RenderSettings()
+        self.bodies = bodies
+        self.settings = settings or RenderSettings()
         self.device = torch.device(self.settings.device)
 
         def put(array: np.ndarray, dtype: torch.dtype) -> Tensor:
@@ -103,7 +104,8 @@ class ViewCache:
                 raise InputError(f"outfit {outfit}: the scene has {self.bodies.outfit_count}")
             view = self.view(pose, camera)
             logo = torch.from_numpy(faces).to(self.device)
-            colors, texture = self._colors[outfit], self._textures[outfit]
+            colors = self._colors[outfit]
+            texture = self._textures[outfit]
             baked = self._kept.put(key, bake(view, logo, colors, self.settings.light.color, texture))
         return baked
 

@@ -84,7 +84,8 @@ class StoredViews:
         """Nothing that reads a view looks at its indices again, so a foreign file must not get further than this."""
         if set(tensors) != {*_INDICES, *_NUMBERS, *self._places}:
             return None
-        count, entries, crow = len(tensors["pixels"]), len(tensors["column"]), tensors["crow"]
+        count, entries = len(tensors["pixels"]), len(tensors["column"])
+        crow = tensors["crow"]
         shapes = {"pixels": (count,), "coverage": (count,), "specular": (count,), "crow": (count + 1,)}
         shapes |= {"column": (entries,), "weight": (entries,)}
         shapes |= {name: (rows, entries) for name, rows in self._places.items()}

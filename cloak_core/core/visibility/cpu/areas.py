@@ -29,7 +29,8 @@ def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[Fragm
     mesh = Mesh(x, y, inverse_depth, corner, ids, hash_corners(x, y))
     columns = window.x0, window.x1
     candidates = find_candidates(x, y, corner, one_sided, *columns, window.y0, window.y1)
-    fragments, sampled = [], 0
+    fragments = []
+    sampled = 0
     for top, bottom, pairs in _bands(candidates[-1], window):
         place, owner, coverage, edge_sum = find_pieces(mesh, candidates, *columns, top, bottom, pairs)
         pixels = window.x1 - window.x0, bottom - top
@@ -44,7 +45,9 @@ def visible_areas(flat: FlatTriangles, window: Window, width: int) -> list[Fragm
 
 def _bands(load: np.ndarray, window: Window) -> list[tuple[int, int, int]]:
     """Cut the window into bands that are not empty, of at most `MOST_PAIRS` or one row: rows from .. to, and pairs."""
-    bands, start, held = [], window.y0, 0
+    bands = []
+    start = window.y0
+    held = 0
     for row, pairs in enumerate(load.tolist(), window.y0):
         if held and held + pairs > MOST_PAIRS:
             bands.append((start, row, held))
@@ -65,7 +68,8 @@ def resolve_visibility(mesh, owner, coverage, begin, edge_sum, x0, y0, width):
     most, sampled, cuts = 64, 0, 0
     work = make_workspace(most)
     for place in range(len(begin) - 1):
-        start, count = begin[place], begin[place + 1] - begin[place]
+        start = begin[place]
+        count = begin[place + 1] - begin[place]
         cuts = cuts if place % width else 0
         if count < 2:
             continue
@@ -90,14 +94,17 @@ def resolve_visibility(mesh, owner, coverage, begin, edge_sum, x0, y0, width):
 @loop
 def _emit(ids, owner, coverage, begin, x0, y0, width, image_width):
     """List the visible pieces: pixel, triangle, area, and the centroid in pixels."""
-    most, count = len(owner), 0
+    most = len(owner)
+    count = 0
     pixel, triangle, area = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.float32)
     x, y = np.empty(most), np.empty(most)
     for p in range(len(begin) - 1):
         column, row = x0 + p % width, y0 + p // width
         for i in range(begin[p], begin[p + 1]):
             if coverage[0, i] > NOTHING:
-                pixel[count], triangle[count], area[count] = row * image_width + column, ids[owner[i]], coverage[0, i]
+                pixel[count] = row * image_width + column
+                triangle[count] = ids[owner[i]]
+                area[count] = coverage[0, i]
                 x[count], y[count] = column + coverage[1, i], row + coverage[2, i]
                 count += 1
     return pixel[:count].copy(), triangle[:count].copy(), area[:count].copy(), x[:count].copy(), y[:count].copy()

@@ -66,14 +66,16 @@ def _fill(
     to_pixels, to_coverage, to_base_color, to_crow, to_face, to_weight,
 ):  # fmt: skip
     """Move every pixel to its kind's next place; the logo's entries go to the matrix, all others are summed up."""
-    textured, filled = texture.size > 0, 0
+    textured = texture.size > 0
+    filled = 0
     to_crow[0] = 0
     for n in range(len(kind)):
         place = places[kind[n]]
         places[kind[n]] += 1
         red = green = blue = ZERO
         for entry in range(crow[n], crow[n + 1]):
-            part, at = weight[entry], position[face[entry]]
+            part = weight[entry]
+            at = position[face[entry]]
             if at >= 0:
                 to_face[filled], to_weight[filled] = at, part
                 filled += 1
@@ -87,7 +89,8 @@ def _fill(
                 blue += part * colors[f, 2]
         if kind[n] == 0:
             to_crow[place + 1] = filled
-        to_pixels[place], to_coverage[place] = pixels[n], coverage[n]
+        to_pixels[place] = pixels[n]
+        to_coverage[place] = coverage[n]
         to_base_color[0, place] = (red + specular[n]) * tint[0]
         to_base_color[1, place] = (green + specular[n]) * tint[1]
         to_base_color[2, place] = (blue + specular[n]) * tint[2]

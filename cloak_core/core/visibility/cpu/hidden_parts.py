@@ -41,7 +41,10 @@ def cut_hidden(mesh, at, owner, coverage, work, most):
     count = len(owner)
     if count > MOST_PIECES:
         return 0, False
-    pieces, cuts, seen, far = work.pieces, 0, 0.0, np.inf
+    pieces = work.pieces
+    cuts = 0
+    seen = 0.0
+    far = np.inf
     for i in range(count):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
@@ -57,7 +60,8 @@ def cut_hidden(mesh, at, owner, coverage, work, most):
         cuts += used
         if not fits:
             return cuts, False
-        seen, far = seen + coverage[0, i], min(far, pieces[i].bounds[0])
+        seen = seen + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
     for k in range(left, count):
         coverage[0, order[k]] = 0.0
     return cuts, True
@@ -73,7 +77,8 @@ def _sort(order, behind):
         order[k] = k
     while gap > 0:
         for k in range(gap, len(order)):
-            i, at = order[k], k
+            i = order[k]
+            at = k
             while at >= gap and behind[order[at - gap]] > behind[i]:
                 order[at] = order[at - gap]
                 at -= gap
@@ -88,7 +93,10 @@ def _closed_front(mesh, at, owner, coverage, order, pieces):
     Without boundary edges among them (edge_hash.py) and with the area of the pixel they cover each point once. Both
     counts are those of all pieces where there are no such nearest ones.
     """
-    hashes, area, far, whole = np.int64(0), 0.0, np.inf, -1
+    hashes = np.int64(0)
+    area = 0.0
+    far = np.inf
+    whole = -1
     for k in range(len(order)):
         i = order[k]
         if whole >= 0:
@@ -98,7 +106,8 @@ def _closed_front(mesh, at, owner, coverage, order, pieces):
         a, b, c = mesh.corner[0, owner[i]], mesh.corner[1, owner[i]], mesh.corner[2, owner[i]]
         twice = doubled_area(mesh.x, mesh.y, a, b, c)
         hashes += edge_sum(mesh.x, mesh.y, mesh.hashes, a, b, c, twice, at)
-        area, far = area + coverage[0, i], min(far, pieces[i].bounds[0])
+        area = area + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
         if (hashes == 0) & (abs(area - 1) <= WHOLE):
             whole = k + 1
     return whole, len(order)
@@ -107,7 +116,8 @@ def _closed_front(mesh, at, owner, coverage, order, pieces):
 @inner
 def _cut_piece(i, order, left, coverage, work, most):
     """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
-    pieces, pool, end, cuts = work.pieces, work.pool, 0, 0
+    pieces, pool = work.pieces, work.pool
+    end, cuts = 0, 0
     for k in range(_find_hiders(work, i, order, left)):
         q = work.hiders[k]
         if q == i or _beside(pieces, i, q):
@@ -141,8 +151,10 @@ def _find_hiders(work, i, order, left):
 
     Branch-free within the loops: the branch is unpredictable.
     """
-    pieces, fields, hiders, near, held = work.pieces, work.fields, work.hiders, 0, 0
-    own_fields, low = fields[i], pieces[i].bounds[0]
+    pieces, fields, hiders = work.pieces, work.fields, work.hiders
+    near, held = 0, 0
+    own_fields = fields[i]
+    low = pieces[i].bounds[0]
     for k in range(left):
         q = order[k]
         if -work.behind[q] < low:
@@ -201,7 +213,8 @@ def _beside(pieces, i, q):
         return True
     line, corner = pieces[i].line, pieces[q].corner
     for k in range(0, 9, 3):
-        a, b, c, high = line[k], line[k + 1], line[k + 2], -1.0
+        a, b, c = line[k], line[k + 1], line[k + 2]
+        high = -1.0
         for n in range(0, 6, 2):
             high = max(high, a * corner[n] + b * corner[n + 1] + c)
         if high <= TOUCH:
@@ -219,7 +232,8 @@ def _take_away(pool, pieces, i, q, depth, end):
         crossed, missed = _crossed(pool, slot, pieces, q, depth, nearer)
         if missed:
             continue
-        source, into = slot, 0
+        source = slot
+        into = 0
         for k in range(4):
             if not crossed & (1 << k):
                 continue
@@ -229,7 +243,8 @@ def _take_away(pool, pieces, i, q, depth, end):
             end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _LEAST)
             if pool[into, 0] < 3:
                 break
-            source, into = into, 1 - into
+            source = into
+            into = 1 - into
         end -= 1
         if slot < end:
             copy(pool, end, slot)

@@ -84,8 +84,10 @@ def _fold(pixel, area, highlight, face, weight, by_face):
                 value[at] += weight[i]
                 continue
             for j in range(entries, at, -1):
-                column[j], value[j] = column[j - 1], value[j - 1]
-        column[at], value[at] = face[i], weight[i]
+                column[j] = column[j - 1]
+                value[j] = value[j - 1]
+        column[at] = face[i]
+        value[at] = weight[i]
         entries += 1
     crow[rows] = entries
     # Copies: what is not used of these arrays should not stay in memory.

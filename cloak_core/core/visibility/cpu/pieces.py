@@ -28,7 +28,8 @@ def find_candidates(x, y, corner, one_sided, x0, x1, y0, y1):
     Returns index and doubled area, first and last row; and for every row of the window how many pixels at most they
     touch there.
     """
-    most, count, backs = corner.shape[1], 0, 0
+    most = corner.shape[1]
+    count, backs = 0, 0
     index, area = np.empty(most, np.int32), np.empty(most, np.int64)
     first, last = np.empty(most, np.int32), np.empty(most, np.int32)
     load = np.zeros(y1 - y0 + 1, np.int64)
@@ -65,7 +66,9 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
     Also returns the edge sum of each pixel (edge_hash.py). most: pieces there may be.
     """
     index, areas, first, last, _ = candidates
-    width, count, backs = x1 - x0, 0, False
+    width = x1 - x0
+    count = 0
+    backs = False
     places = width * (y1 - y0)
     pixels = Pixels(np.zeros(places, np.int64), np.zeros(places), np.zeros(places), np.full(places, 2.0))
     pieces = np.empty(most, np.int32), np.empty(most, np.int32), np.empty((3, most), np.float32)
@@ -77,7 +80,8 @@ def find_pieces(mesh, candidates, x0, x1, y0, y1, most):
             close_front(pixels)
         if (last[k] < y0) | (first[k] >= y1):
             continue
-        t, rows = index[k], (max(first[k], y0), min(last[k], y1 - 1))
+        t = index[k]
+        rows = (max(first[k], y0), min(last[k], y1 - 1))
         a, b, c = mesh.corner[0, t], mesh.corner[1, t], mesh.corner[2, t]
         columns = touched(mesh.x[a], mesh.x[b], mesh.x[c], x0, x1)
         if (columns[0] == columns[1]) & (rows[0] == rows[1]) & _within(mesh, a, b, c, columns[0], rows[0]):
@@ -118,7 +122,8 @@ def _add_rows(pieces, count, mesh, t, twice, edges, signs, sums, pixels, window)
     small = (c1 - c0 < 3) & (r1 - r0 < 3)
     plane = (a, 0.0, 0.0) if small else slopes(mesh.x, mesh.y, depth, a, b, c, twice)
     for row in range(r0, r1 + 1):
-        level, base = (near, far) if small else row_bounds(mesh, plane, row), (row - y0) * (x1 - x0)
+        level = (near, far) if small else row_bounds(mesh, plane, row)
+        base = (row - y0) * (x1 - x0)
         spanned = walk_row(edges, signs, sums, pixels.edge_sum, row, x0, x1, base)
         bounds = level, plane, mesh.x, near, far
         count = _add_row(pieces, count, t, spanned, sums, pixels, bounds, (c0, c1, x0, base))

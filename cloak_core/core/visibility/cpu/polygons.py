@@ -24,7 +24,9 @@ def cut(pool, source, a, b, c, inside, outside):
     Corners on the line belong to both. A part without an inner point gets size 0. Returns False where a part would
     need more than `CORNERS`.
     """
-    count, to_in, to_out, within, beyond = int(pool[source, 0]), 1, 1, False, False
+    count = int(pool[source, 0])
+    to_in, to_out = 1, 1
+    within, beyond = False, False
     if count + 1 >= CORNERS:
         return False
     x, y = pool[source, 2 * count - 1], pool[source, 2 * count]

@@ -68,18 +68,22 @@ def _span(a, b, c, shift, first, last):
 def _cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0, column0, shift):
     """Test one triangle at the samples of its box. name: its id."""
     p0, p1, p2 = corners
-    x0, y0, step = np.int64(x[p0]), np.int64(y[p0]), 1 << shift
+    x0, y0 = np.int64(x[p0]), np.int64(y[p0])
+    step = 1 << shift
     half = step >> 1
     d1x, d1y, d2x, d2y = x[p1] - x0, y[p1] - y0, x[p2] - x0, y[p2] - y0
     area = d1x * d2y - d1y * d2x
-    n0, size = inverse_depth[p0], float(area)
+    n0 = inverse_depth[p0]
+    size = float(area)
     slope1, slope2 = (inverse_depth[p1] - n0) / size, (inverse_depth[p2] - n0) / size
     across0, across1, across2 = (d1y - d2y) * step, d2y * step, -d1y * step
     right, width = c0 * step + half - x0, c1 - c0 + 1
     for row in range(r0, r1 + 1):
         below = row * step + half - y0
         e1, e2 = d2y * right - d2x * below, d1x * below - d1y * right
-        e0, low, high = area - e1 - e2, 0, width
+        e0 = area - e1 - e2
+        low = 0
+        high = width
         if width > _SHORT:
             low, high = _run(e0, e1, e2, across0, across1, across2, width)
         for k in range(low, high):
@@ -97,7 +101,8 @@ def _cover_box(packed, x, y, inverse_depth, corners, name, r0, r1, c0, c1, row0,
 def _run(e0, e1, e2, across0, across1, across2, width):
     """The run [low, high) of a row's columns that are inside, by the top-left rule: edges 0-2, and 1-2 where it is on
     the left, own their samples; the others do not."""
-    low, high = 0, min(width, _quotient_up(e2, -across2))
+    low = 0
+    high = min(width, _quotient_up(e2, -across2))
     if across1 > 0:  # else level on top, and no row of the box lies above it
         low = max(low, _quotient_up(-e1, across1))
     if across0 > 0:
@@ -147,7 +152,8 @@ def _merge(packed, grid, row0, column0, width):
                 x[count] = (column0 + left + 0.5 + sums[1, i] / held) / grid
                 y[count] = (row0 + top + 0.5 + sums[2, i] / held) / grid
                 area[count] = held / (grid * grid)
-                pixel[count], triangle[count] = place, names[i]
+                pixel[count] = place
+                triangle[count] = names[i]
                 count += 1
     return pixel[:count], triangle[:count], area[:count], x[:count], y[:count]
 
@@ -167,7 +173,8 @@ def _gather(packed, top, left, grid, names, sums):
             if at < 0:
                 at = count
                 while at > 0 and names[at - 1] > key & _ID:
-                    names[at], sums[0, at] = names[at - 1], sums[0, at - 1]
+                    names[at] = names[at - 1]
+                    sums[0, at] = sums[0, at - 1]
                     sums[1, at], sums[2, at] = sums[1, at - 1], sums[2, at - 1]
                     at -= 1
                 names[at] = key & _ID
@@ -186,8 +193,11 @@ def sample_pixel(mesh, column, row, owner, coverage):
     owner [n]: their triangles.
     """
     # Names ascend with triangle ids, so that equal depths go to the lower id.
-    order, packed = np.argsort(mesh.ids[owner]), np.full((SIDE, SIDE), EMPTY)
-    corner, names, one_sided = mesh.corner[:, owner[order]], np.arange(len(order)), np.zeros(len(order), np.bool_)
+    order = np.argsort(mesh.ids[owner])
+    packed = np.full((SIDE, SIDE), EMPTY)
+    corner = mesh.corner[:, owner[order]]
+    names = np.arange(len(order))
+    one_sided = np.zeros(len(order), np.bool_)
     _draw(packed, mesh.x, mesh.y, mesh.inverse_depth, corner, names, one_sided, row * SIDE, column * SIDE, _SHIFT)
     coverage[:] = 0
     for y in range(SIDE):

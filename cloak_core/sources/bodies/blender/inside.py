@@ -57,7 +57,9 @@ def scene_arrays(frames: int) -> dict[str, np.ndarray]:
     scene = bpy.context.scene
     objects = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get()]
     moments = np.rint(np.linspace(scene.frame_start, scene.frame_end, max(frames, 1))).astype(int)
-    poses, first, ahead = [], None, first_simulated(objects)
+    poses = []
+    first = None
+    ahead = first_simulated(objects)
     for moment in moments.tolist():
         if ahead is not None:
             for frame in range(ahead, moment):

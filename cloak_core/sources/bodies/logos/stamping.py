@@ -143,7 +143,8 @@ def seen_from_front(
     # Only triangles under the stamp can hide anything.
     near = ((high[:, :2] >= centres[:, :2].min(axis=0)) & (low[:, :2] <= centres[:, :2].max(axis=0))).all(axis=1)
     near &= high[:, 2] > centres[:, 2].min()
-    corners, face = corners[near], bodies.triangle_face[near].astype(np.int64)
+    corners = corners[near]
+    face = bodies.triangle_face[near].astype(np.int64)
     seen = np.ones(len(ids), bool)
     for start in range(0, len(ids), 256):
         part = slice(start, start + 256)
@@ -177,16 +178,19 @@ def sized_stamp(
     make: `project_text` or `project_mask` but for the height, metres. InputError: no such stamp fits.
     """
     low, high = 0.0, 1.0
-    best, distance = None, np.inf
+    best = None
+    distance = np.inf
     for _ in range(14):
         height = (low + high) / 2
         try:
             ids = make(height=height)
             reached = area_share(bodies, ids)
         except InputError:  # too small to cover the centre of any face
-            ids, reached = None, 0.0
+            ids = None
+            reached = 0.0
         if ids is not None and abs(reached - target) < distance:
-            best, distance = ids, abs(reached - target)
+            best = ids
+            distance = abs(reached - target)
         low, high = (height, high) if reached < target else (low, height)
     if best is None:
         raise InputError(f"scene '{bodies.name}': no stamp of {target:.1%} of its area fits on the chest")

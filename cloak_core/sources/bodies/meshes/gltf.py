@@ -59,7 +59,8 @@ class Moment:
         parent = {child: index for index, node in enumerate(nodes) for child in node.get("children", [])}
         self.matrices: dict[int, np.ndarray] = {}
         for index in range(len(nodes)):
-            chain, at = [], index
+            chain = []
+            at = index
             while at is not None and at not in self.matrices:
                 if len(chain) > len(nodes):
                     raise ValueError("its nodes are no tree")
@@ -150,7 +151,8 @@ class Primitive:
     def __init__(self, document: Document, record: dict) -> None:
         if record.get("mode", 4) != 4:
             raise InputError(f"{document.path}: only triangle lists are read, not primitive mode {record['mode']}")
-        self.document, self.attributes = document, record["attributes"]
+        self.document = document
+        self.attributes = record["attributes"]
         self.positions = document.geometry(self.attributes["POSITION"]).astype(np.float64)
         count = len(self.positions)
         indices = document.geometry(record["indices"]) if "indices" in record else np.arange(count)
@@ -175,7 +177,8 @@ class Primitive:
         materials = self.document.list("materials")
         material = {} if index is None else materials[index].get("pbrMetallicRoughness", {})
         factor = np.array(material.get("baseColorFactor", (1, 1, 1, 1)), float)[:3]
-        texture, vertex_colors = material.get("baseColorTexture"), self.read("COLOR_0")
+        texture = material.get("baseColorTexture")
+        vertex_colors = self.read("COLOR_0")
         self.uv = self.read(f"TEXCOORD_{(texture or {}).get('texCoord', 0)}")
         self.picture = -1
         if texture is not None:
@@ -234,7 +237,8 @@ def sample_animation(document: Document, time: float) -> dict[int, dict[str, np.
     animation = document.list("animations")[0]
     moved: dict[int, dict[str, np.ndarray]] = {}
     for channel in animation["channels"]:
-        target, sampler = channel["target"], animation["samplers"][channel["sampler"]]
+        target = channel["target"]
+        sampler = animation["samplers"][channel["sampler"]]
         if "node" not in target:
             continue
         times = document.accessor(sampler["input"]).astype(float)

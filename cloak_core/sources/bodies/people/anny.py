@@ -68,7 +68,8 @@ def anny_bodies(count: int, seed: int = 0, poses: str | Path = "natural", name: 
         random = np.random.default_rng([seed, index])
         shape = {key: float(random.uniform(*limits)) for key, limits in SHAPES.items()}
         if read_poses is not None:
-            posed, motion = source.posed(shape, read_poses[index % len(read_poses)]), Path(poses).stem
+            posed = source.posed(shape, read_poses[index % len(read_poses)])
+            motion = Path(poses).stem
         else:
             motion = POSES[str(poses)][index % len(POSES[str(poses)])]
             rest, skeleton = source.figure(shape)

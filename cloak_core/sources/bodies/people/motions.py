@@ -73,7 +73,8 @@ def draw_standing(random: np.random.Generator) -> Pose:
 
 def draw_walking(random: np.random.Generator) -> Pose:
     u = between(random)
-    left_first, swinging = bool(random.integers(2)), random.random() < 0.4
+    left_first = bool(random.integers(2))
+    swinging = random.random() < 0.4
     changes: dict[str, object] = {"lean": u(1, 4), "spine_lean": u(0, 5)} | head(random)
     if swinging:
         # The free leg on its way past the standing one.

@@ -203,7 +203,8 @@ def bone_transforms(skeleton: Skeleton, pose: Pose) -> tuple[np.ndarray, np.ndar
     heads = np.zeros_like(skeleton.heads)
     for bone, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
         if parent < 0:
-            turned[bone], heads[bone] = rotations.get(name, np.eye(3)), skeleton.heads[bone]
+            turned[bone] = rotations.get(name, np.eye(3))
+            heads[bone] = skeleton.heads[bone]
             continue
         turned[bone] = rotations.get(name, turned[parent])
         heads[bone] = heads[parent] + turned[parent] @ (skeleton.heads[bone] - skeleton.heads[parent])

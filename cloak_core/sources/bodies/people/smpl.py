@@ -68,7 +68,8 @@ def read_smpl(path: str | Path) -> SmplModel:
     missing = [name for name in names if not isinstance(arrays.get(name), np.ndarray)]
     if missing:
         raise InputError(f"{path}: not an SMPL model, it lacks {', '.join(missing)}")
-    v, j = arrays["v_template"].shape[0], arrays["weights"].shape[-1]
+    v = arrays["v_template"].shape[0]
+    j = arrays["weights"].shape[-1]
     s = arrays["shapedirs"].shape[-1]
     expected = {
         "v_template": (v, 3),
@@ -130,7 +131,8 @@ def pose_smpl(
 
     poses: axis-angle of every joint [P, 3 J] in radians; betas: [P, S'] with S' at most the model's S.
     """
-    count, v, j = len(poses), len(model.weights), model.joint_count
+    count, v = len(poses), len(model.weights)
+    j = model.joint_count
     if poses.shape[1] != 3 * j:
         raise InputError(f"poses of {poses.shape[1]} numbers, but {j} joints need {3 * j}")
     if betas.shape[1] > min(len(model.joint_basis), EXPRESSIONS_FROM):
