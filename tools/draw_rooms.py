@@ -10,6 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 WIDE, HIGH, BETWEEN, GAP = 190, 86, 18, 30
 """A room's box and the free space beside and below it, in units of the picture."""
+LANE = 14
+"""From a box to the line that passes beside it, and from such a line to the next."""
 
 
 def rooms_svg() -> str:
@@ -23,12 +25,19 @@ def rooms_svg() -> str:
         for y, floor in zip(range(0, height, HIGH + GAP), floors, strict=False)
         for i, room in enumerate(floor)
     }
-    shapes = [arrow(corners[room], corners[other]) for room in corners for other in sorted(nearest(room, below))]
+    floor_of = {room: number for number, floor in enumerate(floors) for room in floor}
+    arrows = [(room, other) for room in corners for other in sorted(nearest(room, below))]
+    far = [(room, other) for room, other in arrows if floor_of[room] - floor_of[other] > 1]
+    shapes = [arrow(corners[room], corners[other]) for room, other in arrows if (room, other) not in far]
+    for number, (room, other) in enumerate(far, 1):
+        shapes.append(detour(corners[room], corners[other], width, number * LANE))
     shapes += [box(room, *corner) for room, corner in corners.items()]
+    beside = len(far) * LANE + 2
+    frame = f"{-beside} -2 {width + 2 * beside} {height + 4}"
     return "\n".join(
         [
             '<div class="rooms">',
-            f'<svg viewBox="-2 -2 {width + 4} {height + 4}" role="img" aria-label="The rooms of cloak_core"'
+            f'<svg viewBox="{frame}" role="img" aria-label="The rooms of cloak_core"'
             ' fill="none" stroke="currentColor" font-family="sans-serif">',
             '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8" markerHeight="8"'
             ' orient="auto"><path d="M0 0L8 4L0 8" /></marker></defs>',
@@ -51,13 +60,12 @@ def directions() -> dict[str, set[str]]:
 
 
 def floors_of(below: dict[str, set[str]]) -> list[list[str]]:
-    """Rooms from the lowest to the highest floor: each stands right below the lowest that may import it."""
-    above = {room: {other for other in below if room in below[other]} for room in below}
-    depth: dict[str, int] = {}
-    while len(depth) < len(below):
-        ready = [room for room in below if room not in depth and above[room] <= depth.keys()]
-        depth |= {room: max((depth[other] + 1 for other in above[room]), default=0) for room in ready}
-    return [[room for room in below if depth[room] == floor] for floor in range(max(depth.values()), -1, -1)]
+    """List rooms from the lowest to the highest floor: each stands right above the highest that it may import."""
+    floor: dict[str, int] = {}
+    while len(floor) < len(below):
+        ready = [room for room in below if room not in floor and below[room] <= floor.keys()]
+        floor |= {room: max((floor[other] + 1 for other in below[room]), default=0) for room in ready}
+    return [[room for room in below if floor[room] == number] for number in range(max(floor.values()) + 1)]
 
 
 def nearest(room: str, below: dict[str, set[str]]) -> set[str]:
@@ -67,9 +75,10 @@ def nearest(room: str, below: dict[str, set[str]]) -> set[str]:
 
 def box(room: str, x: float, y: float) -> str:
     """A room's frame, its name, and the first sentence of its docstring."""
-    said = ast.get_docstring(ast.parse((ROOT / "cloak_core" / room / "__init__.py").read_text("utf-8"))) or ""
-    said = said.replace("`", "")
-    lines = textwrap.wrap(" ".join(said.split()).partition(". ")[0].rstrip("."), 31, max_lines=4, placeholder=" …")
+    docstring = ast.get_docstring(ast.parse((ROOT / "cloak_core" / room / "__init__.py").read_text("utf-8"))) or ""
+    lines = textwrap.wrap(
+        " ".join(docstring.replace("`", "").split()).partition(". ")[0].rstrip("."), 31, max_lines=4, placeholder=" …"
+    )
     text = [f'<text x="{x + 10}" y="{y + 19}" font-size="14" font-weight="bold">{room}</text>']
     text += [
         f'<text x="{x + 10}" y="{y + 36 + 14 * i}" font-size="10.5">{escape(line)}</text>'
@@ -83,5 +92,16 @@ def arrow(start: tuple[float, float], end: tuple[float, float]) -> str:
     """A line from the bottom of one box to the top of another."""
     return (
         f'<path d="M{start[0] + WIDE / 2} {start[1] + HIGH}L{end[0] + WIDE / 2} {end[1]}"'
+        ' opacity="0.6" marker-end="url(#tip)" />'
+    )
+
+
+def detour(start: tuple[float, float], end: tuple[float, float], width: float, away: float) -> str:
+    """A line around the floors between two boxes, on the side that the lower one is nearer to, `away` from the edge."""
+    is_left = end[0] + WIDE / 2 <= width / 2
+    side = 0 if is_left else WIDE
+    lane = -away if is_left else width + away
+    return (
+        f'<path d="M{start[0] + side} {start[1] + HIGH / 2}H{lane}V{end[1] + HIGH / 2}H{end[0] + side}"'
         ' opacity="0.6" marker-end="url(#tip)" />'
     )

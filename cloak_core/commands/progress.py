@@ -90,7 +90,7 @@ class Pace:
 def counted(label: str, events: Path | None = None) -> Iterator[Callable[[int, int], None]]:
     """Yield `tell(done, total)`, which feeds a bar in a terminal and the lines of `events`.
 
-    These are a run's (`attack.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
+    These are a run's (`core.events`): "start" with `steps`, the total, as soon as that is known, then "step" with
     `step`, what is done. Both have `time`, the seconds since. InputError: the file is there already.
     """
     from cloak_core.core.events import EventLog

@@ -1,7 +1,7 @@
 """Count photographs: rates with intervals, compared with the same person's clean pictures.
 
 The table has a row for each detector and subject: garment, person, place, scene, distance (metres, nan where unknown),
-pair, score, clean and operating_point; see `photographs.judge`.
+pair, score, clean and operating_point; see `judging.judge`.
 """
 
 from __future__ import annotations

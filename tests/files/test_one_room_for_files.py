@@ -1,4 +1,4 @@
-"""Files are read and written through `cloak_core.files`, pictures through `scene.pictures`, never by hand."""
+"""Files are read and written through `cloak_core.files`, pictures through `core.pictures`, never by hand."""
 
 import ast
 from pathlib import Path

@@ -1,7 +1,7 @@
 """The settings of training's components, with their ranges and their help.
 
 Every field is an option of `cloak train` by its name; the string below it is its help. The settings of techniques
-join those of a component (`attack.technique`).
+join those of a component (`core.technique`).
 """
 
 from __future__ import annotations

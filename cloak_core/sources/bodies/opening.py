@@ -15,9 +15,9 @@ def load_scene(spec: str | Path) -> Bodies:
     """Load bodies: a scene folder, an .npz, the embedded ones, or bodies drawn from Anny on the spot.
 
     Embedded: "sample", "sample:train", "sample:unseen", likewise in cloth "sample-clothed" and "sample-tight"
-    (`scene.people.clothed`); drawn: "anny:COUNT[:SEED[:POSES]]" (`scene.people.anny`).
+    (`people.clothed`); drawn: "anny:COUNT[:SEED[:POSES]]" (`people.anny`).
 
-    `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`scene.selection`). Raises `InputError`.
+    `SPEC[0:4]`, `SPEC[2,5]`, `SPEC[walking*]` take some of them (`bodies.selection`). Raises `InputError`.
     """
     whole, selection = split_selection(str(spec))
     bodies = _open_whole(whole)

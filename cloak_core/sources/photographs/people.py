@@ -109,7 +109,7 @@ def load_people(spec: str | os.PathLike, images: str | os.PathLike | None = None
     """Read people in photographs from a COCO file: PEOPLE.json, or PEOPLE.json[0::2] for every second photograph.
 
     images: the photographs' folder; None: the file's own, or `images` in it. A selection counts or names photographs
-    (see `scene.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a photograph under two
+    (see `bodies.selection`). Only annotations of people count (`annotations.PERSON_NAMES`); a photograph under two
     names is one, and what is said of it twice counts once. `InputError` names annotation and file for whatever is
     broken or does not fit the picture.
     """

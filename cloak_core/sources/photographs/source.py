@@ -23,7 +23,7 @@ from cloak_core.sources.photographs.views import (
 )
 
 _ORDER = 4
-"""Stream of random numbers, apart from those of `attack.sampling`."""
+"""Stream of random numbers, apart from those of `core.sampling`."""
 
 
 _CLOTH = 1

@@ -73,6 +73,6 @@ def test_that_loops_are_being_compiled_is_said_once(folder, often, monkeypatch, 
     compiling("somebody.elses")
     assert not caplog.records
     for _ in range(2):
-        compiling("cloak_core.core.loops")
+        compiling("cloak_core.core.visibility")
     (record,) = caplog.records
     assert "compiling the loops that draw, " + often in record.getMessage()

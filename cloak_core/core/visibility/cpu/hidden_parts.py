@@ -31,35 +31,39 @@ _BEHIND, _NEARER, _PARTLY = 0, 1, 2
 
 
 @loop
-def cut_hidden(mesh, at, owner, share, work, most):
+def cut_hidden(mesh, at, owner, coverage, work, most):
     """Reduce a pixel's pieces to what is visible of them.
 
-    at: column, row and size (as a shift) of the pixel; owner [n]: the triangle of each piece; share [3, n]: area (0:
+    at: column, row and size (as a shift) of the pixel; owner [n]: the triangle of each piece; coverage [3, n]: area (0:
     hidden) and centroid, changed in place. Returns how many tests of a convex part against a triangle it took, and
-    False where that is more than `most`, or too many pieces or parts; `share` is unfinished then.
+    False where that is more than `most`, or too many pieces or parts; `coverage` is unfinished then.
     """
-    found = len(owner)
-    if found > MOST_PIECES:
+    count = len(owner)
+    if count > MOST_PIECES:
         return 0, False
-    pieces, cuts, seen, far = work.pieces, 0, 0.0, np.inf
-    for i in range(found):
+    pieces = work.pieces
+    cuts = 0
+    seen = 0.0
+    far = np.inf
+    for i in range(count):
         work.fields[i] = describe(mesh, owner[i], at, pieces, i)
         work.behind[i] = -pieces[i].bounds[1]
-    order = work.order[:found]
+    order = work.order[:count]
     _sort(order, work.behind)
-    whole, left = _closed_front(mesh, at, owner, share, order, pieces)
+    whole, left = _closed_front(mesh, at, owner, coverage, order, pieces)
     for k in range(left if whole < left else 0):
         i = order[k]
         if (seen >= FULL) & (pieces[i].bounds[1] < far):
             left = k
             break
-        used, fits = _cut_piece(i, order, left, share, work, most - cuts)
+        used, fits = _cut_piece(i, order, left, coverage, work, most - cuts)
         cuts += used
         if not fits:
             return cuts, False
-        seen, far = seen + share[0, i], min(far, pieces[i].bounds[0])
-    for k in range(left, found):
-        share[0, order[k]] = 0.0
+        seen = seen + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
+    for k in range(left, count):
+        coverage[0, order[k]] = 0.0
     return cuts, True
 
 
@@ -73,7 +77,8 @@ def _sort(order, behind):
         order[k] = k
     while gap > 0:
         for k in range(gap, len(order)):
-            i, at = order[k], k
+            i = order[k]
+            at = k
             while at >= gap and behind[order[at - gap]] > behind[i]:
                 order[at] = order[at - gap]
                 at -= gap
@@ -82,13 +87,16 @@ def _sort(order, behind):
 
 
 @inner
-def _closed_front(mesh, at, owner, share, order, pieces):
+def _closed_front(mesh, at, owner, coverage, order, pieces):
     """Count the nearest pieces that fill the pixel without overlap, and those behind which nothing is seen.
 
     Without boundary edges among them (edge_hash.py) and with the area of the pixel they cover each point once. Both
     counts are those of all pieces where there are no such nearest ones.
     """
-    hashes, area, far, whole = np.int64(0), 0.0, np.inf, -1
+    hashes = np.int64(0)
+    area = 0.0
+    far = np.inf
+    whole = -1
     for k in range(len(order)):
         i = order[k]
         if whole >= 0:
@@ -98,16 +106,18 @@ def _closed_front(mesh, at, owner, share, order, pieces):
         a, b, c = mesh.corner[0, owner[i]], mesh.corner[1, owner[i]], mesh.corner[2, owner[i]]
         twice = doubled_area(mesh.x, mesh.y, a, b, c)
         hashes += edge_sum(mesh.x, mesh.y, mesh.hashes, a, b, c, twice, at)
-        area, far = area + share[0, i], min(far, pieces[i].bounds[0])
+        area = area + coverage[0, i]
+        far = min(far, pieces[i].bounds[0])
         if (hashes == 0) & (abs(area - 1) <= WHOLE):
             whole = k + 1
     return whole, len(order)
 
 
 @inner
-def _cut_piece(i, order, left, share, work, most):
+def _cut_piece(i, order, left, coverage, work, most):
     """Measure what is visible of piece i; returns how many tests it took, and False where they are more than `most`."""
-    pieces, pool, end, cuts = work.pieces, work.pool, 0, 0
+    pieces, pool = work.pieces, work.pool
+    end, cuts = 0, 0
     for k in range(_find_hiders(work, i, order, left)):
         q = work.hiders[k]
         if q == i or _beside(pieces, i, q):
@@ -129,9 +139,9 @@ def _cut_piece(i, order, left, share, work, most):
         for slot in range(_PARTS, end):
             part = measure(pool, slot)
             area, across, down = area + part[0], across + part[1], down + part[2]
-        share[0, i] = area if area > NOTHING else 0.0
-        share[1, i] = min(max(across / area, 0.0), 1.0) if area > 0 else 0.0
-        share[2, i] = min(max(down / area, 0.0), 1.0) if area > 0 else 0.0
+        coverage[0, i] = area if area > NOTHING else 0.0
+        coverage[1, i] = min(max(across / area, 0.0), 1.0) if area > 0 else 0.0
+        coverage[2, i] = min(max(down / area, 0.0), 1.0) if area > 0 else 0.0
     return cuts, True
 
 
@@ -141,14 +151,16 @@ def _find_hiders(work, i, order, left):
 
     Branch-free within the loops: the branch is unpredictable.
     """
-    pieces, fields, hiders, near, held = work.pieces, work.fields, work.hiders, 0, 0
-    mine, low = fields[i], pieces[i].bounds[0]
+    pieces, fields, hiders = work.pieces, work.fields, work.hiders
+    near, held = 0, 0
+    own_fields = fields[i]
+    low = pieces[i].bounds[0]
     for k in range(left):
         q = order[k]
         if -work.behind[q] < low:
             break
         hiders[near] = q
-        near += (fields[q] & mine) != 0
+        near += (fields[q] & own_fields) != 0
     for k in range(near):
         q = hiders[k]
         hiders[held] = q
@@ -159,16 +171,16 @@ def _find_hiders(work, i, order, left):
 @inner
 def _overlap(pieces, i, q):
     """Intersect two boxes: left, top, right, bottom."""
-    one, other = pieces[i].box, pieces[q].box
-    left, right = max(one[0], other[0]), min(one[2], other[2])
-    return left, max(one[1], other[1]), right, min(one[3], other[3])
+    own, other = pieces[i].box, pieces[q].box
+    left, right = max(own[0], other[0]), min(own[2], other[2])
+    return left, max(own[1], other[1]), right, min(own[3], other[3])
 
 
 @inner
 def _ahead(pieces, i, q):
     """Subtract two planes: how much nearer piece q is than piece i."""
-    one, other = pieces[i].plane, pieces[q].plane
-    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    own, other = pieces[i].plane, pieces[q].plane
+    return other[0] - own[0], other[1] - own[1], other[2] - own[2]
 
 
 @inner
@@ -201,7 +213,8 @@ def _beside(pieces, i, q):
         return True
     line, corner = pieces[i].line, pieces[q].corner
     for k in range(0, 9, 3):
-        a, b, c, high = line[k], line[k + 1], line[k + 2], -1.0
+        a, b, c = line[k], line[k + 1], line[k + 2]
+        high = -1.0
         for n in range(0, 6, 2):
             high = max(high, a * corner[n] + b * corner[n + 1] + c)
         if high <= TOUCH:
@@ -219,7 +232,8 @@ def _take_away(pool, pieces, i, q, depth, end):
         crossed, missed = _crossed(pool, slot, pieces, q, depth, nearer)
         if missed:
             continue
-        source, into = slot, 0
+        source = slot
+        into = 0
         for k in range(4):
             if not crossed & (1 << k):
                 continue
@@ -229,7 +243,8 @@ def _take_away(pool, pieces, i, q, depth, end):
             end += (pool[end, 0] >= 3) and (measure(pool, end)[0] > _LEAST)
             if pool[into, 0] < 3:
                 break
-            source, into = into, 1 - into
+            source = into
+            into = 1 - into
         end -= 1
         if slot < end:
             copy(pool, end, slot)

@@ -24,7 +24,9 @@ def cut(pool, source, a, b, c, inside, outside):
     Corners on the line belong to both. A part without an inner point gets size 0. Returns False where a part would
     need more than `CORNERS`.
     """
-    count, to_in, to_out, within, beyond = int(pool[source, 0]), 1, 1, False, False
+    count = int(pool[source, 0])
+    to_in, to_out = 1, 1
+    within, beyond = False, False
     if count + 1 >= CORNERS:
         return False
     x, y = pool[source, 2 * count - 1], pool[source, 2 * count]
@@ -34,8 +36,8 @@ def cut(pool, source, a, b, c, inside, outside):
         x, y = pool[source, at], pool[source, at + 1]
         along = side(x, y, a, b, c)
         if here * along < 0:
-            share = here / (here - along)
-            u, v = x0 + share * (x - x0), y0 + share * (y - y0)
+            fraction = here / (here - along)
+            u, v = x0 + fraction * (x - x0), y0 + fraction * (y - y0)
             pool[inside, to_in], pool[inside, to_in + 1] = u, v
             pool[outside, to_out], pool[outside, to_out + 1] = u, v
             to_in, to_out = to_in + 2, to_out + 2

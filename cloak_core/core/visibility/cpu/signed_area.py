@@ -44,13 +44,15 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
     sums: area and moments right of the edges within the pixel, area and moment in y for every pixel to the right.
     Returns the first and last column that they touch, and area and moment that come in from the left.
     """
-    begin, end, carry, moment = np.int64(x1), np.int64(x0), 0.0, 0.0
+    begin, end = np.int64(x1), np.int64(x0)
+    carry, moment = 0.0, 0.0
     for k in range(3):
         if (edges[k, 3] <= row) | (edges[k, 1] >= row + 1):
             continue
         u0, v0, u1, v1 = _clip_to_row(edges, k, row)
         side = edges[k, 5]
-        column, stop = np.int64(np.floor(u0)), np.int64(np.ceil(u1)) - 1
+        column = np.int64(np.floor(u0))
+        stop = np.int64(np.ceil(u1)) - 1
         slant = (v1 - v0) / (u1 - u0) if u1 > u0 else 0.0
         if column < x0:
             beyond = v1 if u1 <= x0 else v0 + (x0 - u0) * slant
@@ -59,7 +61,9 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
             if u1 <= x0:
                 begin = np.int64(x0)
                 continue
-            u0, v0, column = float(x0), beyond, np.int64(x0)
+            u0 = float(x0)
+            v0 = beyond
+            column = np.int64(x0)
         begin, end = min(begin, column), max(end, min(max(stop, column), x1 - 1))
         while column < x1:
             u, v = (u1, v1) if column >= stop else (column + 1.0, v0 + (column + 1 - u0) * slant)
@@ -68,7 +72,8 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
                 edge_sum[base + column - x0] += signs[k]
             if column >= stop:
                 break
-            u0, v0, column = u, v, column + 1
+            u0, v0 = u, v
+            column = column + 1
     return begin, end, carry, moment
 
 
@@ -76,12 +81,15 @@ def walk_row(edges, signs, sums, edge_sum, row, x0, x1, base):
 def _clip_to_row(edges, k, row):
     """Clip an edge to a row of pixels, from left to right; y counted from the row."""
     xt, yt, xb, yb, slope = edges[k, 0], edges[k, 1], edges[k, 2], edges[k, 3], edges[k, 4]
-    v0, v1, u0, u1 = yt - row, yb - row, xt, xb
+    v0, v1 = yt - row, yb - row
+    u0, u1 = xt, xb
     low, high = min(xt, xb), max(xt, xb)
     if v0 < 0:
-        v0, u0 = 0.0, min(max(xt + (row - yt) * slope, low), high)
+        v0 = 0.0
+        u0 = min(max(xt + (row - yt) * slope, low), high)
     if v1 > 1:
-        v1, u1 = 1.0, min(max(xt + (row + 1 - yt) * slope, low), high)
+        v1 = 1.0
+        u1 = min(max(xt + (row + 1 - yt) * slope, low), high)
     return (u0, v0, u1, v1) if u1 >= u0 else (u1, v1, u0, v0)
 
 

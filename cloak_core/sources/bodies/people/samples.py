@@ -24,7 +24,7 @@ def sample_bodies(split: str = "all") -> Bodies:
     The unseen ones have other shapes and poses.
 
     All have one topology (13,486 quads), stand on y = 0, and share twelve outfits and the regions of
-    `scene.logos.logo.select_region`. A pose's name begins with its motion: standing, walking, running or waving.
+    `core.logo.select_region`. A pose's name begins with its motion: standing, walking, running or waving.
     """
     if split not in ("all", "train", "unseen"):
         raise InputError(f"scene 'sample:{split}': the sample bodies come as sample, sample:train and sample:unseen")
