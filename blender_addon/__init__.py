@@ -48,6 +48,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     for room in WATCHERS:
         room.register()
+    session.keeps = not bpy.app.background
     preferences.look_ahead()
 
 

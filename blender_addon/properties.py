@@ -7,7 +7,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.props import CollectionProperty, EnumProperty, PointerProperty
 
-from .blender import blend_paths
+from .blender import blend_paths, marks
 from .blender.blend_paths import absolute, blend_folder
 from .blender.colors import set_look
 from .blender.faces import is_logo, logo_names
@@ -40,7 +40,7 @@ def _remember_run(self: "CloakObject", context: bpy.types.Context) -> None:
 
 
 def _scene_changed(self: "CloakObject", context: bpy.types.Context) -> None:
-    session.mesh_changes += 1
+    session.note_change(geometry=True)
 
 
 def _look_chosen(self: "CloakSettings", context: bpy.types.Context) -> None:
@@ -222,7 +222,9 @@ def output_folder(settings: CloakSettings) -> Path:
 
 
 HOOKS = Hooks(
-    *blend_paths.HANDLERS, *(("undo_post", give_runs_back), ("redo_post", give_runs_back), ("load_post", take_over))
+    *blend_paths.HANDLERS,
+    *(("undo_post", give_runs_back), ("redo_post", give_runs_back)),
+    *(("load_post", take_over), ("load_post", marks.mark_former)),
 )
 CLASSES = (CloakObject, CloakJudging, CloakDetector, CloakSettings)
 

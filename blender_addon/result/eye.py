@@ -6,6 +6,7 @@ asks again when the view, the body or the colours have changed, as soon as the l
 over the viewport only where they belong to what it shows.
 """
 
+import logging
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -32,6 +33,7 @@ from ..ui.window import Hooks, areas, main_region, redraw
 from .reasons import export_worn, worn_reason
 from .viewpoints import Viewpoint, camera_frame, of_camera, of_view
 
+LOG = logging.getLogger(__name__)
 LONGEST = 640  # pixels along the longer side of the pictures that the detector gets
 TICK_SECONDS = 0.2
 
@@ -182,9 +184,11 @@ def tick() -> float | None:
         return None
     try:
         session.eye.tick(bpy.context)
-    except InputError as error:
+    except Exception as error:
+        if not isinstance(error, InputError):
+            LOG.exception("Detector's eye")
         session.eye.close()
-        session.eye, session.eye_closed_because = None, str(error)
+        session.eye, session.eye_closed_because = None, str(error) or type(error).__name__
         redraw()
         return None
     return TICK_SECONDS

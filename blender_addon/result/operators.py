@@ -7,6 +7,7 @@ import bpy
 
 from ..blender import colors
 from ..blender.blend_paths import absolute
+from ..blender.mesh_arrays import mode_reason
 from ..body.garments import is_dressed, undress
 from ..body.objects import active_body, object_of, of_the_body, refusal
 from ..poses.export import poses_reason
@@ -29,8 +30,7 @@ from .reasons import export_worn, judged_reason, result_reason
 
 def wear_reason(context: bpy.types.Context) -> str:
     """Why the body cannot be given, or be rid of, the colours."""
-    reason = result_reason(context)
-    return reason or ("Leave Edit Mode (Tab) to see the colours on the model" if context.mode != "OBJECT" else "")
+    return result_reason(context) or mode_reason(active_body(context), "Leave {mode} to see the colours on the model")
 
 
 @of_the_body
@@ -65,7 +65,7 @@ class CLOAK_OT_result_toggle(BodyOperator, label="Toggle Cloak", needs=wear_reas
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         if is_dressed(obj):
             undress(obj)
-            colors.show_attribute(context, obj, None)
+            colors.show_attribute(obj)
             return f"'{obj.name}' shows its own materials"
         runs.import_colors(context, obj, run_of(obj))
         return f"'{obj.name}' wears the cloak"

@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..blender import colors
 from ..blender.blend_paths import first_free
+from ..blender.marks import COLORS, layer_name
 from ..body.objects import active_body, of_the_body, refusal, scene_axes
 from ..files.errors import InputError
 from ..files.writing import write_text
@@ -145,7 +145,7 @@ or one with too little room, Cloak makes one of its own"""
     @staticmethod
     @of_the_body
     def needs(context: bpy.types.Context, obj: bpy.types.Object) -> str:
-        return "" if colors.CLOAK in obj.data.color_attributes else "Train, or load colours, first"
+        return "" if layer_name(obj.data, COLORS) else "Train, or load colours, first"
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         done = bake.bake(obj, self.size, self.show)

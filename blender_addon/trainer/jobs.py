@@ -11,6 +11,7 @@ import math
 import os
 import subprocess
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -90,8 +91,8 @@ class Job:
         """Start it; where that cannot be, it has failed."""
         try:
             self.start()
-        except InputError as error:
-            self._finish("failed", str(error))
+        except Exception as error:
+            self._finish("failed", self.reason(error))
 
     def _start(self, command: list[str]) -> subprocess.Popen:
         # Ctrl-C in Blender's terminal is ours to pass on.
@@ -136,8 +137,29 @@ class Job:
         if self.on_end is not None:
             try:
                 self.message = self.on_end(self) or self.message
-            except InputError as error:
-                self.state, self.message = "failed", str(error)
+            except Exception as error:
+                self.state, self.message = "failed", self.reason(error)
+
+    def reason(self, error: Exception) -> str:
+        """One line on what went wrong, for the panel; of a defect its traceback goes into the log."""
+        if isinstance(error, InputError):
+            return str(error)
+        with contextlib.suppress(OSError), self.log.open("a", encoding="utf-8") as log:
+            traceback.print_exception(error, file=log)
+        return f"{self.label}: a defect of the add-on ({type(error).__name__}: {error}); see {self.log}"
+
+    def look(self) -> None:
+        """`poll` and `on_tick` for the timer: whatever goes wrong is shown, and is the end of this job at most."""
+        try:
+            self.poll()
+        except Exception as error:
+            self.cancel()
+            self._finish("failed", self.reason(error))
+        try:
+            if self.on_tick is not None:
+                self.on_tick(self)
+        except Exception as error:
+            self.notice = self.reason(error)
 
     def cancel(self) -> None:
         """Ask the process to stop, which may take a moment; a queued job stops at once."""
@@ -270,9 +292,7 @@ def tick() -> float | None:
     """The timer's function: seconds until it wants to be called again, None when all jobs have ended."""
     job = session.job
     if job is not None and job.running:
-        job.poll()
-        if job.on_tick is not None:
-            job.on_tick(job)
+        job.look()
         redraw(panels_alone=True)  # four times a second: the viewport follows by itself when colours come
     for waiting in [job for job in session.jobs if job.state == "waiting"]:
         if not session.job.running:

@@ -18,7 +18,7 @@ from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, waits
 from ..trainer.preferences import chosen_python, user_folder
 from ..ui import props
-from ..ui.operator import CloakOperator
+from ..ui.operator import WITH_UNDO, CloakOperator, push_undo
 
 BUILTIN = "builtin"
 FAMILIES = {
@@ -190,6 +190,7 @@ class CLOAK_OT_detector_add(CloakOperator, ImportHelper, label="Add Detector"):
     filter_glob: StringProperty(default=";".join(f"*{s}" for s in (*FAMILIES, ".weights")), options={"HIDDEN"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         names = [entry.name for entry in self.files if entry.name]
@@ -205,6 +206,7 @@ class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
     """Add a detector that has no file: the built-in one, or another that the command line names"""
 
     spec: props.text("Name", "As the command line names it", BUILTIN)
+    bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         settings = context.scene.cloak
@@ -216,6 +218,8 @@ class CLOAK_OT_detector_add_named(CloakOperator, label="Add by Name"):
 
 class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
     """Take the chosen detector out of the list; an empty list is the built-in detector"""
+
+    bl_options = WITH_UNDO
 
     @staticmethod
     def needs(context: bpy.types.Context) -> str:
@@ -265,6 +269,7 @@ def _told(job: Job, spec: str) -> str | None:
         detector.gradients = not works or record.get("white_box") is not False
         if works and isinstance(point, (int, float)) and not detector.threshold:
             detector.threshold = float(point)
+    push_undo("Check Detector")
     return f"{found[0].title} {answer}" if found else None
 
 

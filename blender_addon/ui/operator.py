@@ -7,6 +7,7 @@ import bpy
 
 from ..body.objects import active_body, body_reason
 from ..files.errors import InputError
+from ..session import session
 from ..translations import said
 from .window import progress_cursor
 
@@ -41,6 +42,7 @@ class CloakOperator(bpy.types.Operator):
 
     def attempt(self, work: Callable[..., str | set[str]], *arguments: object) -> set[str]:
         """Do the work and report its message. Returns Blender's result set, or the one that the work returns."""
+        session.note_change(geometry=False)  # whatever a script did since the last redraw
         try:
             message = work(*arguments)
         except InputError as error:

@@ -165,7 +165,7 @@ def red_faces(obj: bpy.types.Object) -> list[int]:
     """The faces in the stub's trained colour."""
     from cloak.blender import colors
 
-    return np.flatnonzero((np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1e-5).all(1)).tolist()
+    return np.flatnonzero((np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1e-5).all(1)).tolist()
 
 
 @pytest.fixture

@@ -20,6 +20,8 @@ TABLES = (
 """What panels go through."""
 BLENDERS = {"filepath", "check_existing"}
 """Properties that Blender's own base classes bring, with its own translations."""
+MODES = ("require_object_mode", "mode_reason")
+"""Functions that are told a sentence with a {mode}."""
 WORDS = {"text", "heading", "confirm_text"}
 
 
@@ -99,8 +101,8 @@ def sentences() -> list[str]:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("InputError", "said"):
                 found |= {_pattern(node.args[0]): None}
-            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "require_object_mode":
-                found |= {_pattern(node.args[1]): None}
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in MODES:
+                found |= {_pattern(node.args[1]).replace("{mode}", "{}"): None}
             elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("wrapped", "figure"):
                 found |= {_pattern(word): None for word in node.args[1:3]}
             elif isinstance(node, ast.keyword) and node.arg == "lacks":

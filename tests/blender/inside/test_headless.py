@@ -37,7 +37,7 @@ def save_body(folder: Path, ids, name: str = "chest") -> Path:
 
 
 def reds(obj) -> np.ndarray:
-    return (np.abs(colors.read_face_colors(obj, "Cloak") - [1, 0, 0]) < 1 / 255).all(1)
+    return (np.abs(colors.written_colors(obj) - [1, 0, 0]) < 1 / 255).all(1)
 
 
 def test_from_blend_to_blend(tmp_path, stub):
@@ -191,7 +191,7 @@ def test_sample_body_and_heatmap_of_the_real_trainer(tmp_path, real_trainer):
     given = options([f"python:{RED}:load"], backgrounds="procedural:train:2", angles="0:0:1")
     words = [*heatmap_words(given, tmp_path), "--events", tmp_path / "e"]
     answer("Heatmap", cloak_command(python, *words, "--pick", "0.1"))
-    show_heat(bpy.context, obj, read_npy(tmp_path / "heat.npy"))
+    show_heat(obj, read_npy(tmp_path / "heat.npy"))
     bpy.context.scene.cloak.heat_share = 0.1
     bpy.ops.cloak.logo_from_heat()
     picked = np.flatnonzero(faces.read_faces(obj, "Heat"))

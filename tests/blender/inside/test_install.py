@@ -8,9 +8,7 @@ import zipfile
 import bpy
 import cloak
 import pytest
-from cloak.blender import colors
-from cloak.body import objects as body
-from cloak.logo import operators as heat
+from cloak.blender import marks
 from cloak.session import session
 from cloak.trainer import jobs
 from conftest import EXTENSION, MODULE, ROOT
@@ -81,10 +79,9 @@ def test_what_blend_files_store_keeps_its_name():
         "torchvision_checkpoint python_file python_function backgrounds preset config angle_first angle_last "
         "angle_step steps device output look live live_seconds judging"
     )
-    attributes = (heat.HEAT, colors.OWN_MATERIAL, colors.CLOAK, colors.OUTFIT, colors.HEATMAP, body.ORIGINAL_FACE)
-    assert attributes == (
-        "cloak_heat", "cloak_own_material", "Cloak", "Outfit", "Cloak Heatmap", "cloak_original_face",
-    )  # fmt: skip
+    assert list(marks.KINDS) == [
+        "colors", "outfit", "heatmap", "own_material", "original_face", "carried_face", "heat", "uv",
+    ]  # fmt: skip
 
 
 def leftovers() -> dict:
