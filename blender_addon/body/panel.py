@@ -11,7 +11,7 @@ from .objects import active_body, body_reason
 
 CONVERT = "it sees meshes alone (Object > Convert > Mesh; of an instance, Object > Apply > Make Instances Real)"
 MOST_WORN = 8  # most worn objects to list
-TRAINER = "The program that trains, outside of Blender; the add-on's preferences install, choose and test it"
+TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
 
 
 class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
@@ -48,15 +48,11 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
 
     def _trainer(self, context: bpy.types.Context) -> None:
         """Draw which trainer is used, or how to get one."""
-        reason = trainer_reason()
-        if reason:
-            wrapped(self.layout, context, reason, icon="ERROR")
+        if reason := trainer_reason():
+            wrapped(self.layout, context, reason)
             row = self.layout.row(align=True)
-            row.operator("cloak.install_trainer", text="Install Trainer...", icon="IMPORT")
-            row.operator("cloak.find_python", text="", icon="VIEWZOOM")
+            row.operator("cloak.copy_install_line", icon="COPYDOWN")
             row.operator("preferences.addon_show", text="", icon="PREFERENCES").module = PACKAGE
-        elif reason is None:
-            self.layout.label(text="Looking for the trainer...", icon="TIME")
         else:
             figure(self.layout, preferences().answer or "Trainer found", TRAINER, "CONSOLE")
-        self.progress(context, "Installation", "Test")
+        self.progress(context, "Test")

@@ -181,7 +181,7 @@ def shown_heat_reason(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     return mode_reason(obj, "Leave {mode} to see the heat map")
 
 
-class CLOAK_OT_heatmap(CloakOperator, label="Heatmap"):
+class CLOAK_OT_heatmap(CloakOperator, label="Heatmap", trains=True):
     """Colour the body by how much each face moves the chosen detector's score: a logo pays where it is bright"""
 
     @staticmethod

@@ -25,7 +25,7 @@ from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.command_lines import cloak_command, options
 from ..trainer.onlooker import Onlooker, Seen
-from ..trainer.preferences import local_python
+from ..trainer.preferences import trainer
 from ..training.detectors import judges
 from ..training.runs import run_of, trained_faces
 from ..ui.drawing import WHITE, fill, frame, short, size_of_words, width_of, write
@@ -47,7 +47,7 @@ class Eye:
         self.viewpoint: Viewpoint | None = None  # viewpoint of the last answer
         self.region = 0  # the viewport that is looked from, by its address; 0 for any
         self._uid, self._folder = obj.session_uid, folder
-        self._python = local_python()
+        self._program = trainer()
         self._look_with(judges(settings), settings.device)
         self._asked: tuple | None = None
         self._asked_from: Viewpoint | None = None
@@ -58,7 +58,7 @@ class Eye:
     def _look_with(self, specs: tuple[str, ...], device: str) -> None:
         """Start the process of these detectors."""
         self.specs = specs
-        command = cloak_command(self._python, "look", "-", *options(specs, device=device))
+        command = cloak_command(self._program, "look", "-", *options(specs, device=device))
         self._onlooker = Onlooker(command, self._folder)
 
     @property

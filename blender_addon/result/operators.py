@@ -15,7 +15,7 @@ from ..poses.poses import PoseChoice
 from ..session import session
 from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
-from ..trainer.preferences import chosen_python
+from ..trainer.preferences import trainer
 from ..training import run_list, runs
 from ..training.detectors import judges, thresholds
 from ..training.runs import input_folder, run_of, side_folder
@@ -94,7 +94,7 @@ class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
         return "View transform: Standard"
 
 
-class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason):
+class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason, trains=True):
     """Open the run's report in the web browser, after making it if need be"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -112,18 +112,18 @@ def _open(report: Path) -> str:
     return f"Opened {report}"
 
 
-class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason):
+class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_reason, trains=True):
     """Render the body in Cycles from the training cameras, with and without the cloak, and let the detector judge"""
 
     def run(self, context: bpy.types.Context) -> str:
         obj, settings = active_body(context), context.scene.cloak
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.side_folder(run))
-        points, python = thresholds(settings, render_check.THRESHOLD), chosen_python()
+        points, program = thresholds(settings, render_check.THRESHOLD), trainer()
         angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
         images = render_check.image_paths(plan)
-        check = lambda spec, image: cloak_command(python, "detectors", "check", spec, "--image", image)
+        check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
         commands = [render_check.prepare(plan), *(check(spec, image) for spec in points for image in images)]
         uid = obj.session_uid
         job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, points, uid)))
@@ -149,7 +149,7 @@ def evaluate_reason(context: bpy.types.Context) -> str:
     return reason or ("" if not folder or Path(folder).is_dir() else f"Backgrounds folder {folder} does not exist")
 
 
-class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason):
+class CLOAK_OT_evaluate(CloakOperator, label="Evaluate", needs=evaluate_reason, trains=True):
     """Measure the run's colours on bodies, backgrounds and angles that training did not see, all around the body, \
 beside controls on the same images. The result is shown here and as a ring around the body"""
 
@@ -179,7 +179,7 @@ def _evaluated(job: Job, run: Path) -> str | None:
     return f"{outcome}: {found.describe()}"
 
 
-class CLOAK_OT_eye(CloakOperator, label="Detector's Eye"):
+class CLOAK_OT_eye(CloakOperator, label="Detector's Eye", trains=True):
     """Let the detector look at the body from where you look, or the camera, and draw what it sees over the viewport. \
 It goes on looking as you move, and while a training runs, until this is pressed again"""
 

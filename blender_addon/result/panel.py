@@ -76,7 +76,7 @@ class CLOAK_PT_result(CloakPanel, label="5. Result"):
                     figure(cell, f"{score:.2f}", SCORE, "HIDE_OFF" if score >= check.threshold else "HIDE_ON")
 
 
-class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result"):
+class CLOAK_PT_evaluation(CloakPanel, label="Evaluation", inside="result", trains=True):
     """What the cloak is worth where training never saw it"""
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -137,7 +137,7 @@ class CLOAK_PT_take_along(CloakPanel, label="Take Along", inside="result"):
             row.operator("cloak.show_made", text="Open").path = str(path)
 
 
-class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True):
+class CLOAK_PT_eye(CloakPanel, label="Detector's Eye", closed=True, trains=True):
     """What the detector makes of the body from where you look"""
 
     def draw(self, context: bpy.types.Context) -> None:

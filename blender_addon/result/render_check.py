@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Does the cloak survive a path tracer? Cycles renders the body from the training cameras, and the detector judges.
 
-The rendering is done by a second Blender on a copy of the file (`train.py -- render-check PLAN`), so that the first one
-stays usable. Camera and light are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60
-degrees, 416 x 416 pixels; ambient 0.5 and one light of 0.3 from in front and above.
+The rendering is done by a second Blender on a copy of the file, so that the first one stays usable. Camera and light
+are those of training: distance 2.2 m, elevation 6 degrees, vertical field of view 60 degrees, 416 x 416 pixels; ambient
+0.5 and one light of 0.3 from in front and above.
 """
 
 import itertools
@@ -35,6 +35,20 @@ IMAGES = (".jpg", ".jpeg", ".png", ".webp")
 BLEND, PLAN, VERDICT = "check.blend", "plan.json", "verdict.json"
 
 
+_RENDER = """
+import bpy, importlib, os, sys, traceback
+try:
+    bpy.ops.preferences.addon_enable(module={package!r})
+    importlib.import_module({package!r} + ".result.render_check").run_plan({plan!r})
+except Exception:
+    traceback.print_exc()
+    sys.stderr.flush()
+    os._exit(1)
+os._exit(0)
+"""
+"""What the second Blender runs. It leaves at once: the bpy package may wait for ever in its own destructors."""
+
+
 @dataclass(frozen=True)
 class Plan:
     """What to render: an object from several azimuths (degrees), over photographs of a folder ("" for plain grey)."""
@@ -63,17 +77,18 @@ def prepare(plan: Plan) -> list[str]:
     blend = plan.folder / BLEND
     bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True, compress=False, check_existing=False)
     write_json(plan.folder / PLAN, asdict(plan) | {"folder": str(plan.folder)})
-    script = str(Path(__file__).parents[1] / "train.py")
-    arguments = ["--", "render-check", str(plan.folder / PLAN)]
+    code = _RENDER.format(package=__package__.rpartition(".")[0], plan=str(plan.folder / PLAN))
     if bpy.app.binary_path:
-        return [bpy.app.binary_path, "-b", str(blend), "--python-exit-code", "1", "-P", script, *arguments]
-    return [sys.executable, script, *arguments]
+        return [bpy.app.binary_path, "-b", "--python-exit-code", "1", "--python-expr", code]
+    return [sys.executable, "-c", code]
 
 
-def run_plan(path: Path) -> None:
-    """Render a plan; runs in the second Blender."""
+def run_plan(file: str) -> None:
+    """Render the plan in a file; runs in the second Blender."""
+    path = Path(file)
     plan = Plan(**read_json(path) | {"folder": path.parent})
     bpy.ops.wm.open_mainfile(filepath=str(plan.folder / BLEND))
+    (plan.folder / BLEND).unlink()  # as large as the user's file, and of no use to anybody
     obj = bpy.data.objects[plan.object]
     files = sorted(Path(plan.backgrounds).iterdir()) if plan.backgrounds else ()
     photographs = [path for path in files if path.suffix.lower() in IMAGES]

@@ -76,7 +76,7 @@ def _rates(told: dict) -> dict[str, float]:
     return {name: rate for name, rate in rates.items() if rate is not None}
 
 
-class CLOAK_OT_wear(CloakOperator, label="Wear"):
+class CLOAK_OT_wear(CloakOperator, label="Wear", trains=True):
     """Lay the run's colours onto the people of photographs, and let the detectors judge them before and after"""
 
     @staticmethod
@@ -114,7 +114,7 @@ class CLOAK_OT_wear_page(CloakOperator, label="Turn the Page"):
         return ""
 
 
-class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result"):
+class CLOAK_PT_wear(CloakPanel, label="Wear", inside="result", trains=True):
     """The cloak on people in photographs"""
 
     def draw(self, context: bpy.types.Context) -> None:

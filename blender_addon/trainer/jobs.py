@@ -21,9 +21,9 @@ from ..files.errors import InputError
 from ..session import session
 from ..ui.window import redraw
 from .command_lines import cloak_command
-from .preferences import chosen_python, through
+from .preferences import trainer
+from .program import start_process
 from .progress import Progress, read_events
-from .python import start_process
 
 TICK_SECONDS = 0.25
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
@@ -97,7 +97,7 @@ class Job:
     def _start(self, command: list[str]) -> subprocess.Popen:
         # Ctrl-C in Blender's terminal is ours to pass on.
         options = {"stdin": subprocess.DEVNULL, "start_new_session": os.name == "posix"}
-        return start_process(through(command), self._out, self.log, **options)
+        return start_process(command, self._out, self.log, **options)
 
     def poll(self) -> bool:
         """Look in on the process; True while there is more to wait for."""
@@ -278,7 +278,7 @@ def run_cloak(label: str, words: Iterable, folder: Path, name: str, on_done: OnE
     events = folder / f"{name}.jsonl" if follow else None
     if events:
         events.unlink(missing_ok=True)
-    command = cloak_command(chosen_python(), *words, *(["--events", events] if events else []))
+    command = cloak_command(trainer(), *words, *(["--events", events] if events else []))
     on_end = lambda job: on_done(job) if job.state == "done" else None
     return waits(launch(Job(label, [command], folder, name, on_end, events)))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from ..files.errors import InputError
 from ..files.reading import read_json
 from .jobs import last_words
-from .python import start_process
+from .program import start_process
 
 ANSWER = "look.json"
 THRESHOLD = 0.6

@@ -16,7 +16,7 @@ from ..blender.blend_paths import absolute, blend_folder, portable
 from ..files.errors import InputError
 from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, waits
-from ..trainer.preferences import chosen_python, user_folder
+from ..trainer.preferences import trainer, user_folder
 from ..ui import props
 from ..ui.operator import WITH_UNDO, CloakOperator, push_undo
 
@@ -233,7 +233,7 @@ class CLOAK_OT_detector_remove(CloakOperator, label="Remove Detector"):
         return f"{title} is not used any more"
 
 
-class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs):
+class CLOAK_OT_detector_check(CloakOperator, label="Check", needs=CLOAK_OT_detector_remove.needs, trains=True):
     """Let the trainer load the chosen detector, compare it with its own runtime and say what it reports from"""
 
     def run(self, context: bpy.types.Context) -> str:
@@ -246,7 +246,7 @@ def check(detector: CloakDetector) -> str:
     spec, folder = detector.bare, user_folder("detectors")
     detector.checked, detector.answer, detector.works = spec, "", False
     # One render is enough to know whether, and from which score on, it works.
-    command = cloak_command(chosen_python(), "detectors", "verify", spec, "--renders", 1)
+    command = cloak_command(trainer(), "detectors", "verify", spec, "--renders", 1)
     return waits(launch(Job(CHECK, [command], folder, "check", lambda job: _told(job, spec))))
 
 

@@ -212,6 +212,8 @@ class LiveColors:
     def finish(self, job: Job) -> str | None:
         """At the end of the job: import the last colours. Returns why they were not; None where they were, or none."""
         if not (self._run / "colors.npy").exists():
+            if job.state == "done":
+                raise InputError(f"The trainer ended and left no colours in {self._run.name}; see {job.log}")
             return None
         self._looked = -1
         obj = self.body()

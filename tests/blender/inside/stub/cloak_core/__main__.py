@@ -21,7 +21,11 @@ assert not {"PYTHONHOME"} & set(os.environ)
 
 
 def main() -> None:
-    if sys.argv[1:3] == ["scene", "sample"]:
+    if sys.argv[1] == "setup":
+        if "refuse" in HOW:
+            refuse("no libtorch.so")
+        print(json.dumps({"cloak": "0.stub", "torch": "0.stub", "python": "3.11.0", "device": "CPU", "program": "x"}))
+    elif sys.argv[1:3] == ["scene", "sample"]:
         sample(Path(sys.argv[sys.argv.index("--out") + 1]))
     elif sys.argv[1:3] == ["logo", "heatmap"]:
         heatmap(Path(given("--scene")), Path(given("--out")))
