@@ -320,6 +320,14 @@ def view_transform_reason(scene: bpy.types.Scene) -> str:
     return ""
 
 
+def light_reason(space: bpy.types.Space | None) -> str:
+    """Why a viewport's light changes the trained colours, by up to 76/255; "" where it does not."""
+    shading = space.shading if space is not None and space.type == "VIEW_3D" else None
+    if shading is None or shading.type != "SOLID" or shading.light == "FLAT":
+        return ""
+    return "Studio light in Solid view changes the trained colours"
+
+
 def use_standard_view(scene: bpy.types.Scene) -> None:
     """Colour management that shows sRGB colours as they are."""
     scene.display_settings.display_device = "sRGB"

@@ -9,7 +9,10 @@ from ..ui.panel_parts import CloakPanel, figure, wrapped
 from .garments import unseen_on, wearable
 from .objects import active_body, body_reason
 
-CONVERT = "it sees meshes alone (Object > Convert > Mesh; of an instance, Object > Apply > Make Instances Real)"
+UNSEEN = (
+    "The camera does not see {}: it sees meshes alone (Object > Convert > Mesh; of an instance, Object > Apply > Make "
+    "Instances Real)"
+)
 MOST_WORN = 8  # most worn objects to list
 TRAINER = "The program that trains, outside of Blender; the add-on's preferences choose and test it"
 
@@ -44,7 +47,7 @@ class CLOAK_PT_body(CloakPanel, label="1. Body", unfinished=body_reason):
             icon = "HIDE_ON" if worn.cloak.left_out else "HIDE_OFF"
             row.prop(worn.cloak, "left_out", text="", icon=icon, toggle=True)
         if unseen := ", ".join(f"'{o.name}'" for o in unseen_on(obj)[:MOST_WORN]):
-            wrapped(self.layout, context, f"The camera does not see {unseen}: {CONVERT}", icon="ERROR")
+            wrapped(self.layout, context, UNSEEN.format(unseen), icon="ERROR")
 
     def _trainer(self, context: bpy.types.Context) -> None:
         """Draw which trainer is used, or how to get one."""

@@ -17,7 +17,7 @@ from ..trainer.command_lines import cloak_command
 from ..trainer.jobs import Job, launch, run_cloak, waits
 from ..trainer.preferences import trainer
 from ..training import run_list, runs
-from ..training.detectors import judges, thresholds
+from ..training.detectors import judges
 from ..training.runs import input_folder, run_of, side_folder
 from ..translations import said
 from ..ui import props
@@ -85,13 +85,15 @@ class CLOAK_OT_explain(CloakOperator, label="Explain"):
 
 
 class CLOAK_OT_use_standard_view(CloakOperator, label="Use Standard"):
-    """Set the scene's colour management to Standard, which shows the trained colours as the detector saw them"""
+    """Show the trained colours as the detector saw them: Standard colours and, in a Solid viewport, flat light"""
 
     bl_options = WITH_UNDO
 
     def run(self, context: bpy.types.Context) -> str:
         colors.use_standard_view(context.scene)
-        return "View transform: Standard"
+        if lit := colors.light_reason(context.space_data):
+            context.space_data.shading.light = "FLAT"
+        return "View transform: Standard" + (", flat light" if lit else "")
 
 
 class CLOAK_OT_open_report(CloakOperator, label="Open Report", needs=report_reason, trains=True):
@@ -119,21 +121,21 @@ class CLOAK_OT_render_check(CloakOperator, label="Render Check", needs=check_rea
         obj, settings = active_body(context), context.scene.cloak
         run = run_of(obj)
         folder = render_check.new_folder_in(runs.side_folder(run))
-        points, program = thresholds(settings, render_check.THRESHOLD), trainer()
+        specs, program = judges(settings), trainer()
         angles = tuple(range(settings.angle_first, settings.angle_last + 1, settings.angle_step))
         plan = render_check.Plan(obj.name, folder, angles, absolute(settings.backgrounds))
         images = render_check.image_paths(plan)
         check = lambda spec, image: cloak_command(program, "detectors", "check", spec, "--image", image)
-        commands = [render_check.prepare(plan), *(check(spec, image) for spec in points for image in images)]
+        commands = [render_check.prepare(plan), *(check(spec, image) for spec in specs for image in images)]
         uid = obj.session_uid
-        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, points, uid)))
+        job = launch(Job("Render check", commands, folder, "check", lambda job: _judge(job, plan, specs, uid)))
         return f"Rendering {len(images)} images into {folder}" + waits(job)
 
 
-def _judge(job: Job, plan: render_check.Plan, points: dict[str, float], uid: int) -> str | None:
+def _judge(job: Job, plan: render_check.Plan, specs: tuple[str, ...], uid: int) -> str | None:
     if job.state != "done":
         return None
-    found, obj = render_check.verdicts(plan, points, job.outputs[1:]), object_of(uid)
+    found, obj = render_check.verdicts(plan, specs, job.outputs[1:]), object_of(uid)
     job.is_bad_news = not all(verdict.holds for verdict in found)
     if obj is not None:
         obj.cloak.verdict = render_check.describe_all(found)

@@ -26,7 +26,7 @@ from ..files.reading import read_json
 from ..files.specs import without_folders
 from ..files.writing import write_json, written
 
-THRESHOLD = 0.6  # a person counts as detected at this score
+THRESHOLD = 0.6  # of checks of version 1.0 that do not say theirs
 DISTANCE, ELEVATION, FIELD_OF_VIEW, SIZE = 2.2, 6.0, 60.0, 416
 LIGHT_POSITION = (0.0, -100.0, 85.0)
 AMBIENT, DIFFUSE = 0.5, 0.3
@@ -111,7 +111,7 @@ class Verdict:
     """Highest person score of each render: first those with the cloak, then as many without (control)."""
     images: tuple[Path, ...]  # the renders in the order of the scores
     spec: str
-    threshold: float  # the detector reports a person from this score on
+    threshold: float  # the detector reports a person above this score: its own operating point
 
     @property
     def with_cloak(self) -> tuple[float, ...]:
@@ -128,7 +128,7 @@ class Verdict:
 
     def found(self, scores: tuple[float, ...]) -> int:
         """In how many renders it reports a person."""
-        return sum(score >= self.threshold for score in scores)
+        return sum(score > self.threshold for score in scores)
 
     def describe(self) -> str:
         """In one line, the outcome first."""
@@ -145,15 +145,16 @@ class Verdict:
         )
 
 
-def verdicts(plan: Plan, thresholds: dict[str, float], answers: list[str]) -> list[Verdict]:
+def verdicts(plan: Plan, specs: Sequence[str], answers: list[str]) -> list[Verdict]:
     """What each detector said about the images of `image_paths`; kept beside them for `last_verdicts`."""
     try:
-        scores = [float(json.loads(text)["max_person"]) for text in answers]
+        records = [json.loads(text) for text in answers]
+        scores = [(float(record["max_person"]), float(record["operating_point"])) for record in records]
     except (ValueError, KeyError, TypeError):
         raise InputError("Render check: the detector's answer is not understood; see check.log") from None
     images = tuple(image_paths(plan))
-    by_detector = zip(*[iter(scores)] * len(images), strict=True)
-    found = [Verdict(own, images, *one) for own, one in zip(by_detector, thresholds.items(), strict=True)]
+    of_each = zip(specs, zip(*[iter(scores)] * len(images), strict=True), strict=True)
+    found = [Verdict(tuple(score for score, _ in own), images, spec, own[0][1]) for spec, own in of_each]
     record = {v.spec: {"scores": v.scores, "threshold": v.threshold} for v in found}
     write_json(plan.folder / VERDICT, {"detectors": record, "images": [path.name for path in images]})
     return found

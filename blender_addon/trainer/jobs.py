@@ -23,7 +23,7 @@ from ..ui.window import redraw
 from .command_lines import cloak_command
 from .preferences import trainer
 from .program import start_process
-from .progress import Progress, read_events
+from .progress import Progress, duration, read_events
 
 TICK_SECONDS = 0.25
 STOPPED = 3  # exit code of a trainer that was stopped, with a valid checkpoint
@@ -51,7 +51,7 @@ class Job:
         self.on_end, self._commands, self._process = on_end, list(commands), None
         self.log = folder / f"{name}.log"  # what the commands said on standard error
         self._out = folder / f"{name}.out"
-        self._events, self._cancelled = events, False
+        self._events, self._cancelled, self._begun = events, False, 0.0
 
     @property
     def running(self) -> bool:
@@ -78,12 +78,13 @@ class Job:
         if self._cancelled:
             return f"{self.label}{of} (stopping)"
         if not self._events:
-            return f"{self.label}{of}"
+            return f"{self.label}{of}, {duration(time.monotonic() - self._begun)}"
         return f"{self.label} {self.progress.describe()}" if self.progress.steps else f"{self.label}: preparing..."
 
     def start(self) -> "Job":
         """Start its next command; raises `InputError` where that cannot be."""
         self._process = self._process or self._start(self._commands[len(self.outputs)])
+        self._begun = time.monotonic() if self.state == "waiting" else self._begun
         self.state = "running"
         return self
 

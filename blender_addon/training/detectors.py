@@ -136,12 +136,6 @@ def judges(settings: bpy.types.PropertyGroup) -> tuple[str, ...]:
     return tuple(dict.fromkeys(detector.full for detector in ordered)) or (BUILTIN,)
 
 
-def thresholds(settings: bpy.types.PropertyGroup, otherwise: float) -> dict[str, float]:
-    """From which score on each of `judges` counts as reporting."""
-    known = {detector.full: detector.threshold or otherwise for detector in settings.detectors}
-    return {spec: known.get(spec, otherwise) for spec in judges(settings)}
-
-
 def active_detector(settings: bpy.types.PropertyGroup) -> CloakDetector | None:
     """The one that is chosen in the list."""
     index = settings.detector_index
@@ -264,6 +258,10 @@ def _told(job: Job, spec: str) -> str | None:
         job.state = "done"
     job.is_bad_news = not works
     found = [d for scene in bpy.data.scenes for d in scene.cloak.detectors if d.checked == spec]
+    if job.state == "stopped":  # nothing is known: it can be checked again
+        for detector in found:
+            detector.checked = ""
+        return None
     for detector in found:
         detector.answer, detector.works = answer, works
         detector.gradients = not works or record.get("white_box") is not False

@@ -210,3 +210,14 @@ def test_live_colours_update_only_when_there_is_something_new(tmp_path):
         live.update(bpy.context)
     bpy.data.objects.remove(obj)
     assert not live.update(bpy.context)
+
+
+def test_a_studio_light_is_told_where_it_is_on():
+    from types import SimpleNamespace
+
+    space = SimpleNamespace(type="VIEW_3D", shading=SimpleNamespace(type="SOLID", light="STUDIO"))
+    assert "Studio light" in colors.light_reason(space)
+    space.shading.light = "FLAT"
+    assert colors.light_reason(space) == colors.light_reason(None) == ""
+    space.shading.type, space.shading.light = "MATERIAL", "STUDIO"
+    assert colors.light_reason(space) == ""
