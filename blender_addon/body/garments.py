@@ -87,29 +87,32 @@ def objects_near(objects: bpy.types.bpy_prop_collection, box: np.ndarray) -> lis
     In one pass of numpy: Python takes a tenth of a millisecond for each object of a scene.
     """
     corners = read(objects, "bound_box", 24).reshape(-1, 8, 3)
-    for index in np.flatnonzero(np.ptp(corners, axis=1).max(1) == 0).tolist():
-        corners[index] = _instances_box(objects[index])
+    first, last = corners[:, 0].copy(), corners[:, 6].copy()  # the lowest and the highest corner
+    for index in np.flatnonzero((first == last).all(1)).tolist():
+        first[index], last[index] = _instances_box(objects[index])
     matrices = read(objects, "matrix_world", 16).reshape(-1, 4, 4)  # of columns
-    corners = corners @ matrices[:, :3, :3] + matrices[:, 3:, :3]
-    extent = box[1] - box[0]
-    thin = 1e-4 * extent.max()  # the thickness of a flat object, which has a volume to compare then
-    low, high = corners.min(1) - thin, corners.max(1) + thin
-    size = high - low
-    fits = ~(size > LARGER * extent).any(1) & (size.max(1) >= 0.02 * extent.max())
-    shared = np.minimum(high, box[1] + 0.05 * extent) - np.maximum(low, box[0] - 0.05 * extent)
-    inside = (shared > 0).all(1) & (np.prod(shared / size, axis=1) > BESIDE)
-    return [objects[index] for index in np.flatnonzero(fits & inside).tolist()]
+    turn, extent = matrices[:, :3, :3], box[1] - box[0]
+    middle = np.einsum("ni,nij->jn", (first + last) / 2, turn) + matrices[:, 3, :3].T
+    # Half a box's extent along the axes of the world; a flat object gets a thickness, to have a volume to compare.
+    half = np.einsum("ni,nij->jn", (last - first) / 2, np.abs(turn)) + 1e-4 * extent.max()
+    fits, shared, largest = True, 1.0, np.maximum(np.maximum(half[0], half[1]), half[2])
+    for axis in range(3):  # numpy takes ten times as long over the short axis of [n, 3]
+        fits &= 2 * half[axis] <= LARGER * extent[axis]
+        low = np.maximum(middle[axis] - half[axis], box[0][axis] - 0.05 * extent[axis])
+        high = np.minimum(middle[axis] + half[axis], box[1][axis] + 0.05 * extent[axis])
+        shared *= np.maximum(high - low, 0) / (2 * half[axis])
+    fits &= (2 * largest >= 0.02 * extent.max()) & (shared > BESIDE)
+    return [objects[index] for index in np.flatnonzero(fits).tolist()]
 
 
 def _instances_box(obj: bpy.types.Object) -> np.ndarray:
-    """Corners [8, 3] of the box around the collection that an object instances, in its space; zeros for none."""
+    """Lowest and highest corner [2, 3] of the collection that an object instances, in its space; zeros for none."""
     shown = obj.instance_collection.all_objects if obj.instance_collection else ()
     boxes = [box_of(o) for o in shown if o.type != "EMPTY"]
     if not boxes:
-        return np.zeros((8, 3), np.float32)
+        return np.zeros((2, 3), np.float32)
     low, high = np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))
-    offset = np.array(obj.instance_collection.instance_offset)
-    return np.stack(np.meshgrid(*np.stack([low, high], -1) - offset[:, None]), -1).reshape(8, 3)
+    return np.stack([low, high]) - np.array(obj.instance_collection.instance_offset)
 
 
 def is_dressed(obj: bpy.types.Object) -> bool:
