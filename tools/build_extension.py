@@ -1,7 +1,7 @@
 """Build the Blender extension with Blender's own builder: `python tools/build_extension.py [--out dist]`.
 
 The builder wants `__init__.py` beside the manifest, so the add-on, the manifest, the licence and the two shared
-packages are staged in a temporary folder first. The builder comes with the `bpy` package, or is a `blender` on the path.
+packages are staged in a temporary folder first. It comes with the `bpy` package, or with a `blender` on the path.
 `--repository` builds a folder that any web server makes an extension repository. CLOAK_URL names the project's site.
 """
 
